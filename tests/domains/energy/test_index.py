@@ -135,6 +135,7 @@ def test_index_of_simulated_prices(model):
         assert np.allclose(of.index.price(of, t, factors[:, 1]), price, rtol=1e-12)
 
 
+@pytest.mark.prove
 def test_derivative_of_the_index():
     """Gradients of an index against central differences."""
     problem = bare_problem(indexed(**LATE, **KINDS[2]))

@@ -216,6 +216,7 @@ def test_a_firm_minimum_with_rights_is_met_on_every_path():
         assert taken.min() > 10 - 1e-9 and taken.max() < 14 + 1e-9
 
 
+@pytest.mark.prove
 def test_contract_years_add_up():
     """Two halves of a year, each with its limits; 10 units were taken before the first."""
     halves = {"annual": {"min": 80.0, "max": 120.0}}
