@@ -144,21 +144,21 @@ class SwingContract(EnergyContract):
             return self._carried(inputs)
         if not self.most_rights:
             return None
-        least, most = use(inputs, self.annual_min), use(inputs, self.max_daily)[0]
+        minimum, daily = use(inputs, self.annual_min), use(inputs, self.max_daily)[0]
         count, modes = len(self.year_ends), len(self.layout.modes)
         left = np.arange(count - 1, -1, -1)
         waits = np.append(0, np.arange(modes - 1, 0, -1))
         days = np.maximum(np.ceil((left[:, None] - waits) / modes), 0.0)
-        rights = jnp.full((count, modes), least - most * self.most_rights)
-        weights = jnp.stack([jnp.array([1.0, 0.0]), jnp.stack([jnp.ones(()), -most])])
-        bounds = jnp.stack([least - most * days, rights], axis=1)
+        rights = jnp.full((count, modes), minimum - daily * self.most_rights)
+        weights = jnp.stack([jnp.array([1.0, 0.0]), jnp.stack([jnp.ones(()), -daily])])
+        bounds = jnp.stack([minimum - daily * days, rights], axis=1)
         return Promises(jnp.broadcast_to(weights, (count, 2, 2)), bounds)
 
     def _carried(self, inputs: dict[str, Any]) -> Promises:
         """Of a firm minimum, lower by the units carried forward: the rest of it is at most the
         volume of the days left of the year."""
-        most = use(inputs, self.max_daily)
-        following = jnp.append(most[1:], 0.0)
+        daily = use(inputs, self.max_daily)
+        following = jnp.append(daily[1:], 0.0)
 
         def back(left, row):
             left = jnp.where(row[0], 0.0, left + row[1])
@@ -166,9 +166,9 @@ class SwingContract(EnergyContract):
 
         rows = jnp.asarray(self.year_ends), following
         left = jax.lax.scan(back, jnp.zeros(()), rows, reverse=True)[1]
-        least = use(inputs, self.annual_min) - left  # pyright: ignore[reportArgumentType]
-        weights = jnp.broadcast_to(jnp.array([1.0, -1.0]), (len(most), 1, 2))
-        return Promises(weights, least[:, None, None])
+        minimum = use(inputs, self.annual_min) - left  # pyright: ignore[reportArgumentType]
+        weights = jnp.broadcast_to(jnp.array([1.0, -1.0]), (len(daily), 1, 2))
+        return Promises(weights, minimum[:, None, None])
 
     def _bank(self, inputs: dict[str, Any], strike: Array, paid: Array) -> Bank:
         """Units short may be made up, units in excess are carried forward."""

@@ -134,7 +134,7 @@ def _made(
     rights = None
     if table.rights is not None:
         rights = parse(RightsTable, table.rights, str(where.file), f"{where.name}.rights", notes)
-    most, least = (x.on(days, notes) for x in (table.max_daily, table.min_daily))
+    daily_max, daily_min = (x.on(days, notes) for x in (table.max_daily, table.min_daily))
     strike, index = table.strike, None
     if isinstance(strike, IndexTable):
         strike, index = None, strike
@@ -146,26 +146,26 @@ def _made(
             raise where.error("shortfall", "strike", message)
     else:
         strike = strike.on(days, notes)
-    for t in np.flatnonzero(least.used() > most.used())[:1]:
-        message = f"on {days[t]} at most {most.used()[t]:g} may be taken"
-        raise where.error("min_daily", float(least.used()[t]), message)
+    for t in np.flatnonzero(daily_min.used() > daily_max.used())[:1]:
+        message = f"on {days[t]} at most {daily_max.used()[t]:g} may be taken"
+        raise where.error("min_daily", float(daily_min.used()[t]), message)
     limits = _annual(where, table, annual)
-    if rights is not None and np.any(least.used() > 0):
-        raise where.error("min_daily", float(least.used().max()), "with rights allowed is 0")
+    if rights is not None and np.any(daily_min.used() > 0):
+        raise where.error("min_daily", float(daily_min.used().max()), "with rights allowed is 0")
     minimum = limits[0]
     firm = table.shortfall == "firm"
-    ends = year_ends(where, table, days)
+    last_days = year_ends(where, table, days)
     if rights is not None and firm and minimum is not None and minimum.values[0] > 0:
-        _check_promise(where, table, rights, float(minimum.values[0]), most.used(), ends)
+        _check_promise(where, table, rights, float(minimum.values[0]), daily_max.used(), last_days)
     made_up, carried = _banked(where, table)
     banked = made_up is not None or carried is not None
     if banked:
-        _check_bank(where, table, limits, strike, most.used(), ends)
+        _check_bank(where, table, limits, strike, daily_max.used(), last_days)
     limited = limits[0] is not None or limits[1] is not None
     short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
     return SwingContract(  # pyright: ignore[reportCallIssue]
-        most,
-        least,
+        daily_max,
+        daily_min,
         strike,
         *((None, None, None) if index is None else (index.factor, index.add, index.fixing)),
         *limits,
@@ -173,7 +173,7 @@ def _made(
         short if minimum is not None else None,
         *((None, None) if made_up is None else (made_up.price, made_up.units)),
         *((None, None) if carried is None else (carried.max, carried.units)),
-        ends,
+        last_days,
         layout=layout_of(  # pyright: ignore[reportCallIssue]
             table.volume_unit,
             limited,
@@ -193,20 +193,20 @@ def _check_promise(
     table: SwingTable,
     rights: RightsTable,
     minimum: float,
-    most: np.ndarray,
-    ends: np.ndarray,
+    daily_max: np.ndarray,
+    last_days: np.ndarray,
 ) -> None:
     """A firm minimum with rights is of one contract year, at one volume a day, and can be met."""
-    if np.sum(ends) > 1:
+    if np.sum(last_days) > 1:
         message = "with rights a minimum of several contract years is not firm; allowed is "
         raise where.error("shortfall", "firm", f'{message}"strike" or an amount of money')
-    if np.ptp(most) > 0:
+    if np.ptp(daily_max) > 0:
         message = "with rights and a firm minimum allowed is one number for all days"
-        raise where.error("max_daily", float(most.max()), message)
-    uses = min(rights.most, -(-len(ends) // (rights.rest + 1)))
-    highest = float(table.taken.values[0]) + uses * float(most[0])
+        raise where.error("max_daily", float(daily_max.max()), message)
+    uses = min(rights.most, -(-len(last_days) // (rights.rest + 1)))
+    highest = float(table.taken.values[0]) + uses * float(daily_max[0])
     if minimum > highest * (1 + 1e-12):
-        message = f"allowed is at most {highest:g}, from {uses} uses of {most[0]:g}"
+        message = f"allowed is at most {highest:g}, from {uses} uses of {daily_max[0]:g}"
         raise where.error("annual.min", minimum, message)
 
 
@@ -226,7 +226,7 @@ def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None,
 
 
 def _check_bank(
-    where: TableContext, table: SwingTable, limits, strike: CaseInput | None, most, ends
+    where: TableContext, table: SwingTable, limits, strike: CaseInput | None, daily_max, last_days
 ) -> None:
     """Refuses clauses between contract years without their conditions."""
     made_up, carried = _banked(where, table)
@@ -260,8 +260,8 @@ def _check_bank(
     if table.shortfall != "firm":
         return
     before, first = float(table.taken.values[0]) + units[1], 0
-    for last in np.flatnonzero(ends):
-        highest = before + float(most[first : last + 1].sum())
+    for last in np.flatnonzero(last_days):
+        highest = before + float(daily_max[first : last + 1].sum())
         if minimum > highest * (1 + 1e-12):
             message = f"in a contract year at most {highest:g} can be taken"
             raise where.error("annual.min", minimum, message)
@@ -273,12 +273,12 @@ def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
     if annual is None:
         return None, None
     unit = f"{table.volume_unit}/year"
-    least = replace(annual.min, unit=unit)
-    most = None if annual.max is None else replace(annual.max, unit=unit)
-    if most is not None and least.values[0] > most.values[0]:
-        message = f"allowed is at most annual.max, {most.values[0]:g}"
-        raise where.error("annual.min", float(least.values[0]), message)
-    return least, most
+    annual_min = replace(annual.min, unit=unit)
+    annual_max = None if annual.max is None else replace(annual.max, unit=unit)
+    if annual_max is not None and annual_min.values[0] > annual_max.values[0]:
+        message = f"allowed is at most annual.max, {annual_max.values[0]:g}"
+        raise where.error("annual.min", float(annual_min.values[0]), message)
+    return annual_min, annual_max
 
 
 def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
@@ -292,7 +292,7 @@ def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
                               'as "10-01"') from None  # fmt: skip
         month_day = (first.month, first.day)
     following = [day + datetime.timedelta(1) for day in days]
-    ends = np.array([(day.month, day.day) == month_day for day in following], bool)
-    if len(ends):
-        ends[-1] = True
-    return ends
+    last_days = np.array([(day.month, day.day) == month_day for day in following], bool)
+    if len(last_days):
+        last_days[-1] = True
+    return last_days
