@@ -45,22 +45,22 @@ def settling(
     layout: ContractLayout, terms: StepTerms, t: int, before, after, following
 ) -> Settling:
     """The end of step t from nodes `after` it to those of the `following` one."""
-    places, lost = [], np.zeros(1)
+    arrivals, lost = [], np.zeros(1)
     for i, points in enumerate(after):
-        again = bool(terms.restarts[t, i])
-        places.append(np.zeros(len(points), int) if again else np.arange(len(points)))
-        missed = np.maximum(terms.owed[t, i] - points, 0.0) if again else np.zeros(len(points))
-        amount = missed * terms.short[t, i] if again else missed
+        restarts = bool(terms.restarts[t, i])
+        arrivals.append(np.zeros(len(points), int) if restarts else np.arange(len(points)))
+        missed = np.maximum(terms.owed[t, i] - points, 0.0) if restarts else np.zeros(len(points))
+        amount = missed * terms.short[t, i] if restarts else missed
         lost = (lost[:, None] + amount[None, :]).ravel()
     numbers = np.arange(math.prod(map(len, following)))
     shape = [len(x) for x in following]
     if terms.bank is None:
-        return Settling(numbers.reshape(shape)[np.ix_(*places)].ravel(), lost)
+        return Settling(numbers.reshape(shape)[np.ix_(*arrivals)].ravel(), lost)
     bank = terms.bank.at(t)
     used = [np.ravel(bank.made_up(*_mesh(x), positive)) * bank.refund for x in (before, after)]
     made_up = used[0], used[1]
     if not terms.restarts[t, 0]:
-        return Settling(numbers.reshape(shape)[np.ix_(*places)].ravel(), lost, None, made_up)
+        return Settling(numbers.reshape(shape)[np.ix_(*arrivals)].ravel(), lost, None, made_up)
     counted, balance = _mesh(after)
     missed = np.ravel(positive(bank.owed(balance, positive) - counted))
     goal = np.ravel(bank.settled(counted, balance, positive))

@@ -80,8 +80,9 @@ class IndexMonths(eqx.Module):
     fixed: Float[np.ndarray, " T+1"]
 
     @classmethod
-    def of(cls, delivery: Delivery, begun: bool) -> "IndexMonths":
-        """Of a delivery that has all days of its months, but for the first where it has `begun`."""
+    def of(cls, delivery: Delivery, fixed_first: bool) -> "IndexMonths":
+        """Of a delivery with all days of its months; `fixed_first`: the first may lack some, since
+        its index was fixed before today."""
         dates = list(delivery.dates)
         months = [(day.year, day.month) for day in dates[:-1]]
         count = len(dates)
@@ -102,7 +103,7 @@ class IndexMonths(eqx.Module):
             years = np.array([(dates[i] - delivery.valuation).days for i in every]) / YEAR
             ahead[t, :size] = years - fixing_time[t]
             renewed[t] = t == first and t > 0
-            if begun and first == 0:
+            if fixed_first and first == 0:
                 fixed[t], weight[t] = 1.0, 0.0
         for x in (days, weight, ahead, fixing_time, fixed):
             x[-1] = x[-2]
