@@ -132,3 +132,12 @@ def test_a_domain_without_tables_says_so(monkeypatch):
     monkeypatch.setattr(domain, "find", lambda *_: object())
     with pytest.raises(CaseError, match="does not list its tables"):
         schema_of_kind("plugin")
+
+
+def test_a_key_may_be_a_number_or_a_table(tmp_path):
+    case, schema = written("swing", None, tmp_path), schema_of_kind("swing")
+    for strike in (29.0, "strikes.csv", {"index": "month-ahead", "add": 0.25}):
+        case["contract"]["strike"] = strike
+        assert list(mistakes(case, schema, schema)) == []
+    case["contract"]["strike"] = {"index": "month-ahead", "sum": 0.25}
+    assert list(mistakes(case, schema, schema)) != []

@@ -131,7 +131,7 @@ def json_schema(kind: str, formats: "Formats") -> dict[str, Any]:
         for table in lists.get(parent, []) if name else []:
             if key in (keys := properties(table)):
                 value = _nested(name, _either([names[inner] for inner in tables]))
-                keys[key] = _about(keys[key]) | value
+                keys[key] = _about(keys[key]) | _or_plain(keys[key], value)
     for table in lists[""]:
         properties(table)["kind"] = {"const": kind}
     complete = _either([names[table] for table in lists[""]])
@@ -149,6 +149,14 @@ def _nested(name: str, table: dict[str, Any]) -> dict[str, Any]:
     if name.endswith(".*"):
         return {"type": "object", "additionalProperties": table}
     return table
+
+
+def _or_plain(schema: Mapping[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """The table of a key, or one of the plain values that its own schema allows besides a table."""
+    types = schema.get("type", [])
+    if "object" not in types or isinstance(types, str):
+        return table
+    return {"anyOf": [{"type": [name for name in types if name != "object"]}, table]}
 
 
 def _about(schema: Mapping[str, Any]) -> dict[str, Any]:

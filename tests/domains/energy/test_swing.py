@@ -1,9 +1,11 @@
 """Swing contracts against the exact numbers of D3 and D4 (shared/cases/desk.md)."""
 
 import datetime
+import functools
 import math
 import shutil
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.domains.energy.energy_cases import HOME, case_at, exact, swing
@@ -13,8 +15,9 @@ from snapo.domains.energy.methods.grid import grid_of
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.setup import bare_problem, make_setup
 from snapo.domains.energy.study import checked
+from snapo.problem.policy import Policy
 from snapo.solver.bound import bound
-from snapo.solver.evaluate import evaluate
+from snapo.solver.evaluate import evaluate, path_totals
 
 FIRM = {"shortfall": "firm"}
 
@@ -81,7 +84,8 @@ def test_a_minimum_that_cannot_be_met_is_refused():
         ({"min_daily": 2.0}, "min_daily"),
         ({"year_begins": "13-45"}, "year_begins"),
         ({"rights": {"most": 0}}, "rights.most"),
-        ({"rights": {"most": 3}, "shortfall": "firm"}, "shortfall"),
+        ({"rights": {"most": 3}, "shortfall": "firm"}, "annual.min: .*at most 3"),
+        (FIRM | {"rights": {"most": 300}, "year_begins": "04-01"}, "shortfall: .*several"),
     ],
 )
 def test_mistakes_are_named(changes, where):
@@ -145,6 +149,81 @@ def test_rights_with_rest_by_brute_force():
     value = exact(case)
     assert 0.99 * value <= rule.value + 3 * rule.standard_error
     assert rule.value <= value + 3 * rule.standard_error
+
+
+def firm_with_rights(low, high, most, rest, **changes):
+    """33 days of at most 2 units, between two numbers of units, both firm."""
+    more = {"annual": {"min": float(low), "max": float(high)}}
+    more |= {"rights": {"most": most, "rest": rest}} if most else {}
+    end = datetime.date(2026, 11, 3)
+    return swing(**FIRM, end=end, max_daily=2.0, **more | changes)
+
+
+def best_uses(case, low, high, most, rest) -> float:
+    """Every plan of whole units at forward prices."""
+    forward = case.market.forward_curve.used()
+    gain = np.exp(-0.03 * np.arange(len(forward)) / 365) * (forward - 33.0)
+
+    @functools.cache
+    def best(t, wait, taken, used):
+        if t == len(gain):
+            return 0.0 if low <= taken <= high else -np.inf
+        plans = [best(t + 1, max(wait - 1, 0), taken, used)]
+        if wait == 0 and used < most:
+            plans += [q * gain[t] + best(t + 1, rest, taken + q, used + 1) for q in range(3)]
+        return max(plans)
+
+    return best(0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("limits", [(9, 11, 6, 0), (9, 11, 6, 2), (17, 18, 9, 3), (20, 20, 11, 2)])
+def test_a_firm_minimum_with_rights(limits):
+    """At forward prices, where every unit loses: the best of all plans."""
+    case = firm_with_rights(*limits, strike=33.0)
+    assert exact(case, forward=True) == pytest.approx(best_uses(case, *limits), rel=1e-9)
+
+
+def test_as_many_rights_as_days_are_no_limit():
+    values = [exact(firm_with_rights(20, 30, most, 0), finer=1) for most in (0, 33)]
+    assert values[1] == pytest.approx(values[0], rel=1e-9)
+
+
+class Waits(Policy):
+    """Never uses a right by itself: shares, then weights of wait, use, and two days of rest."""
+
+    def __call__(self, observation, smooth=None):
+        return jnp.array([0.0, 1.0, 0.0, 1.0, 1.0])
+
+
+class Uses(Policy):
+    """Always uses one, and takes all that it may."""
+
+    def __call__(self, observation, smooth=None):
+        return jnp.array([1.0, 0.0, 1.0, 1.0, 1.0])
+
+
+@pytest.mark.prove
+def test_a_firm_minimum_with_rights_is_met_on_every_path():
+    """By the fitted rule, and by others that never and always use a right; the first is within 0.3 % of the exact value."""
+    case = firm_with_rights(10, 14, 7, 2)
+    setup, value = make_setup(case, "native"), exact(case)
+    engine, rule = setup.engines.evaluate, setup.policy.value_rule
+    result = evaluate(setup.problem, rule, paths=16384, engine=engine)
+    assert value * 0.997 <= result.value + 3 * result.standard_error
+    assert result.value <= value + 3 * result.standard_error
+    for policy in (rule, Waits(), Uses()):
+        taken = path_totals(setup.problem, policy, 2048, engine=engine)["take"]
+        assert taken.min() > 10 - 1e-9 and taken.max() < 14 + 1e-9
+
+
+@pytest.mark.prove
+def test_contract_years_add_up():
+    """Two halves of a year, each with its limits; 10 units were taken before the first."""
+    halves = {"annual": {"min": 80.0, "max": 120.0}}
+    both = exact(swing(year_begins="04-01", taken=10.0, **FIRM, **halves), finer=1)
+    first = {"annual": {"min": 70.0, "max": 110.0}, "end": datetime.date(2027, 4, 1)}
+    parts = [first, halves | {"start": datetime.date(2027, 4, 1)}]
+    assert both == pytest.approx(sum(exact(swing(**FIRM, **x), finer=1) for x in parts), rel=1e-8)
 
 
 def bermudan(folder, rights):

@@ -1,111 +1,71 @@
 """Swing: a volume a day at a strike, within limits of each contract year; take-or-pay.
 
-    earnings = sum over days of discount x q (S - strike)
+    earnings = sum over days of discount x q (S - strike),   strike a number, or factor I + add
                - sum over years of discount x shortfall x max(annual minimum - taken, 0)
 
 with least <= q <= most on each day and, over each contract year, at most the annual maximum, and at
-least its minimum where that is firm. Source: A. Jaillet, E. Ronn, S. Tompaidis, "Valuation of
+least its minimum where that is firm. I is the month-ahead index, see `gas_storage.prices.index`.
+Source: A. Jaillet, E. Ronn, S. Tompaidis, "Valuation of
 commodity-based swing options", Management Science 50 (2004).
 """
 
 import datetime
-from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
-from pydantic import Field
 
+from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
-from snapo.case.quantity import NOT_NEGATIVE, Quantity, custom
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import TableContext
 
-from ...gas_storage.prices.process import use
-from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
+from ...gas_storage.prices.index import ONE_FACTOR, indexed
+from ...gas_storage.prices.process import Delivery, PriceProcess, use
+from ..core.bank import Bank
 from ..core.contract import (
     ContractLayout,
     ContractMove,
     EnergyContract,
     EnergyFlow,
     Level,
+    Promises,
     StepTerms,
     Terms,
 )
-
-GROUP = "contract"
-A_DAY, A_YEAR = "{volume_unit}/day", "{volume_unit}/year"
-RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, by="date", before=0.0)
-STRIKE = Quantity(PRICE, group="strike", move=0.1, by="date", meaning="paid for a unit")
-ANNUAL = Quantity(A_YEAR, NOT_NEGATIVE, GROUP, move=1.0)
-TAKEN = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0)
-SHORT = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1, name="shortfall",
-                 meaning="paid for each unit short of the annual minimum")  # fmt: skip
-SHORTFALL = '"firm", "strike", or money for each unit such as 6.0'
-
-
-class AnnualTable(CaseTable):
-    """{ min = 200.0, max = 300.0 }: of each contract year."""
-
-    min: CaseInput = ANNUAL("least of a contract year", 0.0, name="annual_min")
-    max: CaseInput | None = ANNUAL("most of a contract year", None, name="annual_max")
-
-
-class RightsTable(CaseTable):
-    """{ most = 100, rest = 5 }: days on which a volume may be taken, and days between them."""
-
-    most: int = Field(ge=1, le=100_000, description="a whole number of days, 1 or more")
-    rest: int = Field(0, ge=0, le=365, description="a whole number of days, 0 to 365")
-
-
-def _short(raw: Any, key: Any) -> CaseInput | str:
-    """ "firm", "strike", or an amount."""
-    if raw in ("firm", "strike"):
-        return raw
-    if isinstance(raw, str):
-        raise key.error(raw, f"allowed is {SHORTFALL}")
-    result = SHORT.read(raw, key)
-    assert result is not None
-    return result
-
-
-class SwingTable(CaseTable):
-    """`[contract]` of kind "swing"."""
-
-    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
-    start: DateKey = Field(description=DATE)
-    end: DateKey = Field(description=DATE)
-    side: Literal["call", "put"] = Field("call", description='"call" or "put"')
-    max_daily: CaseInput = RATE("most volume a day")
-    min_daily: CaseInput = RATE("volume that must be taken each day", 0.0)
-    strike: CaseInput = STRIKE("paid for a unit")
-    year_begins: str | None = Field(None, description='a day of the year such as "10-01"')
-    annual: dict | None = Field(None, description="a table like { min = 200.0, max = 300.0 }")
-    shortfall: Any = custom(_short, SHORTFALL, "firm", ("string", "number"))
-    taken: CaseInput = TAKEN("this contract year, before the first decision", 0.0)
-    rights: dict | None = Field(None, description="a table like { most = 100, rest = 5 }")
 
 
 class SwingContract(EnergyContract):
     """The terms of a swing contract.
 
     - `max_daily`, `min_daily`, `strike`: index [T]; `annual_min`, `annual_max`, `taken`: [].
+    - `factor`, `add`, `fixing`: of an indexed strike, index []; `strike` is None then.
     - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
+    - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up this year;
+      `carry_max`, `carried`: the most that is carried forward, and the amount by which this year's
+      minimum is lower. None without that clause.
     - `sign`: 1 where the volume is bought at the strike, -1 where it is sold.
     - `at_strike`: whether what is short is paid at the strike of the last day.
-    - `rest`: days between two uses of a right; `limited`: whether there are annual limits.
+    - `firm`: whether the minimum is met on every path; `most_rights`: 0 without rights.
     """
 
     max_daily: CaseInput
     min_daily: CaseInput
-    strike: CaseInput
+    strike: CaseInput | None
+    factor: CaseInput | None
+    add: CaseInput | None
+    fixing: CaseInput | None
     annual_min: CaseInput | None
     annual_max: CaseInput | None
     taken: CaseInput
     shortfall: CaseInput | None
+    make_up_price: CaseInput | None
+    made_up: CaseInput | None
+    carry_max: CaseInput | None
+    carried: CaseInput | None
     year_ends: Bool[np.ndarray, " T"]
     layout: ContractLayout = eqx.field(static=True)
     sign: float = eqx.field(static=True)
@@ -116,7 +76,10 @@ class SwingContract(EnergyContract):
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         count = len(self.year_ends)
         names = [level.name for level in self.layout.levels]
-        strike = use(inputs, self.strike)
+        strike = use(inputs, self.add if self.strike is None else self.strike)  # pyright: ignore
+        index = None
+        if self.factor is not None:
+            index = (-self.sign * use(inputs, self.factor) * paid)[:, None]
         most, zero = use(inputs, self.max_daily), jnp.zeros(count)
         low, high, owed, short, again, start = [], [], [], [], [], []
         everything = jnp.sum(most) + use(inputs, self.taken)
@@ -128,9 +91,10 @@ class SwingContract(EnergyContract):
                 money = use(inputs, self.shortfall) * settled
             elif self.at_strike:
                 money = strike * settled
-            low.append(jnp.where(self.year_ends & self.firm, least, 0.0))
+            firm = self.firm and not (self.most_rights or self.layout.banked)
+            low.append(jnp.where(self.year_ends & firm, least, 0.0))
             high.append(ceiling + zero)
-            owed.append(zero if self.firm else least)
+            owed.append(zero if firm else least)
             short.append(money)
             again.append(jnp.asarray(self.year_ends))
             start.append(use(inputs, self.taken))
@@ -141,6 +105,15 @@ class SwingContract(EnergyContract):
             short.append(zero)
             again.append(jnp.zeros(count, bool))
             start.append(jnp.zeros(()))
+        bank = None
+        if self.layout.banked:
+            bank = self._bank(inputs, strike, paid)
+            low.append(-bank.limit)
+            high.append(bank.share * bank.minimum)
+            owed.append(zero)
+            short.append(zero)
+            again.append(jnp.zeros(count, bool))
+            start.append(_number(inputs, self.made_up) - _number(inputs, self.carried))
 
         def by_level(rows: list) -> Array:
             return jnp.stack(rows, axis=1) if rows else jnp.zeros((count, 0))
@@ -156,105 +129,105 @@ class SwingContract(EnergyContract):
             by_level(short),
             jnp.stack(again, axis=1) if again else jnp.zeros((count, 0), bool),
             jnp.zeros((count, len(self.layout.every_move))),
+            index,
+            self._promises(inputs),
+            bank,
         )
         return Terms(jnp.stack(start) if start else jnp.zeros(0), steps)
 
+    def _promises(self, inputs: dict[str, Any]) -> Promises | None:
+        """Of a firm minimum with rights, in one contract year: the rest of it is at most the most
+        volume of a day, times the rights left, and times the days that rests leave."""
+        if not self.firm or self.annual_min is None:
+            return None
+        if self.layout.banked:
+            return self._carried(inputs)
+        if not self.most_rights:
+            return None
+        minimum, daily = use(inputs, self.annual_min), use(inputs, self.max_daily)[0]
+        count, modes = len(self.year_ends), len(self.layout.modes)
+        left = np.arange(count - 1, -1, -1)
+        waits = np.append(0, np.arange(modes - 1, 0, -1))
+        days = np.maximum(np.ceil((left[:, None] - waits) / modes), 0.0)
+        rights = jnp.full((count, modes), minimum - daily * self.most_rights)
+        weights = jnp.stack([jnp.array([1.0, 0.0]), jnp.stack([jnp.ones(()), -daily])])
+        bounds = jnp.stack([minimum - daily * days, rights], axis=1)
+        return Promises(jnp.broadcast_to(weights, (count, 2, 2)), bounds)
 
-def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
-    """The contract on its decision days."""
-    annual = None
-    if table.annual is not None:
-        name = f"{where.name}.annual"
-        annual = parse(AnnualTable, table.annual, str(where.file), name, where.notes)
-    return _made(where, table, annual, days)
+    def _carried(self, inputs: dict[str, Any]) -> Promises:
+        """Of a firm minimum, lower by the units carried forward: the rest of it is at most the
+        volume of the days left of the year."""
+        daily = use(inputs, self.max_daily)
+        following = jnp.append(daily[1:], 0.0)
+
+        def back(left, row):
+            left = jnp.where(row[0], 0.0, left + row[1])
+            return left, left
+
+        rows = jnp.asarray(self.year_ends), following
+        left = jax.lax.scan(back, jnp.zeros(()), rows, reverse=True)[1]
+        minimum = use(inputs, self.annual_min) - left  # pyright: ignore[reportArgumentType]
+        weights = jnp.broadcast_to(jnp.array([1.0, -1.0]), (len(daily), 1, 2))
+        return Promises(weights, minimum[:, None, None])
+
+    def _bank(self, inputs: dict[str, Any], strike: Array, paid: Array) -> Bank:
+        """Units short may be made up, units in excess are carried forward."""
+        zero, price = jnp.zeros(len(self.year_ends)), self.make_up_price
+        return Bank(
+            zero + _number(inputs, self.annual_min),
+            zero + (price is not None),
+            zero + _number(inputs, self.carry_max),
+            zero if price is None else (strike - use(inputs, price)) * paid,
+        )
+
+    def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
+        if not self.layout.indexed:
+            return prices
+        if prices.kind not in ONE_FACTOR:
+            allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
+            message = f"with an indexed strike allowed is {allowed}"
+            raise CaseError(str(where.file), "model.kind", prices.kind, message)
+        first, month = delivery.dates[0], delivery.dates[0].replace(day=1)
+        if delivery.end.day != 1:
+            message = "with an indexed strike allowed is the first day of a month"
+            raise where.error("end", delivery.end, message)
+        if self.fixing is None and first != month:
+            message = f"the index of {first:%Y-%m} was fixed before today: give it as `fixing`"
+            raise where.error("strike.fixing", None, message)
+        if self.fixing is not None and delivery.valuation < month - datetime.timedelta(1):
+            message = f"the index of {first:%Y-%m} is fixed on the last day before that month"
+            raise where.error("strike.fixing", float(self.fixing.values[0]), message)
+        return indexed(prices, delivery, self.fixing)
 
 
-def layout_of(unit: str, limited: bool, rights: RightsTable | None) -> ContractLayout:
-    """Levels, flows and moves: see `SwingContract`."""
+def _number(inputs: dict[str, Any], number: CaseInput | None) -> Array:
+    return jnp.zeros(()) if number is None else use(inputs, number)
+
+
+def layout_of(
+    unit: str, limited: bool, rest: int | None, indexed: bool = False, banked: bool = False
+) -> ContractLayout:
+    """Levels, flows and moves; `rest`: days after a right that is used, None without rights.
+
+    With a bank there are limits and no rights.
+    """
+    if banked:
+        take = EnergyFlow("take", f"{unit}/day", (1.0, 0.0))
+        levels = Level("taken", unit), Level("bank", unit)
+        return ContractLayout(levels, (take,), indexed=indexed, banked=True)
     levels = ([Level("taken", unit)] if limited else []) + (
-        [Level("rights", "days")] if rights else []
+        [Level("rights", "days")] if rest is not None else []
     )
-    take = EnergyFlow("take", f"{unit}/day", (1.0,) * limited + (0.0,) * bool(rights))
-    if rights is None:
-        return ContractLayout(tuple(levels), (take,))
+    take = EnergyFlow("take", f"{unit}/day", (1.0,) * limited + (0.0,) * (rest is not None))
+    if rest is None:
+        return ContractLayout(tuple(levels), (take,), indexed=indexed)
     none, one = (0.0,) * len(levels), (0.0,) * limited + (1.0,)
-    modes = ("free", *(f"rest {i}" for i in range(rights.rest, 0, -1)))
+    modes = ("free", *(f"rest {i}" for i in range(rest, 0, -1)))
     moves = [
         ContractMove("wait", 0, 0, (), none),
-        ContractMove("use", 0, min(1, rights.rest), (0,), one),
+        ContractMove("use", 0, min(1, rest), (0,), one),
     ]
     moves += [
         ContractMove("rest", i, (i + 1) % len(modes), (), none) for i in range(1, len(modes))
     ]  # fmt: skip
-    return ContractLayout(tuple(levels), (take,), modes, tuple(moves))
-
-
-def _made(
-    where: TableContext, table: SwingTable, annual: AnnualTable | None, days
-) -> SwingContract:
-    notes = where.notes
-    rights = None
-    if table.rights is not None:
-        rights = parse(RightsTable, table.rights, str(where.file), f"{where.name}.rights", notes)
-    most, least, strike = (
-        x.on(days, notes) for x in (table.max_daily, table.min_daily, table.strike)
-    )
-    for t in np.flatnonzero(least.used() > most.used())[:1]:
-        message = f"on {days[t]} at most {most.used()[t]:g} may be taken"
-        raise where.error("min_daily", float(least.used()[t]), message)
-    limits = _annual(where, table, annual)
-    if rights is not None and np.any(least.used() > 0):
-        raise where.error("min_daily", float(least.used().max()), "with rights allowed is 0")
-    minimum = limits[0]
-    firm = table.shortfall == "firm"
-    if rights is not None and firm and minimum is not None and minimum.values[0] > 0:
-        message = 'with rights a minimum is not firm; allowed is "strike" or an amount of money'
-        raise where.error("shortfall", "firm", message)
-    limited = limits[0] is not None or limits[1] is not None
-    short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
-    return SwingContract(  # pyright: ignore[reportCallIssue]
-        most,
-        least,
-        strike,
-        *limits,
-        table.taken,
-        short if minimum is not None else None,
-        year_ends(where, table, days),
-        layout=layout_of(  # pyright: ignore[reportCallIssue]
-            table.volume_unit, limited, rights
-        ),
-        sign=1.0 if table.side == "call" else -1.0,
-        at_strike=table.shortfall == "strike",
-        firm=firm,
-        most_rights=0 if rights is None else rights.most,
-    )
-
-
-def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
-    """Least and most of a year, None where there is none, with their units."""
-    if annual is None:
-        return None, None
-    unit = f"{table.volume_unit}/year"
-    least = replace(annual.min, unit=unit)
-    most = None if annual.max is None else replace(annual.max, unit=unit)
-    if most is not None and least.values[0] > most.values[0]:
-        message = f"allowed is at most annual.max, {most.values[0]:g}"
-        raise where.error("annual.min", float(least.values[0]), message)
-    return least, most
-
-
-def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
-    """[T] whether a day is the last of its contract year; the last day of all always is."""
-    month_day = (table.start.month, table.start.day)
-    if table.year_begins is not None:
-        try:
-            first = datetime.date.fromisoformat(f"2000-{table.year_begins}")
-        except ValueError:
-            raise where.error("year_begins", table.year_begins, 'allowed is a day of the year such '
-                              'as "10-01"') from None  # fmt: skip
-        month_day = (first.month, first.day)
-    following = [day + datetime.timedelta(1) for day in days]
-    ends = np.array([(day.month, day.day) == month_day for day in following], bool)
-    if len(ends):
-        ends[-1] = True
-    return ends
+    return ContractLayout(tuple(levels), (take,), modes, tuple(moves), indexed)

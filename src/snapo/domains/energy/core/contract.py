@@ -6,7 +6,9 @@ a static `ContractLayout`. It may be in one of a few modes; on each step it make
 that begin in its mode, and each flow of that move takes a volume from an interval.
 
     levels after a step = levels + move.changes + effects[flow] volume
-    earnings of a step  = move's money + volume (price S + money)
+    earnings of a step  = move's money + volume (price S + index I + money)
+
+S is the spot price, and I, of an indexed contract, the index of its prices.
 
 All money is a present value. Limits hold after each step; a level that `restarts` is then
 settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
@@ -18,6 +20,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
+
+from snapo.case.table import TableContext
+
+from ...gas_storage.prices.process import Delivery, PriceProcess
+from .bank import Bank
 
 ONLY = 0  # the mode of a contract that has one
 
@@ -54,24 +61,30 @@ class ContractMove(NamedTuple):
 
 
 class ContractLayout(NamedTuple):
-    """What is fixed in a contract: compiled code depends on it."""
+    """What is fixed in a contract: compiled code depends on it.
+
+    - `indexed`: whether its cash depends on an index as well as on the spot price.
+    - `banked`: whether the last of its levels is the bank of the first one, see `bank.py`.
+    """
 
     levels: tuple[Level, ...]
     flows: tuple[EnergyFlow, ...]
     modes: tuple[str, ...] = ("",)
     moves: tuple[ContractMove, ...] = ()
+    indexed: bool = False
+    banked: bool = False
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
-        return levels, flows, self.modes, moves
+        return levels, flows, self.modes, moves, self.indexed, self.banked
 
     @classmethod
     def of_plain(cls, parts: tuple) -> "ContractLayout":
         """The inverse of `plain`."""
-        levels, flows, modes, moves = parts
+        levels, flows, modes, moves, *flags = parts
         made = tuple(Level(*x) for x in levels), tuple(EnergyFlow(*x) for x in flows)
-        return cls(*made, modes, tuple(ContractMove(*x) for x in moves))
+        return cls(*made, modes, tuple(ContractMove(*x) for x in moves), *flags)
 
     @property
     def every_move(self) -> tuple[ContractMove, ...]:
@@ -96,15 +109,29 @@ class ContractLayout(NamedTuple):
         return np.array([move.changes for move in self.every_move])
 
 
+class Promises(NamedTuple):
+    """Obligations that several levels, or the mode, must leave room for.
+
+    After each step, in each mode, `weights` times the levels is at least `minimum`. A flow with an
+    effect on the sum raises it.
+
+    The minimum that they serve is `owed` where a level restarts, and is met on every path. Methods
+    that compare values charge a missed unit more than any unit costs.
+    """
+
+    weights: Float[Array, "T promises levels"]
+    minimum: Float[Array, "T promises modes"]
+
+
 class StepTerms(NamedTuple):
     """The numbers of every step: leaves [T, flows] or [T, levels].
 
-    - `least`, `most`: the interval of a flow. `price`, `money`: a unit of it earns price x spot +
-      money.
+    - `least`, `most`: the interval of a flow. `price`, `index`, `money`: a unit of it earns
+      price x spot + index x the index + money; `index` is None without one.
     - `low`, `high`: limits of the levels after the step.
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
-    - `fixed`: [T, moves] money of a move.
+    - `fixed`: [T, moves] money of a move. `promises`, `bank`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -117,6 +144,25 @@ class StepTerms(NamedTuple):
     short: Float[Array, "T levels"]
     restarts: Bool[Array, "T levels"]
     fixed: Float[Array, "T moves"]
+    index: Float[Array, "T flows"] | None = None
+    promises: Promises | None = None
+    bank: Bank | None = None
+
+
+class StepPrices(NamedTuple):
+    """Of one step: the spot price, and the index where there is one."""
+
+    spot: Any
+    index: Any = None
+
+    def unit(self, terms: StepTerms, place: Any) -> Any:
+        """The earnings of a unit of a flow; `place`: where it is in the leaves of `terms`."""
+        cash = terms.price[place] * self.spot + terms.money[place]
+        return cash if terms.index is None else cash + terms.index[place] * self.index
+
+    def units(self, terms: StepTerms, t: int) -> np.ndarray:
+        """[flows, columns] the same on step t of all flows, at prices of several columns."""
+        return np.asarray(self.unit(terms, (t, slice(None), None)))
 
 
 class Terms(NamedTuple):
@@ -135,3 +181,10 @@ class EnergyContract(eqx.Module):
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         """The numbers. `paid` [T]: discount factors of the commodity; `settled` [T]: of
         money that is owed when the step is over, a day later."""
+
+    def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
+        """The prices that its cash depends on, from those of the case: here the same.
+
+        **Raises:** `CaseError` where it cannot be priced so; `where`: the table `[contract]`.
+        """
+        return prices

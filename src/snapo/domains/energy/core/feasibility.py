@@ -14,6 +14,8 @@ from jaxtyping import Array, Float
 
 from .contract import ContractLayout, StepTerms
 
+MISSED = 5.0  # charge for a unit of a promised minimum, in the largest amount that a unit moves
+
 
 class Intervals(NamedTuple):
     """Of the levels, [T, levels] each: at the start of a step, and after its moves."""
@@ -58,6 +60,17 @@ def changes(layout: ContractLayout, steps: StepTerms) -> tuple[Array, Array]:
     return jnp.min(jnp.stack(least), axis=0), jnp.max(jnp.stack(most), axis=0)
 
 
+def charged(steps: StepTerms, forward: Array) -> StepTerms:
+    """With promises: a charge for a missed unit, so large that no method misses one by choice."""
+    if steps.promises is None:
+        return steps
+    price = jnp.abs(steps.price) + (0.0 if steps.index is None else jnp.abs(steps.index))
+    unit = jnp.max(price) * jnp.max(jnp.abs(forward)) + jnp.max(jnp.abs(steps.money))
+    return steps._replace(
+        short=jnp.full_like(steps.short, 1.0) * jax.lax.stop_gradient(MISSED * unit)
+    )
+
+
 class FeasibleVolumes(NamedTuple):
     """Of the flows of a move: the forced volume of each, and the most."""
 
@@ -85,6 +98,13 @@ def volumes(
             need, leave = (low, high) if effect > 0 else (high, low)
             least = smooth.maximum(least, need / effect, scale)
             room = smooth.minimum(room, leave / effect, scale)
+        if now.terms.promises is not None:
+            promises, effects = now.terms.promises, jnp.asarray(layout.flows[flow].effects)
+            need = promises.minimum[:, this.after] - promises.weights @ jnp.stack(start)
+            effect = promises.weights @ effects
+            for k in range(len(need)):
+                more = need[k] / jnp.where(effect[k] > 0, effect[k], 1.0)
+                least = smooth.maximum(least, jnp.where(effect[k] > 0, more, 0.0), scale)
         # One feasible volume where rounding leaves the least above the most.
         least, room = jax.lax.optimization_barrier((least, room))
         room = jnp.maximum(room, 0.0)

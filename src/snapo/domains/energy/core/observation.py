@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from snapo.problem.smooth import EXACT
 
-from .contract import ContractLayout
+from .contract import ContractLayout, StepPrices
 from .feasibility import volumes
 from .tables import UnitValues, along, nearest_row
 
@@ -51,7 +51,7 @@ def head(
     constants: Any,
     now: Any,
     state: Any,
-    spot: Array,
+    prices: StepPrices,
     free: Array,
 ) -> Head:
     """The gains of one step at one state; `free` [moves]: which are open."""
@@ -68,14 +68,15 @@ def head(
             room = volumes(layout, i, now, state.levels, EXACT, size)
             for k, flow in enumerate(move.flows):
                 effects = jnp.asarray(layout.flows[flow].effects)
-                unit = now.terms.price[flow] * spot + now.terms.money[flow]
+                unit = prices.unit(now.terms, flow)
                 gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
                 if unit_values is not None:
                     table = unit_values.slopes[layout.pairs.index((i, flow))]
                     for j in range(POINTS):
                         volume = room.forced[k] + free_volume * j / (POINTS - 1)
                         last, place = j == POINTS - 1, start + volume * effects
-                        row = _slope(unit_values, table, layout.flows[flow].effects, place, last)
+                        effects_of = layout.flows[flow].effects
+                        row = _slope(unit_values, table, effects_of, place, last, layout.banked)
                         gains[j] = unit + jnp.sum(row * read)
                 units.append(jnp.stack(gains) / price)
                 rooms.append(free_volume / size)
@@ -99,13 +100,26 @@ def _position(unit_values: UnitValues, levels: Array) -> Array:
 
 
 def _slope(
-    unit_values: UnitValues, table: Array, effects: tuple[float, ...], levels: Array, last: bool
+    unit_values: UnitValues,
+    table: Array,
+    effects: tuple[float, ...],
+    levels: Array,
+    last: bool,
+    banked: bool,
 ) -> Array:
-    """The row of the unit that starts at a level, or of the last one up to it."""
+    """The row of the unit that starts at a level, or of the last one up to it; between the rows of
+    a bank's balance, which is the last level."""
     dims, flat = table.shape[:-1], table.reshape((-1, table.shape[-1]))
     if not dims:
         return flat[0]
-    return nearest_row(flat, along(_position(unit_values, levels), effects, not last), dims)
+    position = _position(unit_values, levels)
+    row = along(position, effects, not last)
+    if not banked:
+        return nearest_row(flat, row, dims)
+    left = jnp.clip(jnp.floor(position[-1]), 0.0, max(dims[-1] - 2, 0))
+    share = jnp.clip(position[-1] - left, 0.0, 1.0)
+    sides = [nearest_row(flat, row.at[-1].set(left + k), dims) for k in (0, 1)]
+    return sides[0] + share * (sides[1] - sides[0])
 
 
 def observation(
@@ -114,11 +128,11 @@ def observation(
     constants: Any,
     now: Any,
     state: Any,
-    spot: Array,
+    prices: StepPrices,
     free: Array,
 ) -> Float[Array, " features"]:
     """The head first, then the features of the network."""
-    gains = head(layout, process, constants, now, state, spot, free)
+    gains = head(layout, process, constants, now, state, prices, free)
     year, left = 2 * jnp.pi * now.time, constants.last_time - now.time
     low, high = now.intervals.low, now.intervals.high
     width = jnp.maximum(high - low, 1e-6 * constants.volume_scale)

@@ -23,9 +23,10 @@ from snapo.problem.smooth import Exact
 
 from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
+from ...gas_storage.prices.index import IndexedPrices
 from ...gas_storage.prices.process import PricedSimulator, PriceProcess, use
-from .contract import ContractLayout, EnergyContract
-from .feasibility import intervals, volumes
+from .contract import ContractLayout, EnergyContract, StepPrices
+from .feasibility import charged, intervals, volumes
 from .observation import observation
 from .schedule import Constants, State, Step
 from .tables import Surprises, UnitValueTable, at_end, of_step
@@ -117,6 +118,7 @@ class EnergySimulator(PricedSimulator):
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         prices, terms = self.process.prepare(inputs), self._terms(inputs)
         forward = use(inputs, self.curve)[: self.horizon]
+        terms = terms._replace(steps=charged(terms.steps, forward))
         steps = Step(
             jnp.asarray(self.time),
             forward,
@@ -151,9 +153,13 @@ class EnergySimulator(PricedSimulator):
         mode = jnp.zeros(len(self.layout.modes)).at[0].set(1.0)
         return State(constants.start, mode, self.process.initial(constants.price, noise))
 
-    def spot(self, constants: Constants, now: Step, state: State) -> Float[Array, ""]:
-        """The price of the step."""
-        return self.process.level(constants.price, now.price, state.price)
+    def prices(self, constants: Constants, now: Step, state: State) -> StepPrices:
+        """The prices of the step."""
+        spot = self.process.level(constants.price, now.price, state.price)
+        if not self.layout.indexed:
+            return StepPrices(spot)
+        assert isinstance(self.process, IndexedPrices)
+        return StepPrices(spot, self.process.index(constants.price, now.price, state.price))
 
     def open_moves(self, now: Step, state: State, scale: Any) -> Float[Array, " moves"]:
         """1 for each move to levels from which the contract can be met, else 0."""
@@ -171,17 +177,21 @@ class EnergySimulator(PricedSimulator):
             within = (after >= now.intervals.next_low - near) & (
                 after <= now.intervals.next_high + near
             )
+            if now.terms.promises is not None:
+                promises = now.terms.promises
+                room = promises.weights @ after - promises.minimum[:, move.after]
+                within = jnp.all(within) & jnp.all(room >= -near)
             result.append(jnp.all(within) * 1.0)
         return jnp.stack(result)
 
     def observe(self, constants: Constants, now: Step, state: State) -> Float[Array, " features"]:
-        spot = self.spot(constants, now, state)
+        prices = self.prices(constants, now, state)
         free = self.open_moves(now, state, constants.volume_scale)
-        return observation(self.layout, self.process, constants, now, state, spot, free)
+        return observation(self.layout, self.process, constants, now, state, prices, free)
 
     def step(self, constants: Constants, now: Step, state: State, action, noise, smooth):
         layout, scale = self.layout, constants.volume_scale
-        spot, terms = self.spot(constants, now, state), now.terms
+        prices, terms = self.prices(constants, now, state), now.terms
         chosen = self._weights(constants, now, state, action)
         levels = jnp.zeros_like(state.levels)
         mode = jnp.zeros_like(state.mode)
@@ -195,15 +205,28 @@ class EnergySimulator(PricedSimulator):
                     volume = room.forced[k] + action[place] * (room.most[k] - room.forced[k])
                     place += 1
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
-                    earned = earned + volume * (terms.price[flow] * spot + terms.money[flow])
+                    earned = earned + volume * prices.unit(terms, flow)
                     flows[flow] = flows[flow] + chosen[i] * volume
             levels = levels + chosen[i] * after
             mode = mode.at[move.after].add(chosen[i])
             cash = cash + chosen[i] * earned
-        missed = smooth.positive_part(terms.owed - levels, scale)
-        lost = jnp.sum(jnp.where(terms.restarts, terms.short * missed, 0.0))
+        owed, settled = terms.owed, jnp.where(terms.restarts, 0.0, levels)
+        if terms.bank is not None:
+
+            def positive(x):
+                return smooth.positive_part(x, scale)
+
+            used = [terms.bank.made_up(x[0], x[-1], positive) for x in (state.levels, levels)]
+            cash = cash + terms.bank.refund * (used[1] - used[0])
+            owed = owed.at[0].set(terms.bank.owed(levels[-1], positive))
+            balance = terms.bank.settled(levels[0], levels[-1], positive)
+            settled = settled.at[-1].set(jnp.where(terms.restarts[0], balance, levels[-1]))
+        missed = smooth.positive_part(owed - levels, scale)
+        # A promise is met: `short` is then for methods that compare values.
+        short = terms.short if terms.promises is None else jnp.zeros_like(terms.short)
+        lost = jnp.sum(jnp.where(terms.restarts, short * missed, 0.0))
         after = State(
-            jnp.where(terms.restarts, 0.0, levels),
+            settled,
             mode,
             self.process.step(constants.price, now.price, state.price, noise),
         )
@@ -250,6 +273,12 @@ class EnergySimulator(PricedSimulator):
             kept = jnp.where(now.terms.restarts[i], 0.0, 1.0)
             result[f"least {level.name}"] = jnp.where(kept > 0, state.levels[i] - low, 0.0)
             result[f"most {level.name}"] = jnp.where(kept > 0, high - state.levels[i], 0.0)
+        if now.terms.promises is not None:
+            promises, restarts = now.terms.promises, jnp.any(now.terms.restarts)
+            minimum = promises.minimum @ state.mode
+            for k in range(len(minimum)):
+                room = promises.weights[k] @ state.levels - minimum[k]
+                result[f"promise {k + 1}"] = jnp.where(restarts, 0.0, room)
         return result | {flow.name: outputs[flow.name] for flow in self.layout.flows}
 
 

@@ -23,7 +23,7 @@ from ...gas_storage.bounds.regression import (
 )
 from ...gas_storage.policy.guide import Reading
 from ...gas_storage.prices.process import GaussianFactors
-from ..core.contract import ContractLayout
+from ..core.contract import ContractLayout, StepPrices
 from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, UnitValueTable, Values
 from .grid import ContractGrid, StepGrid, arrived, best, node_levels
 
@@ -63,9 +63,10 @@ def fit(
         step, later = grid.steps[t], coefficients[t + 1]
         value = available.expected(t, later.reshape(-1, size))
         after = arrived(step, value.reshape(*later.shape[:2], -1))
-        spot = available.spot(t, schedule.steps.forward[t])
-        cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
-        value = best(step, layout, cash, terms.fixed[t], after)
+        prices = StepPrices(
+            available.spot(t, schedule.steps.forward[t]), _index(available, factors, t)
+        )
+        value = best(step, layout, prices.units(terms, t), terms.fixed[t], after)
         flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])
         coefficients[t][:] = available.fitted(t, flat).reshape(*value.shape[:2], size)
     return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
@@ -76,6 +77,13 @@ def _room(shapes: list[tuple[int, ...]]) -> list[np.ndarray]:
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     parts = np.split(np.empty(ends[-1]), ends[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes)]
+
+
+def _index(available: AnyRegression, factors: GaussianFactors, t: int) -> np.ndarray | None:
+    """[Q] the index on the nodes, whose last factor is its own."""
+    if factors.index is None or not isinstance(available, Regression):
+        return None
+    return factors.index.price(factors, t, (available.basis.back(t) @ available.y)[-1])
 
 
 def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValueTable:
@@ -126,8 +134,9 @@ def _after(layout: ContractLayout, fitted: FittedContract, t: int) -> np.ndarray
         moved = day.ahead @ day.fit.T
     else:
         moved = available.drift(t)
-    result = (later @ moved)[:, step.arrive]
-    result[:, :, constant] -= step.lost
+    result, money = step.end.settled(later @ moved), step.end.money
+    if money is not None:
+        result[:, :, constant] += money
     return result
 
 

@@ -15,6 +15,8 @@ from .measure import common_measure, measures_of
 
 def no_flat_volumes(layout: ContractLayout) -> str:
     """Why the volumes of a contract have no flat ones over products; "" where they do."""
+    if layout.indexed:
+        return "this method is for contracts whose money does not follow an index"
     if layout.moves or len(layout.flows) != 1 or len(layout.levels) > 1:
         return "this method is for contracts of one flow and at most one level"
     return ""

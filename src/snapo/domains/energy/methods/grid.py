@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.contract import ContractLayout
-from .measure import measures_of, node_widths
+from .measure import banked_widths, measures_of, node_widths
+from .settling import Settling, balances, settling
 
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
@@ -44,16 +45,13 @@ class Passage(NamedTuple):
 
 class StepGrid(NamedTuple):
     """One step: the passages of each move; nodes `before` and `after` it, an array by level.
-
-    - `arrive`: the number of the node of the next step for each node after; `lost`: what settling
-      takes there, in money.
+    - `end`: its settling.
     """
 
     passages: tuple[tuple[Passage, ...], ...]
     before: tuple[np.ndarray, ...]
     after: tuple[np.ndarray, ...]
-    arrive: np.ndarray
-    lost: np.ndarray
+    end: Settling
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +91,8 @@ def grid_of(
         key = tuple(np.asarray(x).tobytes() for x in numbers)
         if key not in known:
             known[key] = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
-        arrive, lost = _arrivals(terms, t, after[t], before[t + 1])
-        steps.append(StepGrid(known[key], before[t], after[t], arrive, lost))
+        end = settling(layout, terms, t, before[t], after[t], before[t + 1])
+        steps.append(StepGrid(known[key], before[t], after[t], end))
     return ContractGrid(layout, steps, before[-1], exact)
 
 
@@ -119,25 +117,30 @@ def best(
             else:
                 reached = np.sum(weights * there[goals], axis=0) + earned
                 here[rows] = np.maximum(here[rows], reached)
-    return value
+    return value if step.end.made_up is None else value - step.end.made_up[0][:, None]
 
 
 def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
     """[modes, nodes after, columns] of the value at the start of the next step, after settling."""
-    result = value[:, step.arrive]
-    return result - step.lost[:, None] if step.lost.any() else result
+    result, money = step.end.settled(value), step.end.money
+    return result if money is None else result + money[:, None]
 
 
 def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.ndarray | None):
     """Nodes at the start of each step [T + 1] and after each [T], by level; and whether exact."""
     horizon, count = len(terms.low), len(layout.levels)
     measures = measures_of(layout, terms, start)
-    visited = [_visited(layout, terms, found, start, i) for i in range(count)]
+    counted = count - layout.banked
+    visited = [_visited(layout, terms, found, start, i) for i in range(counted)]
+    if layout.banked:
+        visited.append(balances(terms, start[-1], *visited[0]))
     widest = [float(np.max(high - low)) for low, high in visited]
     coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
-    widths = node_widths(
-        layout, widest, measures, np.zeros(count) if apart is None else apart, coarse
-    )
+    least = np.zeros(count) if apart is None else apart
+    if layout.banked:
+        widths = banked_widths(visited, measures, least, LONG)
+    else:
+        widths = node_widths(layout, widest, measures, least, coarse)
     sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
     together = math.prod(x + 1 for x in sizes)
     exact = all(x <= MOST for x in sizes) and together <= min(TOGETHER, 2 * LONG / max(horizon, 1))
@@ -146,6 +149,14 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     columns = []
     for i, (low, high) in enumerate(visited):
         restarts, measure = terms.restarts[:, i], measures[i]
+        if i == counted:  # a balance, which no flow moves
+            width = measure if exact and measure is not None else widths[i]
+            of_steps = _regular(low, high, width / parts, restarts, None if exact else 0.0)[0]
+            columns.append((of_steps, of_steps[:-1]))
+            continue
+        if layout.banked and measure is not None and widths[i] <= measure * (1 + NEAR):
+            columns.append(_regular(low, high, measure, restarts))
+            continue
         if exact and measure is not None:
             columns.append(_regular(low, high, measure / parts, restarts))
             continue
@@ -369,18 +380,6 @@ def corners(nodes, levels: np.ndarray, signs: np.ndarray) -> tuple[np.ndarray, n
         rows.append(corner.copy())
     inside = [np.clip(row, 0, highest) for row in rows]
     return np.stack([np.ravel_multi_index(tuple(x), sizes) for x in inside]), -np.diff(ends, axis=0)
-
-
-def _arrivals(terms, t: int, after, following) -> tuple[np.ndarray, np.ndarray]:
-    places, lost = [], np.zeros(1)
-    for i, points in enumerate(after):
-        again = bool(terms.restarts[t, i])
-        places.append(np.zeros(len(points), int) if again else np.arange(len(points)))
-        missed = np.maximum(terms.owed[t, i] - points, 0.0) if again else np.zeros(len(points))
-        amount = missed * terms.short[t, i] if again else missed
-        lost = (lost[:, None] + amount[None, :]).ravel()
-    numbers = np.arange(math.prod(map(len, following)))
-    return numbers.reshape([len(x) for x in following])[np.ix_(*places)].ravel(), lost
 
 
 def node_levels(nodes: tuple[np.ndarray, ...]) -> np.ndarray:

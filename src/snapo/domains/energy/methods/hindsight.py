@@ -14,6 +14,7 @@ import numpy as np
 from snapo.problem.problem import Problem
 
 from ...gas_storage.bounds.regression import product
+from ..core.contract import StepPrices
 from ..core.simulator import simulator_of
 from ..setup import fitted_value, price_schedule
 from .grid import arrived, best, corners, flow_signs, grid_of
@@ -33,9 +34,10 @@ class EnergyRelaxation:
         self.process, self.schedule = simulator.process, problem.schedule
         self.prices, result = price_schedule(problem), fitted_value(problem)
         self.fitted = None if result is None else result.fitted
+        self.factors = None if result is None else result.factors
         self.grid = grid_of(self.layout, self.schedule) if result is None else result.fitted.grid
         if not self.grid.exact:
-            raise ValueError("its volumes have no common measure, so that its grid is no bound")
+            raise ValueError("its volumes have no common measure with few enough nodes: no bound")
 
     @property
     def terms(self) -> int:
@@ -44,11 +46,13 @@ class EnergyRelaxation:
     def best(self, rollout, draws, scale: np.ndarray) -> np.ndarray:
         prices = self._path(rollout.record["state"].price, rollout.state.price)
         spots, innovations = self._spots(prices), self._innovations(prices, scale)
+        index = self._index(prices)
         blocks = [slice(i, i + BLOCK) for i in range(0, spots.shape[1], BLOCK)]
 
         def solve(block: slice) -> np.ndarray:
             moved = None if innovations is None else innovations[:, :, block]
-            return self._solve(spots[:, block], moved)
+            local = None if index is None else index[:, block]
+            return self._solve(spots[:, block], local, moved)
 
         with ThreadPoolExecutor(2) as pool:
             return np.concatenate(list(pool.map(solve, blocks)))
@@ -78,13 +82,15 @@ class EnergyRelaxation:
         states = self._path(rollout.record["state"].price, rollout.state.price)
         return self._spots(states), self._factors(states)
 
-    def _solve(self, spots: np.ndarray, innovations: np.ndarray | None) -> np.ndarray:
+    def _solve(
+        self, spots: np.ndarray, index: np.ndarray | None, innovations: np.ndarray | None
+    ) -> np.ndarray:
         terms, horizon = self.schedule.steps.terms, len(self.grid.steps)
         count = len(self.layout.modes)
         value = np.zeros((count, self.grid.size(horizon), spots.shape[1]))
         for t in reversed(range(horizon + 1)):
             if t < horizon:
-                cash = terms.price[t][:, None] * spots[t] + terms.money[t][:, None]
+                cash = StepPrices(spots[t], None if index is None else index[t]).units(terms, t)
                 after = arrived(self.grid.steps[t], value)
                 value = best(self.grid.steps[t], self.layout, cash, terms.fixed[t], after)
             if innovations is not None and self.fitted is not None:
@@ -106,6 +112,15 @@ class EnergyRelaxation:
             level = jax.vmap(self.process.level, in_axes=(None, None, 0))
             spots = jax.vmap(level, in_axes=(None, 0, 0))(self.prices.constants, *rows)
         return np.asarray(spots)
+
+    def _index(self, states) -> np.ndarray | None:
+        """[T, N] where there is one."""
+        if self.factors is None or self.factors.index is None:
+            return None
+        of, index_factor = self.factors, self._factors(states)[:, -1]
+        return np.stack(
+            [of.index.price(of, t, index_factor[t]) for t in range(len(self.grid.steps))]
+        )
 
     def _innovations(self, states, scale: np.ndarray) -> np.ndarray | None:
         """[T + 1, K, N] functions of the prices less their expectation a step before."""

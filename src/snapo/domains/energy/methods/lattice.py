@@ -10,8 +10,9 @@ import numpy as np
 from ...gas_storage.prices.process import GaussianFactors
 from ...gas_storage.references.lattice import SLOW, Refined, coordinates, on_finer_grids
 from ...gas_storage.references.marginal import FactorGrid, factor_grid
-from ..core.contract import ContractLayout
+from ..core.contract import ContractLayout, StepPrices
 from .grid import ContractGrid, arrived, best, grid_of
+from .index_grid import IndexGrid
 
 ENOUGH = 1e-5  # of the value: a grid is fine enough when half its spacing moves the value by less
 SPACINGS = {1: 0.3, 2: 0.3}  # of the fast factor's nodes, in deviations of the shock of a step
@@ -42,17 +43,20 @@ def lattice(
     grid = grid_of(layout, schedule, parts) if grid is None else grid
     terms, horizon = schedule.steps.terms, len(schedule.steps.forward)
     prices = None if factors is None else _factor_grid(factors, finer, slow)
-    columns = 1 if prices is None else prices.columns
+    columns = 1
+    if prices is not None:
+        columns = prices.columns(horizon) if isinstance(prices, IndexGrid) else prices.columns
     value = np.zeros((len(layout.modes), grid.size(horizon), columns))
+    expected = schedule.steps.price.index.expected() if layout.indexed else None
     for t in reversed(range(horizon)):
-        spot = schedule.steps.forward[t, None]
+        now = StepPrices(schedule.steps.forward[t, None], None if expected is None else expected[t])
         if prices is not None:
-            spot = prices.spot(t, spot)
-            flat = value.reshape(-1, columns)
-            value = prices.after(t).expect(flat).reshape(value.shape)
-        cash = terms.price[t][:, None] * spot + terms.money[t][:, None]
+            index = prices.index(t) if isinstance(prices, IndexGrid) else None
+            now = StepPrices(prices.spot(t, now.spot), index)
+            flat = value.reshape(-1, value.shape[2])
+            value = prices.after(t).expect(flat).reshape(*value.shape[:2], -1)
         after = arrived(grid.steps[t], value)
-        value = best(grid.steps[t], layout, cash, terms.fixed[t], after)
+        value = best(grid.steps[t], layout, now.units(terms, t), terms.fixed[t], after)
     today = value[0] if prices is None else prices.start().expect(value[0])
     return Lattice(float(today[0, 0]), grid)
 
@@ -65,7 +69,9 @@ def selected_factors(factors: GaussianFactors) -> tuple[int, ...]:
     return tuple(int(i) for i in speed if moves[i]) or (int(speed[0]),)
 
 
-def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid:
+def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid | IndexGrid:
+    if factors.index is not None:
+        return IndexGrid.made(factors, SPACINGS[2] / finer, slow)
     selected = selected_factors(factors)
     count = coordinates(factors, selected)
     if count > 2:
@@ -85,7 +91,7 @@ def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | No
         finer.append(lambda n: of_levels(parts=n))
     if factors is not None:
         finer.append(lambda n: of_prices(finer=n))
-        if coordinates(factors, selected_factors(factors)) > 1:
+        if factors.index is not None or coordinates(factors, selected_factors(factors)) > 1:
             finer.append(lambda n: of_prices(slow=(SLOW - 1) * n + 1))
     results = [on_finer_grids(first.value, partial(_value, side), ENOUGH) for side in finer]
     moved = sum(result.value - first.value for result in results)

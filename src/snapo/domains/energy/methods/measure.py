@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core.contract import ContractLayout
 
+COUNTED, BALANCES = 400, (5, 65)  # most nodes of a level with a bank; and of its balance
 ROUND_OFF = 1e-9  # of a count
 DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
 
@@ -39,6 +40,8 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
 def joined_levels(layout: ContractLayout) -> list[set[int]]:
     """The levels in groups that no flow joins."""
     groups = [{i} for i in range(len(layout.levels))]
+    if layout.banked:  # units of the first level become its balance
+        groups = [{0, len(layout.levels) - 1}, *groups[1:-1]]
     for flow in layout.flows:
         touched = {i for i, effect in enumerate(flow.effects) if effect}
         if touched:
@@ -65,6 +68,22 @@ def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -
         for i in members:
             widths[i] = width
     return widths
+
+
+def banked_widths(visited, measures, apart, nodes: float) -> list[float]:
+    """Between nodes of a counted level and of its bank, where their product is too large.
+
+    Flows move only the counted level, so that its nodes are multiples of the measure where it has
+    few enough. The balance changes once a period, and has as many nodes as `nodes` of all steps
+    allow. `visited`: the least and the most of both levels at all steps.
+    """
+    unit = measures[0] or 0.0
+    widest = [float(np.max(high - low)) for low, high in visited]
+    counted = max(unit, widest[0] / COUNTED, apart[0]) or 1.0
+    (low, high), banked = visited[0], visited[1][1] > visited[1][0]
+    many = nodes / max(float(np.sum((high - low)[banked] / counted + 1)), 1.0)
+    balance = max(unit, widest[1] / (min(max(many, BALANCES[0]), BALANCES[1]) - 1), apart[1]) or 1.0
+    return [unit * ceil(x / unit - ROUND_OFF) if unit else x for x in (counted, balance)]
 
 
 def common_measure(volumes: Iterable[float]) -> float | None:

@@ -39,7 +39,15 @@ from ..contracts.battery import (
     DischargeTable,
     read_battery,
 )
-from ..contracts.swing import AnnualTable, RightsTable, SwingTable, read_swing
+from ..contracts.swing_tables import (
+    AnnualTable,
+    CarryTable,
+    IndexTable,
+    MakeUpTable,
+    RightsTable,
+    SwingTable,
+    read_swing,
+)
 from ..core.contract import EnergyContract
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 
@@ -81,7 +89,16 @@ class ContractKind(NamedTuple):
 BY_HOUR = ("one-factor", "multi-factor", "one-factor-normal", "one-factor-shifted")
 KINDS: dict[str, ContractKind] = {
     "swing": ContractKind(
-        SwingTable, read_swing, "Swing contract", {"annual": AnnualTable, "rights": RightsTable}
+        SwingTable,
+        read_swing,
+        "Swing contract",
+        {
+            "strike": IndexTable,
+            "annual": AnnualTable,
+            "rights": RightsTable,
+            "make_up": MakeUpTable,
+            "carry_forward": CarryTable,
+        },
     ),
     "battery": ContractKind(
         BatteryTable,
@@ -160,13 +177,14 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         market, _ = read_market(section, market_table, days, days, moving, unit)
         delivery = Delivery(days, days, table.end, valuation, market.forward_curve)
         time = np.array([(date - valuation).days for date in days]) / 365.0
-    contract = kind.read(where, table, days)
+    contract: EnergyContract = kind.read(where, table, days)
     section = TableContext(file, "model", notes)
     if kind.hourly and top.model.get("kind") not in BY_HOUR:
         allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
         raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
     model = read_prices(section, top.model, delivery)
     check_curve(_curve_file(market_table), model, delivery)
+    model = contract.priced(where, model, delivery)
     if kind.hourly and top.products is not None:
         message = "products trade by the day; an hourly contract has none"
         raise CaseError(name, "products", None, message)

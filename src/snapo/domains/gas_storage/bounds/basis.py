@@ -183,7 +183,7 @@ class PolynomialBasis:
 
     def key(self) -> tuple:
         """Equal for bases with the same functions of the same factors."""
-        numbers = self.of.decay, self.of.shock, self._common_loading
+        numbers = self.of.transition, self.of.shock, self._common_loading
         return self.selected, self.common, *(x.tobytes() for x in numbers), self.of.decay.shape
 
     def back(self, t: int) -> np.ndarray:
@@ -212,12 +212,7 @@ class PolynomialBasis:
 
     @cached_property
     def _covariance(self) -> np.ndarray:
-        size = self.of.decay.shape[1]
-        covariance, covariances = np.zeros((size, size)), []
-        for decay, shock in zip(self.of.decay, self.of.shock, strict=True):
-            covariance = np.outer(decay, decay) * covariance + shock @ shock.T
-            covariances.append(covariance)
-        return np.array(covariances)
+        return self.of.covariance
 
     @cached_property
     def _level_variance(self) -> np.ndarray:
@@ -251,7 +246,8 @@ class PolynomialBasis:
     def _turn(self) -> np.ndarray:
         """[T + 1, kept, kept] R into each date."""
         before = np.concatenate([np.zeros_like(self._cholesky[:1]), self._cholesky[:-1]])
-        return self._whiten @ (self.of.decay[:, self.selected][:, :, None] * before)
+        moves = self.of.transition[:, self.selected][:, :, self.selected]
+        return self._whiten @ moves @ before
 
     @cached_property
     def _moves(self) -> np.ndarray:
@@ -265,6 +261,9 @@ class PolynomialBasis:
 
 def gaussian_basis(of: GaussianFactors, priced: bool) -> PolynomialBasis:
     """The functions for these factors; `priced`: whether the end date has a price."""
+    if of.index is not None:
+        every = tuple(range(of.decay.shape[1]))
+        return PolynomialBasis(of, every, (), powers(len(every)))
     loading = of.loading if priced else of.loading[:-1]
     increments = np.max(np.abs(of.shock @ np.swapaxes(of.shock, 1, 2)), axis=0)
     alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1

@@ -123,6 +123,7 @@ class GaussianFactors(NamedTuple):
     - `fast`: the factor in which a one-factor dynamic program is written.
     - `exact`: whether these factors are the whole process; a lattice then gives the exact value.
     - `spikes`: those of ln S besides the factors, a further coordinate after them.
+    - `index`: a second price of a contract, with a factor of its own (a `PriceIndex`).
     """
 
     loading: np.ndarray
@@ -134,6 +135,22 @@ class GaussianFactors(NamedTuple):
     additive: bool = False
     shift: float = 0.0
     spikes: Spikes | None = None
+    index: Any = None
+
+    @property
+    def transition(self) -> np.ndarray:
+        """[T + 1, F, F] matrices of the means of the factors into each date."""
+        local = self.decay[:, :, None] * np.eye(self.decay.shape[1])
+        return local if self.index is None else local + self.index.carry
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """[T + 1, F, F] of the factors on each date."""
+        covariance, covariances = np.zeros(self.shock.shape[1:]), []
+        for move, shock in zip(self.transition, self.shock, strict=True):
+            covariance = move @ covariance @ move.T + shock @ shock.T
+            covariances.append(covariance)
+        return np.array(covariances)
 
     @property
     def proportional(self) -> bool:

@@ -146,40 +146,41 @@ def _covariance(of: GaussianFactors, selected: list[int]) -> np.ndarray:
 def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
     """Independent factors need one term; correlated ones a term per shock of the slow factor."""
     if grid.of.spikes is not None:
-        local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
+        local = transition_weights(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
         return Transition([(spike_weights(grid.of.spikes, grid.slow, slow), local)])
     if len(grid.slow) == 1:
-        local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
+        local = transition_weights(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
         return Transition([(np.ones((1, 1)), local)])
-    shocks, probabilities = _gauss_hermite(np.sqrt(covariance[1, 1]), 3)
-    positions = [_spline_weights(grid.slow, decay[1] * slow + shock) for shock in shocks]
+    shocks, probabilities = gauss_hermite(np.sqrt(covariance[1, 1]), 3)
+    positions = [spline_weights(grid.slow, decay[1] * slow + shock) for shock in shocks]
     if covariance[0, 1] == 0:
         moved = np.tensordot(probabilities, np.array(positions), axes=1)
-        local = _from_points(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
+        local = transition_weights(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
         return Transition([(moved, local)])
     slope = covariance[0, 1] / covariance[1, 1]
     rest = np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0))
+    terms = zip(shocks, probabilities, positions, strict=True)
     return Transition(
         [
-            (probability * position, _from_points(grid.fast, decay[0] * fast + slope * shock, rest))
-            for probability, position, shock in zip(probabilities, positions, shocks, strict=True)
+            (share * position, transition_weights(grid.fast, decay[0] * fast + slope * shock, rest))
+            for shock, share, position in terms
         ]
     )
 
 
-def _from_points(nodes: np.ndarray, mean: np.ndarray, deviation: float) -> np.ndarray:
+def transition_weights(nodes: np.ndarray, mean: np.ndarray, deviation: float) -> np.ndarray:
     """Weights [points, nodes] of the expectation over N(mean, deviation^2)."""
     if len(nodes) == 1:
         return np.ones((len(mean), 1))
     if deviation < NARROW * (nodes[1] - nodes[0]):
-        shocks, probabilities = _gauss_hermite(deviation, 7)
-        positions = [_spline_weights(nodes, mean + shock) for shock in shocks]
+        shocks, probabilities = gauss_hermite(deviation, 7)
+        positions = [spline_weights(nodes, mean + shock) for shock in shocks]
         return np.tensordot(probabilities, np.array(positions), axes=1)
     density = np.exp(-0.5 * ((nodes[None, :] - mean[:, None]) / deviation) ** 2)
     return density / density.sum(axis=1, keepdims=True)
 
 
-def _gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+def gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Shocks and their probabilities; one shock of 0 where there is no noise."""
     if deviation == 0:
         return np.zeros(1), np.ones(1)
@@ -187,7 +188,7 @@ def _gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray
     return deviation * nodes, weights / weights.sum()
 
 
-def _spline_weights(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+def spline_weights(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Natural cubic spline interpolation as weights [points, nodes], flat outside the nodes."""
     spline = CubicSpline(nodes, np.eye(len(nodes)), bc_type="natural")
     return spline(np.clip(points, nodes[0], nodes[-1]))

@@ -1,0 +1,298 @@
+"""The table `[contract]` of a swing, and its reading; see `swing.py`."""
+
+import datetime
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.given import CaseInput
+from snapo.case.quantity import NOT_NEGATIVE, Quantity, custom
+from snapo.case.table import CaseTable, TableContext, parse
+
+from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
+from .swing import SwingContract, layout_of
+
+GROUP = "contract"
+A_DAY, A_YEAR = "{volume_unit}/day", "{volume_unit}/year"
+RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, by="date", before=0.0)
+STRIKE = Quantity(PRICE, group="strike", move=0.1, by="date", meaning="paid for a unit")
+FACTOR = Quantity("1", NOT_NEGATIVE, "strike", move=0.01)
+ADDED = Quantity(PRICE, group="strike", move=0.1)
+STRIKES = ('a number, the name of a CSV file with columns date,value, or a table such as '
+           '{ index = "month-ahead", factor = 1.0, add = 0.25 }')  # fmt: skip
+ANNUAL = Quantity(A_YEAR, NOT_NEGATIVE, GROUP, move=1.0)
+TAKEN = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0)
+PAID = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1)
+SHORT = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1, name="shortfall",
+                 meaning="paid for each unit short of the annual minimum")  # fmt: skip
+SHORTFALL = '"firm", "strike", or money for each unit such as 6.0'
+
+
+class AnnualTable(CaseTable):
+    """{ min = 200.0, max = 300.0 }: of each contract year."""
+
+    min: CaseInput = ANNUAL("least of a contract year", 0.0, name="annual_min")
+    max: CaseInput | None = ANNUAL("most of a contract year", None, name="annual_max")
+
+
+class RightsTable(CaseTable):
+    """{ most = 100, rest = 5 }: days on which a volume may be taken, and days between them."""
+
+    most: int = Field(ge=1, le=100_000, description="a whole number of days, 1 or more")
+    rest: int = Field(0, ge=0, le=365, description="a whole number of days, 0 to 365")
+
+
+class MakeUpTable(CaseTable):
+    """{ years = 1, price = 0.0 }: units short of the minimum are paid, and taken a year later."""
+
+    years: int = Field(1, ge=1, le=1, description="1")
+    price: CaseInput = PAID("paid for a unit that is made up", 0.0, name="make_up_price")
+    units: CaseInput = TAKEN("to be made up this contract year", 0.0, name="make_up_units")
+
+
+class CarryTable(CaseTable):
+    """{ years = 1, max = 8.0 }: units above the minimum lower that of the next year."""
+
+    years: int = Field(1, ge=1, le=1, description="1")
+    max: CaseInput = TAKEN("most that is carried forward", name="carry_forward_max")
+    units: CaseInput = TAKEN(
+        "carried forward into this contract year", 0.0, name="carry_forward_units"
+    )
+
+
+class IndexTable(CaseTable):
+    """{ index = "month-ahead", factor = 1.0, add = 0.25 }: an indexed strike."""
+
+    index: Literal["month-ahead"] = Field(description='"month-ahead"')
+    factor: CaseInput = FACTOR("of the index in the strike", 1.0, name="strike_factor")
+    add: CaseInput = ADDED("added to the index", 0.0, name="strike_add")
+    fixing: CaseInput | None = ADDED("index of the first month, fixed before today", None,
+                                    name="strike_fixing")  # fmt: skip
+
+
+def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
+    """A number, a CSV, or a table."""
+    if not isinstance(raw, dict):
+        if isinstance(raw, bool) or not isinstance(raw, int | float | str):
+            raise key.error(raw, f"allowed is {STRIKES}")
+        return STRIKE.read(raw, key)
+    table, unit = key.table, key.filled(PRICE)
+    name = f"{table.name}.{key.name}"
+    index = parse(IndexTable, raw, str(table.file), name, table.notes)
+    parts = {x: getattr(index, x) for x in ("add", "fixing")}
+    return index.model_copy(
+        update={x: None if y is None else replace(y, unit=unit) for x, y in parts.items()}
+    )
+
+
+def _short(raw: Any, key: Any) -> CaseInput | str:
+    """ "firm", "strike", or an amount."""
+    if raw in ("firm", "strike"):
+        return raw
+    if isinstance(raw, str):
+        raise key.error(raw, f"allowed is {SHORTFALL}")
+    result = SHORT.read(raw, key)
+    assert result is not None
+    return result
+
+
+class SwingTable(CaseTable):
+    """`[contract]` of kind "swing"."""
+
+    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
+    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    start: DateKey = Field(description=DATE)
+    end: DateKey = Field(description=DATE)
+    side: Literal["call", "put"] = Field("call", description='"call" or "put"')
+    max_daily: CaseInput = RATE("most volume a day")
+    min_daily: CaseInput = RATE("volume that must be taken each day", 0.0)
+    strike: Any = custom(_strike, STRIKES, types=("number", "string", "object"))
+    year_begins: str | None = Field(None, description='a day of the year such as "10-01"')
+    annual: dict | None = Field(None, description="a table like { min = 200.0, max = 300.0 }")
+    shortfall: Any = custom(_short, SHORTFALL, "firm", ("string", "number"))
+    taken: CaseInput = TAKEN("this contract year, before the first decision", 0.0)
+    rights: dict | None = Field(None, description="a table like { most = 100, rest = 5 }")
+    make_up: dict | None = Field(None, description="a table like { years = 1, price = 0.0 }")
+    carry_forward: dict | None = Field(None, description="a table like { years = 1, max = 8.0 }")
+
+
+def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
+    """The contract on its decision days."""
+    annual = None
+    if table.annual is not None:
+        name = f"{where.name}.annual"
+        annual = parse(AnnualTable, table.annual, str(where.file), name, where.notes)
+    return _made(where, table, annual, days)
+
+
+def _made(
+    where: TableContext, table: SwingTable, annual: AnnualTable | None, days
+) -> SwingContract:
+    notes = where.notes
+    rights = None
+    if table.rights is not None:
+        rights = parse(RightsTable, table.rights, str(where.file), f"{where.name}.rights", notes)
+    daily_max, daily_min = (x.on(days, notes) for x in (table.max_daily, table.min_daily))
+    strike, index = table.strike, None
+    if isinstance(strike, IndexTable):
+        strike, index = None, strike
+        if table.start.day != 1:
+            message = "with an indexed strike allowed is the first day of a month"
+            raise where.error("start", table.start, message)
+        if table.shortfall == "strike":
+            message = 'with an indexed strike allowed is "firm", or money such as 6.0'
+            raise where.error("shortfall", "strike", message)
+    else:
+        strike = strike.on(days, notes)
+    for t in np.flatnonzero(daily_min.used() > daily_max.used())[:1]:
+        message = f"on {days[t]} at most {daily_max.used()[t]:g} may be taken"
+        raise where.error("min_daily", float(daily_min.used()[t]), message)
+    limits = _annual(where, table, annual)
+    if rights is not None and np.any(daily_min.used() > 0):
+        raise where.error("min_daily", float(daily_min.used().max()), "with rights allowed is 0")
+    minimum = limits[0]
+    firm = table.shortfall == "firm"
+    last_days = year_ends(where, table, days)
+    if rights is not None and firm and minimum is not None and minimum.values[0] > 0:
+        _check_promise(where, table, rights, float(minimum.values[0]), daily_max.used(), last_days)
+    made_up, carried = _banked(where, table)
+    banked = made_up is not None or carried is not None
+    if banked:
+        _check_bank(where, table, limits, strike, daily_max.used(), last_days)
+    limited = limits[0] is not None or limits[1] is not None
+    short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
+    return SwingContract(  # pyright: ignore[reportCallIssue]
+        daily_max,
+        daily_min,
+        strike,
+        *((None, None, None) if index is None else (index.factor, index.add, index.fixing)),
+        *limits,
+        table.taken,
+        short if minimum is not None else None,
+        *((None, None) if made_up is None else (made_up.price, made_up.units)),
+        *((None, None) if carried is None else (carried.max, carried.units)),
+        last_days,
+        layout=layout_of(  # pyright: ignore[reportCallIssue]
+            table.volume_unit,
+            limited,
+            None if rights is None else rights.rest,
+            index is not None,
+            banked,
+        ),
+        sign=1.0 if table.side == "call" else -1.0,
+        at_strike=table.shortfall == "strike",
+        firm=firm,
+        most_rights=0 if rights is None else rights.most,
+    )
+
+
+def _check_promise(
+    where: TableContext,
+    table: SwingTable,
+    rights: RightsTable,
+    minimum: float,
+    daily_max: np.ndarray,
+    last_days: np.ndarray,
+) -> None:
+    """A firm minimum with rights is of one contract year, at one volume a day, and can be met."""
+    if np.sum(last_days) > 1:
+        message = "with rights a minimum of several contract years is not firm; allowed is "
+        raise where.error("shortfall", "firm", f'{message}"strike" or an amount of money')
+    if np.ptp(daily_max) > 0:
+        message = "with rights and a firm minimum allowed is one number for all days"
+        raise where.error("max_daily", float(daily_max.max()), message)
+    uses = min(rights.most, -(-len(last_days) // (rights.rest + 1)))
+    highest = float(table.taken.values[0]) + uses * float(daily_max[0])
+    if minimum > highest * (1 + 1e-12):
+        message = f"allowed is at most {highest:g}, from {uses} uses of {daily_max[0]:g}"
+        raise where.error("annual.min", minimum, message)
+
+
+def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None, CarryTable | None]:
+    """Both clauses, their numbers with their units."""
+    unit, tables = table.volume_unit, []
+    for kind, key in ((MakeUpTable, "make_up"), (CarryTable, "carry_forward")):
+        raw = getattr(table, key)
+        if raw is None:
+            tables.append(None)
+            continue
+        made = parse(kind, raw, str(where.file), f"{where.name}.{key}", where.notes)
+        units = {"units": unit, "max": unit, "price": f"{table.currency}/{unit}"}
+        numbers = {x: replace(y, unit=units[x]) for x, y in made if x in units}
+        tables.append(made.model_copy(update=numbers))
+    return tables[0], tables[1]
+
+
+def _check_bank(
+    where: TableContext, table: SwingTable, limits, strike: CaseInput | None, daily_max, last_days
+) -> None:
+    """Refuses clauses between contract years without their conditions."""
+    made_up, carried = _banked(where, table)
+    key = "carry_forward" if made_up is None else "make_up"
+    if limits[0] is None:
+        raise where.error(key, None, "it needs a minimum, annual = { min = 200.0 }")
+    if table.rights is not None:
+        raise where.error(key, None, "with rights there is no such clause")
+    minimum, units = float(limits[0].values[0]), [0.0, 0.0]
+    if made_up is not None:
+        if table.shortfall != "strike":
+            message = 'with make_up allowed is "strike": units short are paid, and made up'
+            raise where.error("shortfall", table.shortfall, message)
+        if table.side == "put":
+            raise where.error("side", "put", 'with make_up allowed is "call"')
+        price, units[0] = float(made_up.price.values[0]), float(made_up.units.values[0])
+        lowest = float(strike.used().min()) if strike is not None else np.inf
+        if price > lowest:
+            raise where.error("make_up.price", price, f"allowed is at most the strike, {lowest:g}")
+        if units[0] > minimum:
+            message = f"allowed is at most annual.min, {minimum:g}"
+            raise where.error("make_up.units", units[0], message)
+    if carried is not None:
+        units[1], highest = float(carried.units.values[0]), float(carried.max.values[0])
+        if units[1] > highest:
+            message = f"allowed is at most carry_forward.max, {highest:g}"
+            raise where.error("carry_forward.units", units[1], message)
+    if min(units) > 0:
+        message = "allowed is 0: a year is either short of its minimum or in excess"
+        raise where.error("make_up.units", units[0], message)
+    if table.shortfall != "firm":
+        return
+    before, first = float(table.taken.values[0]) + units[1], 0
+    for last in np.flatnonzero(last_days):
+        highest = before + float(daily_max[first : last + 1].sum())
+        if minimum > highest * (1 + 1e-12):
+            message = f"in a contract year at most {highest:g} can be taken"
+            raise where.error("annual.min", minimum, message)
+        before, first = 0.0, last + 1
+
+
+def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
+    """Least and most of a year, None where there is none, with their units."""
+    if annual is None:
+        return None, None
+    unit = f"{table.volume_unit}/year"
+    annual_min = replace(annual.min, unit=unit)
+    annual_max = None if annual.max is None else replace(annual.max, unit=unit)
+    if annual_max is not None and annual_min.values[0] > annual_max.values[0]:
+        message = f"allowed is at most annual.max, {annual_max.values[0]:g}"
+        raise where.error("annual.min", float(annual_min.values[0]), message)
+    return annual_min, annual_max
+
+
+def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
+    """[T] whether a day is the last of its contract year; the last day of all always is."""
+    month_day = (table.start.month, table.start.day)
+    if table.year_begins is not None:
+        try:
+            first = datetime.date.fromisoformat(f"2000-{table.year_begins}")
+        except ValueError:
+            raise where.error("year_begins", table.year_begins, 'allowed is a day of the year such '
+                              'as "10-01"') from None  # fmt: skip
+        month_day = (first.month, first.day)
+    following = [day + datetime.timedelta(1) for day in days]
+    last_days = np.array([(day.month, day.day) == month_day for day in following], bool)
+    if len(last_days):
+        last_days[-1] = True
+    return last_days
