@@ -228,7 +228,7 @@ def _name(hedge: DailyHedge) -> str:
 
 
 def _products(hedge: DailyHedge) -> str:
-    """Least variance takes the first product of a family alone: of "months" the next month."""
+    """Least variance takes only the first product of a family: of "months" the next month."""
     if hedge.rule != MIN_VARIANCE:
         return _names(hedge.families)
     return _names([f"next {x[:-1]}" if x.endswith("s") else x for x in hedge.families])
