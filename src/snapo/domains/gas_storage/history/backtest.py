@@ -15,7 +15,7 @@ from snapo.problem.carry.save import PolicyFileError
 from snapo.problem.carry.save import load as load_policy
 from snapo.problem.policy import Policy
 from snapo.solver.solution import POLICY
-from snapo.solver.statistics import half_width
+from snapo.solver.statistics import plus_minus
 from snapo.solver.tables import write_csv
 
 from ..ladder.products import usual_products
@@ -304,10 +304,10 @@ def summary(answer: Mapping[str, Any]) -> str:
 
 def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     yield f"{answer['days']} days from {answer['first']} to {answer['last']}"
-    error = half_width(answer["standard_error"])
     less = f"{answer['share']:.0%} of drawn histories bring less"
     yield f"{'realised':<20}{answer['realised']:>16,.2f}   {less}"
-    spread = f"± {error:,.2g}; standard deviation of one history {answer['deviation']:,.2f}"
+    interval = plus_minus(answer["standard_error"])
+    spread = f"{interval} (95 %); standard deviation of one history {answer['deviation']:,.2f}"
     yield f"{'expected':<20}{answer['expected']:>16,.2f}   {spread}"
     if answer["rolling_intrinsic"] is not None:
         yield f"{'rolling intrinsic':<20}{answer['rolling_intrinsic']:>16,.2f}"

@@ -10,11 +10,11 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.case.toml import one_value
 from snapo.report.folder import RunFiles
+from snapo.solver.statistics import half_width
 from snapo.solver.tables import write_csv, write_text
 from snapo.study.run_folder import read as read_run
 
 from .fit import HistoryFit, fit
-from .maximum import NORMAL_95
 from .read import Calibration, read_calibration
 
 FOLDER = "calibration"  # next to the file, where nothing else is named
@@ -182,7 +182,7 @@ def value_interval(result: HistoryFit, derivatives: Mapping[str, float]) -> dict
     error = math.sqrt(max(float(slope @ covariance @ slope), 0.0))
     single = np.abs(slope) * result.estimate.errors
     shares = {name: float(x) for name, x in zip(names, single) if name in derivatives}
-    return {"standard_error": error, "half_width": NORMAL_95 * error, "shares": shares}
+    return {"standard_error": error, "half_width": half_width(error), "shares": shares}
 
 
 def summary(answer: Mapping[str, Any]) -> str:

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from snapo.solver.statistics import critical
+
 from .model import CORRELATION, LEVEL, POSITIVE, RATE, HistoryModel
 
 MAX_STEPS = 150
@@ -21,7 +23,6 @@ CLOSE = 1e-9  # half of the squared distance to the maximum, in standard deviati
 LONGEST = 1.0  # change of any variable in one step
 SHORTEST, ROUNDING = 1e-12, 1e-13  # share of a step at which the search ends; of the value
 FLAT = 1e-9  # of the largest eigenvalue: less is no curvature
-NORMAL_95 = 1.959963984540054
 # When an interval is too wide to be of use: see `unknown`.
 DECADE, HALF_RANGE, SMALL_RATE, WIDE_LEVEL = 10.0, 1.0, 0.01, 0.5
 
@@ -114,7 +115,7 @@ def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
     curvature, axes = np.linalg.eigh(-hessian)
     variance = 1 / np.maximum(curvature, FLAT * np.max(np.abs(curvature)))
     covariance = (axes * variance) @ axes.T
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    half = critical() * np.sqrt(np.diag(covariance))
     slope = np.asarray(jax.jacfwd(model.numbers)(jnp.asarray(x)))
     endpoints = (x, x - half, x + half)
     numbers, low, high = (np.asarray(model.numbers(jnp.asarray(point))) for point in endpoints)
