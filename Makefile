@@ -43,17 +43,18 @@ bench: $(READY)
 study: $(READY)
 	$(PYTEST) -m study -o faulthandler_timeout=0
 
+# Python compiles a module when it is first imported: most of those that are installed never are.
 $(READY): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,test,lint]'
+	$(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,test,lint]'
 	touch $(READY)
 
 $(VENV)/.clusters: $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,test,dask,ray]'
+	$(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,test,dask,ray]'
 	touch $@
 
 $(VENV)/.docs: $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,docs]'
+	$(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,docs]'
 	touch $@
 
 clean:

@@ -169,6 +169,7 @@ def test_a_sweep_with_training_is_the_contract_at_every_point(store, tmp_path):
     assert all(answer.points[0].outputs for answer in answers.values())
 
 
+@pytest.mark.prove
 def test_a_process_without_a_policy_is_a_book(process, tmp_path):
     """Beyond the normal range of its parameter; the bits are those of a fresh process, whatever was
     calculated before."""

@@ -501,6 +501,7 @@ def test_what_matters_at_high_actions_only_is_no_mistake():
     assert not len(findings := check(Corner(), given)), str(findings)
 
 
+@pytest.mark.prove
 def test_a_corner_within_the_bump_is_no_mistake():
     """A step of 0.05 crosses the corner at 0.304, and so does an eighth of it."""
     given = CornerInputs(Input(0.3, bump=0.05), Input([1.0, 1.2, 0.9, 1.1]), Input(2.0))

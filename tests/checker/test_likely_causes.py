@@ -62,6 +62,7 @@ def test_a_class_in_place_of_its_object_is_refused_by_solve():
         snapo.solve(Hedge, INPUTS, objective=snapo.Mean("cash"))  # pyright: ignore
 
 
+@pytest.mark.prove
 def test_one_limit_needs_no_tuple():
     few = {
         "training": snapo.Training(steps=1, paths=8, validation_paths=8),

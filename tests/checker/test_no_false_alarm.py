@@ -28,6 +28,7 @@ class Seen(snapo.Simulator):
         return {"wear": wear, "seen": seen}, {"cost": state["wear"] ** 2 + action[0]}
 
 
+@pytest.mark.prove
 def test_an_error_of_a_reading_is_not_idle():
     inputs = {"error": snapo.Input(0.5), "idle": snapo.Input(1.0)}
     told = [(found.where.split(": ")[-1], found.severity) for found in check(Seen(), inputs)]

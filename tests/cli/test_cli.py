@@ -293,12 +293,13 @@ def test_bad_input_is_found_before_jax_starts(case):
     assert "curve.csv: the file is empty" in done.stderr
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "package, extra, line",
     [
         ("pydantic", "cli", ["check", "CASE"]),
-        pytest.param("jinja2", "cli", ["report", "RUN"], marks=pytest.mark.prove),
-        pytest.param("aiohttp", "live", ["open", "RUN"], marks=pytest.mark.prove),
+        ("jinja2", "cli", ["report", "RUN"]),
+        ("aiohttp", "live", ["open", "RUN"]),
     ],
 )
 def test_a_missing_extra_is_one_line_with_the_command(package, extra, line, case, solved):

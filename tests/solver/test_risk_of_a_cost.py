@@ -90,6 +90,7 @@ def test_standard_errors_of_costs_are_those_of_the_spread_over_seeds(name):
     assert np.mean([each.standard_error for each in found]) == pytest.approx(spread, rel=0.33)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     "objective, share, value",

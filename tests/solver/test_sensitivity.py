@@ -68,6 +68,7 @@ def test_the_error_along_a_direction_is_that_of_the_sum():
     assert error == pytest.approx(sums.std(ddof=1) / np.sqrt(32))
 
 
+@pytest.mark.prove
 def test_second_derivatives_are_differences_of_held_ones_with_decisions_that_respond():
     smooth = snapo.Smooth(np.float64(1.0))
     direction = {"price": np.array([1.0, 0.5, 0.0])}

@@ -170,6 +170,7 @@ def test_nothing_is_written_where_it_does_not_fit(solved, tmp_path, capsys):
 
 
 # The code of the kind "own" is loaded again for every command.
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "kind",
     [

@@ -81,6 +81,7 @@ def test_values_are_compared_on_paths_of_their_own(two):
     assert low["below_best_error"] < low["standard_error"]  # paired
 
 
+@pytest.mark.prove
 def test_the_table_is_kept_printed_and_shown(two, run, capsys):
     result = result_of(run)
     found = result["seeds"]

@@ -56,6 +56,7 @@ def filtered(linear: Linearised, mean, start, shake, errors, steps: int, paths: 
     return total + np.sum(x @ linear.Q_T * x, axis=1)
 
 
+@pytest.mark.prove
 def test_the_closed_form_is_what_kalmans_filter_costs():
     """Simulated apart, on a hundred thousand paths."""
     A, B = np.array([[1.0, 0.2], [0.0, 1.0]]), np.array([[0.0], [0.2]])

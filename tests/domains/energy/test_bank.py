@@ -114,6 +114,7 @@ def best_plan(case, low: float) -> float:
     return float(-found.fun)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("levels", "changes"),
     [

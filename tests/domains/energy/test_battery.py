@@ -48,6 +48,7 @@ def test_limits_between_nodes_are_reached(changes):
     assert 0.997 * plan <= value <= plan * (1 + 1e-12)
 
 
+@pytest.mark.prove
 def test_cycles_of_each_day_and_of_the_term():
     """Three days at forward prices, a cycle a day and 2.5 in all: a linear program within 0.5 %."""
     end, both = datetime.datetime(2026, 5, 7), {"day": 1.0, "term": 2.5}

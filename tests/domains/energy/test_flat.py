@@ -36,6 +36,7 @@ def flat(case):
     return contract, np.append(forward, forward[-1:]), factors_of(problem), products
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "changes",
     [{}, {"annual": None}, {"shortfall": "strike"}, {"side": "put"}, {"min_daily": 0.2},
@@ -49,6 +50,7 @@ def test_days_as_products_are_no_restriction(changes):
     assert intrinsic_in(contract, days, curve) == pytest.approx(exact(case, True), rel=1e-6)
 
 
+@pytest.mark.prove
 def test_least_squares_of_two_months():
     """At most half a percent below the exact value, out of sample."""
     case = swing(**SHORT, annual={"min": 20.0, "max": 40.0})

@@ -173,6 +173,7 @@ def test_value_is_proportional_to_the_curve(tmp_path):
     assert values[1] == pytest.approx(1.25 * values[0], rel=1e-12)
 
 
+@pytest.mark.prove
 def test_a_month_that_has_begun_has_its_index():
     """Valued within October, its index is 26.5; without volatility the best days are fixed."""
     running = {

@@ -120,6 +120,7 @@ def test_a_simulator_has_arrays_alone(kind, tmp_path):
     assert not hasattr(problem.simulator, "case")
 
 
+@pytest.mark.prove
 def test_equal_forms_are_equal_programs(tmp_path):
     problems = (drawn(seed, tmp_path) for seed in range(0, 12 * KINDS, KINDS))
     assert same_programs(problems, enough=72) >= 3

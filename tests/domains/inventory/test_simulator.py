@@ -162,6 +162,7 @@ def test_the_held_derivative_by_the_mean_is_unbiased(small):
     assert float(np.sum(slope.inputs["demand_mean"])) == pytest.approx(difference, rel=0.03)
 
 
+@pytest.mark.prove
 def test_moments_of_whole_demand_are_certified_in_the_mean(small):
     """No path moves with them a little; a move by a hundredth on many paths judges the derivative."""
     of, policy = small

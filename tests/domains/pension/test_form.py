@@ -100,6 +100,7 @@ def drawn(kind: str, seed: int) -> Problem:
     return Problem(simulator_of(case), pension_inputs(case), "funding_ratio")
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("kind", MAKERS)
 def test_equal_forms_are_equal_programs(kind):
     assert same_programs((drawn(kind, seed) for seed in range(400)), enough=2) >= 2

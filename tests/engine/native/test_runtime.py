@@ -130,6 +130,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.prove
 def test_ctrl_c_returns_promptly():
     code = INTERRUPTED.format(here=os.getcwd())
     command = [sys.executable, "-c", code]

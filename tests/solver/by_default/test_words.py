@@ -30,6 +30,7 @@ def test_no_training_that_was_cut_short_and_is_below_the_whole_one_has_converged
     assert not wrong
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("steps", [10, pytest.param(60, marks=pytest.mark.prove)])
 def test_the_reservoir_of_the_readme_has_not_converged_after_a_few_steps(steps):
     """13,928 and 15,613 for 16,043; both were "converged"."""

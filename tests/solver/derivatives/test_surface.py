@@ -67,6 +67,7 @@ def test_the_surface_has_its_top_and_its_curvature_where_the_value_has():
     assert abs(order - BEST) < 1.0
 
 
+@pytest.mark.prove
 def test_the_interval_of_a_wrong_order_holds_the_derivative_of_the_best_one(problem):
     """Of costs alone held equals the bump of any policy to the last digit: the margin tells."""
     policy = snapo.Constant([BEST - 1.5], problem.action)

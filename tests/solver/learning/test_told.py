@@ -120,6 +120,7 @@ def test_a_window_of_ones_own_has_its_record_too(tmp_path):
     assert found.summary()["clip"] == 2.0 and "at 2 in the end" in " ".join(found.notes)
 
 
+@pytest.mark.prove
 def test_the_record_of_a_training_left_alone_is_empty():
     quiet = snapo.solve(problem(1.0), policy=RULE, training=TRAINING, evaluation=FEW, engine="xla")
     assert quiet.growth is None and (quiet.window, quiet.clip, quiet.keep) == (None, None, 1.0)

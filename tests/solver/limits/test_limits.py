@@ -178,6 +178,7 @@ def test_the_unit_of_a_price_is_that_of_derivatives_and_knows_no_noise():
     assert units[0] == pytest.approx(1.0, abs=0.1) and units[1] == pytest.approx(units[0], rel=1e-6)
 
 
+@pytest.mark.prove
 def test_a_limit_far_from_its_level_has_no_price_and_a_note():
     """Whatever multiplier training ended with: two are spent each day, eight in all."""
     told = {}

@@ -116,6 +116,7 @@ def test_a_constant_added_to_the_curve_leaves_every_path_as_it_is(tmp_path):
     assert abs(same[0].mean() - 2066.868) < 5 * same[0].std() / 16
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model["kind"])
 def test_a_curve_of_zeros_is_no_mistake(model, tmp_path):
     """Nothing divides by the curve: no note, finite features, triggers around the price."""

@@ -50,6 +50,7 @@ def fund(gilts: float, cash: float, swap: float, zero_coupon=(0,)):
     )
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("gilts", "cash", "swap", "rise"),
     [

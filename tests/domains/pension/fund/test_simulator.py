@@ -236,6 +236,7 @@ def fair():
     return simulated(consistent())
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "kind",
     ["constant", *(pytest.param(kind, marks=pytest.mark.study) for kind in ("driven", "network"))],

@@ -67,6 +67,7 @@ def test_a_bucket_without_payments_or_without_a_range_starts_somewhere():
     assert found[1] == 0
 
 
+@pytest.mark.prove
 def test_headroom_of_receivers_of_payers_and_of_nothing():
     one = swaps()
     weights = np.array([0.05, 0.95, 0, 0, 0, 0, 0])  # cash counts in full, shares do not

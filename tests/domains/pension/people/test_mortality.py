@@ -82,6 +82,7 @@ def test_a_step_across_a_birthday_is_divided_there(fractional):
     assert found[6] == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.prove
 def test_the_last_age_holds_for_later_ages_and_certain_death_ends_all_lives():
     table = gompertz_table()[:, :70]
     held = people_case(step=1.0, mortality=mortality(table=table))

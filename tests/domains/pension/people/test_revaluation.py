@@ -73,6 +73,7 @@ def alive(case, sex, age, count):
     return np.exp(np.asarray(path)[0])
 
 
+@pytest.mark.prove
 def test_a_deferred_member_s_pension_grows_from_its_first_payment_on():
     """Twenty years of waiting add nothing to it where increases are in payment only."""
     certain = mortality(

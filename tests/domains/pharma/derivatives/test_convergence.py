@@ -53,6 +53,7 @@ def test_a_long_hold(name, method):
     assert found.rows[0].mesh == pytest.approx(tight[0], rel=VALUES)
 
 
+@pytest.mark.prove
 def test_a_mesh_of_its_own_length_is_judged_as_it_is():
     """Steps that a case asks for are not doubled: of the same hold they are too long."""
     coarse = process(HOLDS["crystals"], "auto", steps=320)

@@ -115,6 +115,7 @@ def test_steps_chosen_freely_are_for_xla():
         process.batch((), np.zeros((1, 0)), engine="native")
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("stiff", ["none", pytest.param("all", marks=pytest.mark.prove)])
 def test_a_unit_of_another_process_of_its_form_takes_the_same_kernel(stiff):
     def process(volume: str) -> Process:

@@ -106,6 +106,7 @@ def reactor(**changes):
     return resolve(EXAMPLE / "case.toml", data)
 
 
+@pytest.mark.prove
 def test_a_limit_is_worth_what_solving_again_gains():
     """Product per hour wants a short batch; the least product, 0.11 mol/L, holds it."""
     case = reactor()

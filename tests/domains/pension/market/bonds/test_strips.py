@@ -173,6 +173,7 @@ def test_key_rates_and_durations_are_those_of_bumped_curves():
         assert np.asarray(log_prices(one, inputs)) == pytest.approx(np.zeros(4), abs=1e-15)
 
 
+@pytest.mark.prove
 def test_a_zero_coupon_swap_moves_by_more_than_a_par_swap():
     """On 3 % a year, by 14 % at 10 years and 49 % at 30."""
     for years, more in ((10, 0.138), (30, 0.486)):

@@ -49,6 +49,7 @@ def flow(row):
     return paid
 
 
+@pytest.mark.prove
 def test_members_pensions_and_payroll_are_those_of_the_file(small):
     """420 + 380 + 510 + 430 actives, and so on: sums over the rows of cohorts.csv."""
     assert [item[:4] for item in small[0]] == [
@@ -122,6 +123,7 @@ def test_check_prints_three_lines():
     )
 
 
+@pytest.mark.prove
 def test_limits_agreed_payments_and_cuts_count(tmp_path):
     """A floor of 20 % of payroll; 1.2 million agreed in the first month; 90 % funded and cut by
     (1 - 0.9) / 5."""

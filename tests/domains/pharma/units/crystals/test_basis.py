@@ -55,6 +55,7 @@ def crystallised(**fields):
     return Process(case((charge,), (unit, cake_filter()), ports, found))
 
 
+@pytest.mark.prove
 def test_a_crystalliser_and_its_filter():
     """x of new crystals leave the solution 1 - x / rho of its volume, so x = (c0 - c*)/(1 - c*/rho).
 
