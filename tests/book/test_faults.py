@@ -91,6 +91,7 @@ def test_shards_meet(valued, tmp_path):
     assert json.loads((out / "result.json").read_text())["sums"] == first["sums"]
 
 
+@pytest.mark.prove
 def test_a_full_disk_keeps_what_is_written(valued, tmp_path, monkeypatch):
     file, out, written = write_book(tmp_path, ROWS[:4]), tmp_path / "run", []
 

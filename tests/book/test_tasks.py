@@ -34,6 +34,7 @@ def points(file, out):
     return {x.contract.name: {name: p for name, (p, _, _) in x.points.items()} for x in members}
 
 
+@pytest.mark.prove
 def test_a_policy_for_each_stress_is_that_of_the_stressed_case(tmp_path):
     """Trained under a cost of injection that is 0.05 higher: the contract with that cost."""
     stress = '[[stress]]\nname = "dear"\nshift = { "contract.injection_cost" = 0.05 }\n'

@@ -15,6 +15,7 @@ ANGLES = st.floats(-500, 500, allow_subnormal=False)
 TURNS = st.integers(-50, 50)
 
 
+@pytest.mark.prove
 @given(ANGLES, TURNS)
 def test_a_full_turn_more_is_the_same_angle(angle, turns):
     """In float64: within -pi and pi, on the same place of the circle, whatever the turns."""

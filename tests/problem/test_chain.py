@@ -160,6 +160,7 @@ def run(simulator, inputs, names=("cost", "peak", "width", "end"), paths=16):
     return result, pull_back(simulator, inputs, [result.schedule])
 
 
+@pytest.mark.prove
 def test_two_stages_equal_one_simulator_by_hand():
     """Same arithmetic in another order: equal to 1e-12."""
     chained, moved = run(Chain([Heat(), Grow()], [move]), INPUTS)

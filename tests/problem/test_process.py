@@ -48,6 +48,7 @@ def states(process, schedule, count, seed=0):
     return np.array(found)
 
 
+@pytest.mark.prove
 def test_factors_have_their_exact_covariance_over_any_interval():
     """Cov(f_i, f_j) = rho (1 - exp(-(a_i + a_j) t)) / (a_i + a_j), whatever the steps between."""
     count, process = 200_000, TwoFactors()

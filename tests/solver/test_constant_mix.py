@@ -102,6 +102,7 @@ def test_the_recursion_is_the_published_one():
     assert np.sqrt(second - first**2) == pytest.approx(34.63918480, abs=1e-8)
 
 
+@pytest.mark.prove
 def test_gradients_of_the_exact_expectation():
     """Two months, every expectation a product of Gauss-Hermite rules of 7 points in 4 dimensions:
     exact to rounding for lognormals this narrow, so value and gradient to 1e-10."""

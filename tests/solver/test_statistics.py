@@ -161,6 +161,7 @@ def test_compiling_within_compiling_counts_once():
     assert clock.total()["compile"] == found["compile"]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("count", [256, 1024])
 def test_the_interval_of_a_mean_with_a_long_tail_holds_it(count):
     """Lognormal numbers, whose mean is known: Student's interval holds it in 81 to 83 %.

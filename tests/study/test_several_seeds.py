@@ -141,6 +141,7 @@ def test_seeds_are_counted_from_that_of_the_case_and_an_interrupted_call_goes_on
     assert "seed 8: training" in said and "seed 7: training" not in said
 
 
+@pytest.mark.prove
 def test_every_seed_begins_with_a_given_policy(two, run, without_page):
     """The policy of the folder that is written to, twice; then resumed."""
     asked = SMALL.request(two)

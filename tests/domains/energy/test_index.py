@@ -50,6 +50,7 @@ def value(case, slow: int = SLOW) -> float:
     return lattice(case.contract.layout, problem.schedule, factors_of(problem), slow=slow).value
 
 
+@pytest.mark.prove
 def test_no_annual_limits():
     """D10: one exchange of spot and index a day, 492.16022 by quadrature."""
     case = indexed(**{"contract.annual": None})
@@ -105,6 +106,7 @@ def test_policy_and_bound_enclose_the_exact_value():
     assert 0 < gap < 0.005 * best
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("model", KINDS)
 def test_index_of_simulated_prices(model):
     """Its mean is that of the curve, and the factors have the covariance that programs read."""

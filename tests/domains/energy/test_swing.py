@@ -183,6 +183,7 @@ def test_a_firm_minimum_with_rights(limits):
     assert exact(case, forward=True) == pytest.approx(best_uses(case, *limits), rel=1e-9)
 
 
+@pytest.mark.prove
 def test_as_many_rights_as_days_are_no_limit():
     values = [exact(firm_with_rights(20, 30, most, 0), finer=1) for most in (0, 33)]
     assert values[1] == pytest.approx(values[0], rel=1e-9)

@@ -90,6 +90,7 @@ def test_every_kind_is_complete():
     assert set(kinds()) == {"poisson", "geometric", "negative-binomial", "normal", "empirical"}
 
 
+@pytest.mark.prove
 def test_normal_and_empirical_demand_have_the_derivatives_of_their_moments(tmp_path):
     """Of a cost's mean, against differences; demand from a history is stretched and moved."""
     history = "period,demand\n" + "\n".join(

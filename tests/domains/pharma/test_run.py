@@ -127,6 +127,7 @@ def test_every_result_reads_back_as_its_type(whole):
     assert MODEL.of(files) is not None and MAKING.of(files) is not None
 
 
+@pytest.mark.prove
 def test_a_resumed_run_gives_the_same_numbers(folder, whole, tmp_path):
     """Parts whose files are lost are done again, on what the others left."""
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))

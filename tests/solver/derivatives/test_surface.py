@@ -123,6 +123,7 @@ class Indifferent(Newsvendor):
         return super().step(constants, now, state, 0.0 * action, noise, smooth)
 
 
+@pytest.mark.prove
 def test_where_no_decision_matters_random_directions_end_and_change_nothing():
     """Every length is too short for a loss: the lengths stay finite in float32."""
     inputs = {name: snapo.Input(value) for name, value in AT.items()}

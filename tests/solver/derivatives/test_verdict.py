@@ -96,6 +96,7 @@ class Reservoir(Once):
         return level, {"cash": constants["worth"] * level + constants["prize"] * above}
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("hidden", [False, True])
 def test_across_a_jump_the_bump_is_reported(hidden):
     """By the water worth + prize phi / 5; held decisions see the worth alone."""

@@ -28,6 +28,7 @@ def test_a_network_imitates_a_rule_and_is_trained_on():
     assert better.value > same.value + 0.005
 
 
+@pytest.mark.prove
 def test_a_rule_is_imitated_for_a_problem_with_limits():
     """A limit is of an output that imitation does not have: it was a KeyError."""
     limited = replace(PROBLEM, constraints=(snapo.AtMost("cost", 5.0),))

@@ -164,6 +164,7 @@ def test_multipliers_move_with_the_excess_and_never_below_zero():
     assert Dual.read([list(each) for each in one]) == one
 
 
+@pytest.mark.prove
 def test_the_unit_of_a_price_is_that_of_derivatives_and_knows_no_noise():
     """At x = 1 the objective's derivative by x is b - x, 1 on average, and the measure's is 1."""
     limits, policy = (snapo.AtMost("spent", 1.0),), snapo.Constant(np.array([1.0]))

@@ -15,9 +15,8 @@ from snapo.case.load import load
 from snapo.cli.main import main
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.history.calibrate import derivatives_of, model_table, value_interval
-from snapo.domains.gas_storage.history.fit import HistoryFit
 from snapo.domains.gas_storage.history.kalman import Filtered
-from snapo.domains.gas_storage.history.maximum import HistoryEstimate, unknown
+from snapo.domains.gas_storage.history.maximum import HistoryEstimate, HistoryFit, unknown
 from snapo.domains.gas_storage.history.model import HistoryModel
 from snapo.domains.gas_storage.history.read import read_calibration
 

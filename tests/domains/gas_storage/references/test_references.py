@@ -269,6 +269,7 @@ def test_a_single_factor_without_reversion_adds_nothing():
     assert_allclose(found.value, value, rtol=3e-4)
 
 
+@pytest.mark.prove
 def test_a_common_factor_without_reversion_may_be_dropped():
     fast = Factor(60.0, lambda day: 0.9)
     schedule = small([Factor(0.0, lambda day: 0.4), fast], days=30)

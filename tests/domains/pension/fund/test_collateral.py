@@ -79,6 +79,7 @@ def test_par_swaps_lose_what_their_payments_do():
     assert found.pv01 == pytest.approx(1e-4 * 50 * (due @ (years * np.exp(-0.03 * years))))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("zero_coupon", [(), (0,)])
 def test_the_policy_and_the_count_of_a_path_see_the_same_need(zero_coupon):
     """At a stress of the headroom itself a policy may hold these swaps and not one more, and the

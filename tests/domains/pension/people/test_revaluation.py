@@ -127,6 +127,7 @@ def test_a_spouse_s_pension_grows_in_payment_from_the_member_s_death_on():
         assert fresh[t, s] == pytest.approx(earned * paid(s, t), rel=1e-11), (t, s)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("timing", ["advance", "arrears"])
 def test_a_pension_that_begins_within_a_step_pays_the_rest_of_it(timing):
     """Monthly steps and exact ages: half a month of a pension that begins in the middle of one."""

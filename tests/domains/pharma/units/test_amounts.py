@@ -224,6 +224,7 @@ width = "0.5 mol/L"
 """
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("share", "dosed"), [(1.0, 0.5e-3), (0.25, 0.2e-3)])
 def test_a_policy_doses_until_its_feed_is_empty(share, dosed):
     """0.8 L/h for an hour of a feed of 0.5 L; at a quarter of that all that is asked for."""

@@ -38,6 +38,7 @@ def tube(order=1.0, constant=1.0, seconds=3.0, start=1.0, temperature=None, **fi
     return Process(case((charge,), (unit,), chain("charge", "reactor"), wanted, network=found))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("constant", [3.0, 7.0])
 def test_first_order(constant):
     """exp(-k tau), which 50 tanks in series miss by 9 % and 57 %; and what left the tube.

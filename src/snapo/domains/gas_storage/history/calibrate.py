@@ -14,7 +14,7 @@ from snapo.solver.statistics import half_width
 from snapo.solver.tables import write_csv, write_text
 from snapo.study.run_folder import read as read_run
 
-from .fit import HistoryFit, fit
+from .maximum import HistoryFit, fit
 from .read import Calibration, read_calibration
 
 FOLDER = "calibration"  # next to the file, where nothing else is named

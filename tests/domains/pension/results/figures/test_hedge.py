@@ -12,6 +12,7 @@ from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
 
 
+@pytest.mark.prove
 def test_a_par_swap_of_the_missing_duration_hedges_in_full():
     """Flat 3 % a year: half of 1,100 in 10-year bonds, 1,200 owed in 15 years. Macaulay's duration
     of a 20-year bond at par is (1 + y) / y (1 - (1 + y)^-20), 15.32 years: 815.7 of it close the
