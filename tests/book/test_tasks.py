@@ -146,6 +146,7 @@ def test_a_market_replaces_that_of_its_contracts(tmp_path):
         read_book(file)
 
 
+@pytest.mark.prove
 def test_axes_make_a_grid_of_contracts(tmp_path):
     """Two axes of two and three values: six contracts, each with the values as labels."""
     file = write_book(tmp_path, ONE, stresses="")

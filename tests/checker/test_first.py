@@ -161,6 +161,7 @@ def test_what_is_right_has_no_finding(kind):
     assert not len(simulator_mistakes(kind(), INPUTS)), str(simulator_mistakes(kind(), INPUTS))
 
 
+@pytest.mark.prove
 def test_a_lost_derivative_is_named_with_its_line():
     for findings in (simulator_mistakes(Floor(), INPUTS), check(Floor(), INPUTS)):
         found = [each for each in findings.warnings if "Its derivative is lost" in each.subject]

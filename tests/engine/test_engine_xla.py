@@ -190,6 +190,7 @@ def test_totals_are_those_of_a_loop_in_numpy():
     np.testing.assert_array_equal(out.record["state"]["x"][1:], outputs["peak"][:-1])
 
 
+@pytest.mark.prove
 def test_recorded_actions_replay_the_same_path(adjoint):
     first = DOUBLE.values(TOY, POLICY, SCHEDULE, DRAWS, SMOOTH, record=("action",))
     actions = first.record["action"]

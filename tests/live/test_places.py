@@ -68,6 +68,7 @@ def storage_values(moved, name):
     return storage_inputs(moved.case)[name].value
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("kind", "size", "simulator"),
     [("inventory", "spare-part", None), ("inventory", "line", None),

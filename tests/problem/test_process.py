@@ -75,6 +75,7 @@ def test_factors_have_their_exact_covariance_over_any_interval():
         assert_allclose(np.log(spots).var(), variance, rtol=0.02)
 
 
+@pytest.mark.prove
 def test_at_time_zero_the_price_is_the_forward_price():
     process = Schwartz((0, 1, 3))
     inputs = type("Inputs", (), {"forward": jnp.array([5.0, 6.0, 7.0])})

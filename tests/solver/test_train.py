@@ -220,6 +220,7 @@ def test_what_a_problem_has_is_not_given_twice():
         snapo.solve(PROBLEM, INPUTS)
 
 
+@pytest.mark.prove
 def test_halfway_of_a_run_that_stopped_early_is_a_trained_policy():
     """It was the untrained one until half of all the steps asked for were done."""
     wild = replace(SHORT, steps=400, learning_rate=0.5, patience=1)

@@ -151,6 +151,7 @@ carry_out(DOMAIN, study([first, killed, alone]), Path(sys.argv[1]), DECIDES, Fal
 """
 
 
+@pytest.mark.prove
 def test_a_killed_run_goes_on(fake, tmp_path):
     done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], timeout=120)
     assert done.returncode == 9

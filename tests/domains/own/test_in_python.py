@@ -28,6 +28,7 @@ def solution() -> snapo.Solution:
     return snapo.solve(problem(Spill), training=TRAINING, evaluation=FEW, engine="xla")
 
 
+@pytest.mark.prove
 def test_a_solution_has_a_report(solution, tmp_path):
     assert solution.report(tmp_path / "x.html") == tmp_path / "x.html"
     page = (tmp_path / "x.html").read_text()

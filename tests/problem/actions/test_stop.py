@@ -42,6 +42,7 @@ def test_the_chance_that_a_right_is_left():
     assert float(Stop(rights=2).left(right)) == pytest.approx(0.38 + 2 * 0.42, rel=1e-6)
 
 
+@pytest.mark.prove
 def test_training_can_come_back_from_a_hazard_that_has_nearly_vanished():
     """Ten widths further down the slope is a thousandth, where a logistic curve's is e^-10 of it."""
     hot = Smooth(np.float64(0.02))

@@ -172,6 +172,7 @@ class Sale(Once):
         return state, {"cash": sold * jnp.exp(0.1 * noise[0] - 0.005)}
 
 
+@pytest.mark.prove
 def test_at_a_kink_the_range_of_both_sides_is_reported():
     """One unit more of either is worth nothing, one unit less one: any share is a derivative."""
     inputs = {"stock": snapo.Input(10.0), "room": snapo.Input(10.0), "none": snapo.Input(0.0)}

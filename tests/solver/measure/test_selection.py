@@ -105,6 +105,7 @@ def worse_than(problem, policy, start) -> bool:
     return difference.value < -2 * difference.standard_error
 
 
+@pytest.mark.prove
 def test_an_exact_rule_is_not_given_away(problem):
     """Training can only make it worse; the highest of thirteen noisy values is not it."""
     start = rule(V / (V + W))

@@ -65,6 +65,7 @@ def test_gilts_fall_with_the_swaps_that_they_back(gilts, cash, swap, rise):
     assert found.headroom == pytest.approx(1e4 * rise, rel=1e-9)
 
 
+@pytest.mark.prove
 def test_par_swaps_lose_what_their_payments_do():
     """A 20-year bond at par pays exp(0.03) - 1 a year."""
     one, years = fund(30.0, 10.0, 50.0, ()), np.arange(1, 21)

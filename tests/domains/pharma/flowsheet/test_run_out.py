@@ -45,6 +45,7 @@ def zero_order(start=(1.0, 1.0), seconds=3000.0, dose=None):
     return Process(case(tuple(feeds), (unit,), ports, wanted, network=found, numerics=PLAIN))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("start", [(1.0, 1.0), (1.4, 1.0)])
 def test_what_has_run_out_stays_at_zero(start):
     """c = max(c_0 - k t, 0): before the end, at four fifths of it, and long after."""
