@@ -481,7 +481,7 @@ def effects_on(html: str) -> str:
 
 
 @pytest.mark.prove
-def test_personal_pots_take_the_place_of_parts_that_are_of_rights(folder):
+def test_personal_pots_take_the_place_of_parts_that_are_of_rights(drawn):
     cohort = {"name": "Pensioners", "pot": 1.02e8, "earned": 11800.0, "pension": 11817.0}
     cohort |= {"horizon": [11655.0, 12117.0, 12659.0], "of_salary": None, "volatility": 0.0153}
     pots = {
@@ -494,7 +494,7 @@ def test_personal_pots_take_the_place_of_parts_that_are_of_rights(folder):
     }  # fmt: skip
     details = deepcopy(sample()) | {"personal": True, "pots": pots}
     details["objective"] |= {"output": "pension"}
-    html = written(folder, details)
+    html = written(drawn, details)
     headings = re.findall(r'<section id="([^"]+)"', html)
     assert not {"funding", "attribution", "variance", "frontier"} & set(headings)
     assert "Certainty-equivalent pension" in html and "P(F &lt; 1)" not in html
