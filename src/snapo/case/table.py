@@ -112,6 +112,10 @@ class TableContext:
         """A mistake in the value of `key`."""
         return CaseError(str(self.file), f"{self.name}.{key}", value, allowed)
 
+    def nested(self, table: "type[AnyTable]", data: Any, key: str) -> "AnyTable":
+        """The table in this one that `key` names, checked as by `parse`."""
+        return parse(table, data, str(self.file), f"{self.name}.{key}", self.notes)
+
 
 def keys_of(name: str) -> tuple[str | int, ...]:
     """The keys that lead to a table of this name: "place[1].demand" is ("place", 1, "demand")."""

@@ -1,6 +1,7 @@
 """Each command: calls `snapo.study.commands`, prints the answer, and gives the exit code."""
 
 import argparse
+import errno
 import gc
 import json
 import signal
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from snapo.engine import Workers
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+FAULTS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of a disk, not of a name
 
 
 def run(options: argparse.Namespace) -> int:
@@ -53,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
         say(f"snapo: {error}")
         answer, text, code = {"status": "bad-input", "message": str(error)}, "", BAD_INPUT
     except OSError as error:
-        if error.filename is None:  # no file that somebody named
+        if error.filename is None or error.errno in FAULTS:  # no name that somebody gave
             raise
         message = f"{error.filename}: {error.strerror}"
         say(f"snapo: {message}")

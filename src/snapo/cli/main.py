@@ -8,8 +8,16 @@ from pathlib import Path
 
 from snapo import __version__
 
-from .arguments import even_number, port, seed, seeds, shard, simulator_class, whole_number
-from .past import add_backtest, add_calibrate
+from .arguments import (
+    add_past,
+    even_number,
+    port,
+    seed,
+    seeds,
+    shard,
+    simulator_class,
+    whole_number,
+)  # fmt: skip
 
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
@@ -66,8 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_book,
         _add_sweep,
         _add_certify,
-        add_calibrate,
-        add_backtest,
+        add_past,
         _add_report,
         _add_export,
         _add_open,

@@ -21,6 +21,9 @@ from .domain import Domain, Loaded, Options, RunsCode
 from .run_folder import CASE, differences
 from .runs.origin import origin
 
+# Options of `snapo solve`, the part of a study that each asks for, and the noun of its message.
+OPTIONAL = ("ladder", "methods", "methods to compare"), ("hedge", "hedge", "hedge to simulate")
+
 if TYPE_CHECKING:
     from snapo.engine import Workers
 
@@ -153,15 +156,10 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
         requested.engine, requested.reference, about, requested.ladder, requested.hedge
     )
     study = _with_notes(loaded.domain.study(loaded.case, request), loaded.case.notes)
-    if requested.ladder:
-        from .chapters.ladder import METHODS
-
-        if METHODS.name not in (part.name for part in study.parts):
-            message = f'a case of kind "{loaded.domain.kind}" has no methods to compare'
-            raise CaseError("--ladder", "", None, message)
-    if requested.hedge and "hedge" not in (part.name for part in study.parts):
-        message = f'a case of kind "{loaded.domain.kind}" has no hedge to simulate'
-        raise CaseError("--hedge", "", None, message)
+    for option, part, noun in OPTIONAL:
+        if getattr(requested, option) and part not in (item.name for item in study.parts):
+            message = f'a case of kind "{loaded.domain.kind}" has no {noun}'
+            raise CaseError(f"--{option}", "", None, message)
     if values is not None:
         from .initial_policy import begun_with
 

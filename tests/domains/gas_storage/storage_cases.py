@@ -18,6 +18,12 @@ from snapo.problem.simulator import probe
 from snapo.study.study import Setup
 
 CASES = Path(__file__).parent / "cases"
+# The slow store of G6 for two months and a few paths: a whole run in seconds.
+SMALL = (
+    "contract.end=2009-06-05", "contract.max_inventory=8.0", "training.steps=2",
+    "training.paths=32", "evaluation.paths=256", "evaluation.sensitivity_paths=64",
+    "evaluation.judge_paths=0",
+)  # fmt: skip
 
 
 def read_case(path: Path) -> StorageCase:
@@ -43,6 +49,14 @@ def tables_of(folder: Path, **tables: dict[str, Any]) -> tuple[Path, dict[str, A
         for key in [key for key, value in given.items() if value is None]:
             del given[key]
     return file, data
+
+
+def with_table(name: str, text: str, folder: Path) -> Path:
+    """A folder with a case of this one, and the text of one more table."""
+    folder.mkdir()
+    (folder / "curve.csv").write_text((CASES / name / "curve.csv").read_text())
+    (folder / "case.toml").write_text((CASES / name / "case.toml").read_text() + f"\n{text}\n")
+    return folder
 
 
 def bare(case: StorageCase):

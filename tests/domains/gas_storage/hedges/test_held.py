@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from tests.domains.gas_storage.storage_cases import CASES, read
+from tests.domains.gas_storage.storage_cases import SMALL, read, with_table
 
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.chapters import hedge
@@ -147,22 +147,11 @@ def test_prices_without_a_curve_on_paths_have_no_hedge():
     assert isinstance(block, Text) and result.reason in block.text
 
 
-SMALL = (
-    "contract.end=2009-06-05", "contract.max_inventory=8.0", "training.steps=2",
-    "training.paths=32", "evaluation.paths=256", "evaluation.sensitivity_paths=64",
-    "evaluation.judge_paths=0",
-)  # fmt: skip
-
-
 @pytest.mark.prove
 def test_a_run_simulates_its_hedges(tmp_path):
     """CSV, JSON and report; the full set of products removes most of the variance, and means differ
     from the value by their errors."""
-    case, out = tmp_path / "case", tmp_path / "out"
-    case.mkdir()
-    (case / "curve.csv").write_text((CASES / "G6" / "curve.csv").read_text())
-    text = (CASES / "G6" / "case.toml").read_text()
-    (case / "case.toml").write_text(f"{text}\n[hedge]\npaths = 2048\n")
+    case, out = with_table("G6", "[hedge]\npaths = 2048", tmp_path / "case"), tmp_path / "out"
     printed: list[str] = []
     result = commands.solve(CaseRequest(case, SMALL), printed.append, out=out, hedge=True)
     table = json.loads((out / "parts" / "hedge.json").read_text())["hedge"]

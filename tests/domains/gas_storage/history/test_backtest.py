@@ -112,7 +112,7 @@ def test_curves_of_the_model_change_no_decision(ledger, runs, paths):
     # Marked to the curve: cash so far and what is to come; at first it is what is expected.
     assert often.marks[0].expected == pytest.approx(often.expected, rel=1e-12)
     for mark in often.marks:
-        assert mark.expected + 3 * mark.error > mark.intrinsic
+        assert mark.expected + 3 * mark.standard_error > mark.intrinsic
     assert often.cash.sum() == pytest.approx(often.realised, abs=1e-9)  # nothing is left
     assert often.rolling is not None and often.marks[0].intrinsic <= often.expected
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from tests.domains.gas_storage.storage_cases import CASES, read
+from tests.domains.gas_storage.storage_cases import CASES, SMALL, read, with_table
 
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.ladder.products import TradedProduct, TradedProducts, usual_products
@@ -109,21 +109,13 @@ def test_a_product_opens_and_ends():
     assert product.trades(D(2026, 4, 29)) and not product.trades(D(2026, 4, 30))
 
 
-SMALL = (
-    "contract.end=2009-06-05", "contract.max_inventory=8.0", "training.steps=2",
-    "training.paths=32", "evaluation.paths=256", "evaluation.sensitivity_paths=64",
-    "evaluation.judge_paths=0",
-)  # fmt: skip
-
-
 @pytest.mark.prove
 def test_a_run_compares_methods_and_reports_deltas_by_product(tmp_path):
     """The deltas sum to those by day; the methods are in their order, in CSV, JSON and report."""
-    case, out = tmp_path / "case", tmp_path / "out"
-    case.mkdir()
-    (case / "curve.csv").write_text((CASES / "G6" / "curve.csv").read_text())
-    text = (CASES / "G6" / "case.toml").read_text()
-    (case / "case.toml").write_text(f"{text}\n[products]\nmonths = {{ bid_offer = 0.1 }}\n")
+    case, out = (
+        with_table("G6", "[products]\nmonths = { bid_offer = 0.1 }", tmp_path / "case"),
+        tmp_path / "out",
+    )
     printed: list[str] = []
     commands.solve(CaseRequest(case, SMALL), printed.append, out=out, ladder=True)
     part = json.loads((out / "parts" / "deltas-by-product.json").read_text())

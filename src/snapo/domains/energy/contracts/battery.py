@@ -18,7 +18,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity, Range
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, TableContext
 
 from ...gas_storage.prices.process import use
 from ...gas_storage.read.tables import FileName
@@ -129,14 +129,9 @@ def layout_of(day: bool, term: bool) -> ContractLayout:
 
 def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) -> BatteryContract:
     """The contract; `days`: the local date of each hour."""
-    file, notes = str(where.file), where.notes
-
-    def inner(kind, data, name: str) -> Any:
-        return parse(kind, data, file, f"{where.name}.{name}", notes)
-
-    charge = inner(ChargeTable, table.charge, "charge")
-    discharge = inner(DischargeTable, table.discharge, "discharge")
-    cycles = inner(CyclesTable, table.cycles or {}, "cycles")
+    charge = where.nested(ChargeTable, table.charge, "charge")
+    discharge = where.nested(DischargeTable, table.discharge, "discharge")
+    cycles = where.nested(CyclesTable, table.cycles or {}, "cycles")
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
         raise where.error("stored", stored, f"allowed is at most energy, {energy:g}")

@@ -5,8 +5,8 @@
 
 with least <= q <= most on each day and, over each contract year, at most the annual maximum, and at
 least its minimum where that is firm. I is the month-ahead index, see `gas_storage.prices.index`.
-Source: A. Jaillet, E. Ronn, S. Tompaidis, "Valuation of
-commodity-based swing options", Management Science 50 (2004).
+Source: P. Jaillet, E. Ronn, S. Tompaidis, "Valuation of commodity-based swing options", Management
+Science 50 (2004).
 """
 
 import datetime

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, custom
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import AnyTable, CaseTable, TableContext
 
 from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
 from .swing import SwingContract, layout_of
@@ -78,13 +78,14 @@ def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
         if isinstance(raw, bool) or not isinstance(raw, int | float | str):
             raise key.error(raw, f"allowed is {STRIKES}")
         return STRIKE.read(raw, key)
-    table, unit = key.table, key.filled(PRICE)
-    name = f"{table.name}.{key.name}"
-    index = parse(IndexTable, raw, str(table.file), name, table.notes)
-    parts = {x: getattr(index, x) for x in ("add", "fixing")}
-    return index.model_copy(
-        update={x: None if y is None else replace(y, unit=unit) for x, y in parts.items()}
-    )
+    unit = key.filled(PRICE)
+    return _with_units(key.table.nested(IndexTable, raw, key.name), {"add": unit, "fixing": unit})
+
+
+def _with_units(table: AnyTable, units: dict[str, str]) -> AnyTable:
+    """Numbers of a table within a table do not know the names in their units: they get them."""
+    numbers = {x: replace(y, unit=units[x]) for x, y in table if x in units and y is not None}
+    return table.model_copy(update=numbers)
 
 
 def _short(raw: Any, key: Any) -> CaseInput | str:
@@ -120,20 +121,11 @@ class SwingTable(CaseTable):
 
 def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
     """The contract on its decision days."""
-    annual = None
+    notes, annual, rights = where.notes, None, None
     if table.annual is not None:
-        name = f"{where.name}.annual"
-        annual = parse(AnnualTable, table.annual, str(where.file), name, where.notes)
-    return _made(where, table, annual, days)
-
-
-def _made(
-    where: TableContext, table: SwingTable, annual: AnnualTable | None, days
-) -> SwingContract:
-    notes = where.notes
-    rights = None
+        annual = where.nested(AnnualTable, table.annual, "annual")
     if table.rights is not None:
-        rights = parse(RightsTable, table.rights, str(where.file), f"{where.name}.rights", notes)
+        rights = where.nested(RightsTable, table.rights, "rights")
     daily_max, daily_min = (x.on(days, notes) for x in (table.max_daily, table.min_daily))
     strike, index = table.strike, None
     if isinstance(strike, IndexTable):
@@ -160,7 +152,7 @@ def _made(
     made_up, carried = _banked(where, table)
     banked = made_up is not None or carried is not None
     if banked:
-        _check_bank(where, table, limits, strike, daily_max.used(), last_days)
+        _check_bank(where, table, (made_up, carried), limits, strike, daily_max.used(), last_days)
     limited = limits[0] is not None or limits[1] is not None
     short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
     return SwingContract(  # pyright: ignore[reportCallIssue]
@@ -212,24 +204,22 @@ def _check_promise(
 
 def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None, CarryTable | None]:
     """Both clauses, their numbers with their units."""
-    unit, tables = table.volume_unit, []
-    for kind, key in ((MakeUpTable, "make_up"), (CarryTable, "carry_forward")):
-        raw = getattr(table, key)
-        if raw is None:
-            tables.append(None)
-            continue
-        made = parse(kind, raw, str(where.file), f"{where.name}.{key}", where.notes)
-        units = {"units": unit, "max": unit, "price": f"{table.currency}/{unit}"}
-        numbers = {x: replace(y, unit=units[x]) for x, y in made if x in units}
-        tables.append(made.model_copy(update=numbers))
-    return tables[0], tables[1]
+    unit = table.volume_unit
+    units = {"units": unit, "max": unit, "price": f"{table.currency}/{unit}"}
+    made_up, carried = None, None
+    if table.make_up is not None:
+        made_up = _with_units(where.nested(MakeUpTable, table.make_up, "make_up"), units)
+    if table.carry_forward is not None:
+        read = where.nested(CarryTable, table.carry_forward, "carry_forward")
+        carried = _with_units(read, units)
+    return made_up, carried
 
 
 def _check_bank(
-    where: TableContext, table: SwingTable, limits, strike: CaseInput | None, daily_max, last_days
+    where: TableContext, table: SwingTable, clauses, limits, strike, daily_max, last_days
 ) -> None:
-    """Refuses clauses between contract years without their conditions."""
-    made_up, carried = _banked(where, table)
+    """Refuses clauses between contract years, see `_banked`, without their conditions."""
+    made_up, carried = clauses
     key = "carry_forward" if made_up is None else "make_up"
     if limits[0] is None:
         raise where.error(key, None, "it needs a minimum, annual = { min = 200.0 }")
@@ -273,12 +263,11 @@ def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
     if annual is None:
         return None, None
     unit = f"{table.volume_unit}/year"
-    annual_min = replace(annual.min, unit=unit)
-    annual_max = None if annual.max is None else replace(annual.max, unit=unit)
-    if annual_max is not None and annual_min.values[0] > annual_max.values[0]:
-        message = f"allowed is at most annual.max, {annual_max.values[0]:g}"
-        raise where.error("annual.min", float(annual_min.values[0]), message)
-    return annual_min, annual_max
+    limits = _with_units(annual, {"min": unit, "max": unit})
+    if limits.max is not None and limits.min.values[0] > limits.max.values[0]:
+        message = f"allowed is at most annual.max, {limits.max.values[0]:g}"
+        raise where.error("annual.min", float(limits.min.values[0]), message)
+    return limits.min, limits.max
 
 
 def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:

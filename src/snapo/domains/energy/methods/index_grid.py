@@ -27,7 +27,7 @@ TODAY = 15  # Gauss-Hermite nodes of g on the first date
 
 class IndexTransition(NamedTuple):
     """From the nodes of a date to those of the next: `fast` [from, to] weights of f; `read`
-    [from, to] those of g' = f, where g is renewed; `columns` [g] nodes of g before."""
+    [from, to] those of g' = f, where g is renewed; `nodes`: how many of g there are before."""
 
     fast: np.ndarray
     read: np.ndarray | None

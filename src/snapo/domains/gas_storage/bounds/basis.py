@@ -176,10 +176,8 @@ class PolynomialBasis:
         numbers = self._alive, self._moving, self._moving[after], self._turn[after]
         numbers += self._level_variance * bool(self.common), np.arange(dates) == dates - 1
         rows = np.hstack([np.reshape(x, (dates, -1)) for x in numbers])
-        first, same = np.unique(rows.round(SAME), axis=0, return_index=True, return_inverse=True)[
-            1:
-        ]
-        return first[same.ravel()]
+        result = np.unique(rows.round(SAME), axis=0, return_index=True, return_inverse=True)
+        return result[1][result[2].ravel()]
 
     def key(self) -> tuple:
         """Equal for bases with the same functions of the same factors."""

@@ -4,6 +4,8 @@ import datetime
 import re
 from collections.abc import Callable
 
+from snapo.case.csv import Row
+
 ONE = datetime.timedelta(1)
 NAMES = (
     "a day, 2026-01-15, 'weekend 2026-01-17', a month, 2026-01, a quarter, 2026-Q1, a season, "
@@ -59,3 +61,14 @@ def delivery(name: str) -> tuple[datetime.date, datetime.date]:
                 raise ValueError("the last day is before the first one")
             return first, last
     raise ValueError(f"a product is {NAMES}")
+
+
+def delivery_of(row: Row) -> tuple[datetime.date, datetime.date]:
+    """The first and the last day of the product of a row, written as its table writes dates.
+
+    **Raises:** `CaseError` where there is no such product.
+    """
+    try:
+        return delivery(row.label("product"))
+    except ValueError as error:
+        raise row.error("product", str(error)) from None

@@ -14,7 +14,6 @@ simulated inside a path. The part with the mean volumes of all paths is known an
 The exposure to factor k is the same sum with the sensitivity of ln F_{t+1}(d) to it as a weight.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,6 +23,8 @@ from itertools import product
 import numpy as np
 from numpy.polynomial.hermite_e import hermevander
 from numpy.polynomial.legendre import legvander
+
+from snapo.lanes.machine.threads import cores
 
 from ..bounds.basis import gaussian_basis
 from ..ladder.forwards import PathCurves
@@ -174,7 +175,7 @@ class FittedExposures:
                 for design, targets in _targets(part, volumes, functions, products)
             ]
 
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             parts = list(pool.map(moments, paths.blocks))
         steps = []
         for step in zip(*parts, strict=True):

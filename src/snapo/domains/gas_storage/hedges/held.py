@@ -13,6 +13,8 @@ from ..ladder.products import BALANCE, DAY_AHEAD, ONE, TradedProducts
 from ..ladder.rolling import TradeBlock
 from . import MIN_VARIANCE, DailyHedge
 
+BY_DAY = "by day"  # the family of a static hedge of each day
+
 
 class HeldProduct(NamedTuple):
     """A product of a hedge with its days, and the key of [products] that it is of."""
@@ -111,6 +113,3 @@ def by_day(horizon: int, first: int) -> HeldProducts:
     """Each day after step `first` as if it were a product without a spread."""
     days = range(first + 1, horizon)
     return tuple(HeldProduct("", TradeBlock(t, t + 1), BY_DAY) for t in days)
-
-
-BY_DAY = "by day"

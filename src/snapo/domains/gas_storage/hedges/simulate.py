@@ -9,7 +9,6 @@ A trade is the difference of h to the day before, b half the spread of its produ
 settled at the spot price, without a spread.
 """
 
-import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +17,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+
+from snapo.lanes.machine.threads import cores
 
 from . import MIN_VARIANCE, DailyHedge
 from .exposures import FittedExposures, StorePaths, sensitivities
@@ -85,7 +86,7 @@ class DailyHedges:
         def gains(part: StorePaths) -> list[HedgeGains]:
             return self._gains(exposures, rows, part)
 
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             parts = list(pool.map(gains, paths.blocks))
         return [_joined(of) for of in zip(*parts, strict=True)]
 

@@ -30,9 +30,9 @@ class HedgeTable(CaseTable):
     least_variance: list[list[str]] | None = Field(
         None, description=f"{SETS}: the first product of each, with the least variance of a day"
     )
-    paths: Annotated[int, Range(256, 1 << 20, note=": simulated; as many again fit exposures")] = (
-        PATHS
-    )
+    paths: Annotated[
+        int, Range(256, 1 << 20, note=": simulated; twice as many fit the exposures")
+    ] = PATHS
 
 
 class Hedges(NamedTuple):

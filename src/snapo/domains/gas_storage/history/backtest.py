@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from ..ladder.store import FlatStore
 from ..policy.network import StoragePolicy
 from ..references.intrinsic import intrinsic
 from .observed import ObservedMarket, read_observed
-from .rule import DatedRule, decided, drawn_spots, end_money, followed, solved_on
+from .rule import DatedRule, RuleCash, decided, drawn_spots, end_money, followed, solved_on
 
 FOLDER, DAYS, SOLUTIONS = "backtest", "days.csv", "solutions.csv"
 EVERY = 30  # days from one solution to the next one
@@ -37,7 +37,7 @@ class MarkedPosition:
     """A solution, and the position marked to the curve of its date.
 
     - `date`, `inventory`; `cash`: realised so far, discounted to the first valuation date.
-    - `expected`, `error`: of the money of the rest of the contract, on paths of the model
+    - `expected`, `standard_error`: of the money of the rest of the contract, on paths of the model
       around the curve of the date; `intrinsic`: by the best fixed plan; all discounted to the
       same date.
     """
@@ -46,7 +46,7 @@ class MarkedPosition:
     inventory: float
     cash: float
     expected: float
-    error: float
+    standard_error: float
     intrinsic: float
 
 
@@ -141,7 +141,7 @@ def run_backtest(
     spots = np.array([observed.spot(day) for day in days])
     curved = observed.has_curve(valuation)
     rule = _on(file, data, ledger, observed, valuation, None) if curved else ledger
-    drawn = followed(rule, drawn_spots(rule.problem, PATHS, ledger.case.training.seed))
+    drawn = _drawn(rule)
     schedule = ledger.problem.schedule
     level, rows, marks, started = np.full(1, float(schedule.constants.inventory)), [], [], 0
     discount = np.asarray(schedule.steps.flow_discount)
@@ -152,7 +152,9 @@ def run_backtest(
             rule, started = _on(file, data, ledger, observed, day, float(level[0])), t
             state = rule.initial_factors(1)
         if t == started:
-            marks.append(_mark(rule, day, float(level[0]), cash, float(discount[t]) if t else 1.0))
+            money = _drawn(rule).money if t else drawn.money
+            amounts = float(level[0]), cash, float(discount[t]) if t else 1.0
+            marks.append(_mark(rule, day, money, *amounts))
         row = decided(rule, t - started, ledger.problem, t, level, state, spots[t : t + 1])
         level, state = row.inventory, row.factors
         cash += float(row.cash[0])
@@ -196,10 +198,20 @@ def _on(
     return solved_on(file, data, day, inventory, curve, ledger.policy)
 
 
+def _drawn(rule: DatedRule) -> RuleCash:
+    """The rule on histories that its model draws."""
+    return followed(rule, drawn_spots(rule.problem, PATHS, rule.case.training.seed))
+
+
 def _mark(
-    rule: DatedRule, day: datetime.date, inventory: float, cash: float, discount: float
+    rule: DatedRule,
+    day: datetime.date,
+    money: np.ndarray,
+    inventory: float,
+    cash: float,
+    discount: float,
 ) -> MarkedPosition:
-    money = followed(rule, drawn_spots(rule.problem, PATHS, rule.case.training.seed)).money
+    """A solution marked to its curve; `money` [N]: of the rest of the contract on drawn paths."""
     fixed = float(rule.problem.schedule.constants.fixed_costs)
     error = float(money.std(ddof=1) / np.sqrt(PATHS))
     kind = rule.case.contract.ratchets.interpolation
@@ -260,11 +272,10 @@ def _write(folder: Path, result: StoreBacktest) -> None:
         np.cumsum(result.expected_cash),
     )
     names = ("date", "inventory", "cash_so_far", "expected", "standard_error", "intrinsic")
-    marks = ((x.date, x.inventory, x.cash, x.expected, x.error, x.intrinsic) for x in result.marks)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_csv(folder / DAYS, head, zip(*columns))
-        write_csv(folder / SOLUTIONS, names, marks)
+        write_csv(folder / SOLUTIONS, names, map(astuple, result.marks))
     except OSError as error:
         message = f"the folder cannot be written ({error.strerror})"
         raise CaseError(str(folder), "", None, message) from None
@@ -283,17 +294,7 @@ def _answer(result: StoreBacktest) -> dict[str, Any]:
         "share": result.share,
         "rolling_intrinsic": result.rolling,
         "intrinsic": result.marks[0].intrinsic,
-        "solutions": [
-            {
-                "date": mark.date.isoformat(),
-                "inventory": mark.inventory,
-                "cash": mark.cash,
-                "expected": mark.expected,
-                "standard_error": mark.error,
-                "intrinsic": mark.intrinsic,
-            }
-            for mark in result.marks
-        ],
+        "solutions": [asdict(mark) | {"date": mark.date.isoformat()} for mark in result.marks],
     }
 
 

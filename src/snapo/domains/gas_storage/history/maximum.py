@@ -1,8 +1,9 @@
-"""The largest likelihood by Newton's method in plain JAX, and intervals from its curvature.
+"""The largest likelihood by Newton's method from several starts, and intervals from its curvature.
 
-The Hessian is exact. Away from the maximum the absolute values of its eigenvalues are used, so that
-each step rises (Nocedal and Wright (2006), "Numerical Optimization", section 3.4); a step that does
-not rise is halved. Many histories can be fitted together with `jax.vmap`.
+`maximise` searches from one start in plain JAX, so that many histories can be fitted together with
+`jax.vmap`; `fit` takes the best of several starts for one. The Hessian is exact. Away from the
+maximum the absolute values of its eigenvalues are used, so that each step rises (Nocedal and Wright
+(2006), "Numerical Optimization", section 3.4); a step that does not rise is halved.
 """
 
 from collections.abc import Callable

@@ -13,7 +13,7 @@ from snapo.case.csv import FileReference, read_rows, rising_dates
 from snapo.case.error import CaseError
 from snapo.case.table import TableContext
 
-from ..curves.products import delivery
+from ..curves.products import delivery_of
 
 SPOT, CURVES = "spot.csv", "curves.csv"
 
@@ -108,10 +108,7 @@ def read_observed(folder: Path, positive: bool, notes: list[str]) -> ObservedMar
     if (folder / CURVES).exists():
         columns = ("date", "product", "price")
         for row in read_rows(FileReference(section, "curves", CURVES), columns):
-            try:
-                first, last = delivery(row.label("product"))
-            except ValueError as error:
-                raise row.error("product", str(error)) from None
+            first, last = delivery_of(row)
             price = row.number("price", low, allowed=allowed)
             curves.setdefault(row.day("date"), []).append(ForwardQuote(first, last, price))
     spot_days, prices = zip(*spot)

@@ -16,7 +16,7 @@ from snapo.case.error import CaseError, nearest
 from snapo.case.load import load
 from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, optional, parse
 
-from ..curves.products import delivery
+from ..curves.products import delivery_of
 from ..read.tables import DATE, DateKey
 from .kalman import History
 from .model import HistoryModel
@@ -186,10 +186,7 @@ def _months(row: Row) -> dict[str, int]:
 
 
 def _product(row: Row) -> tuple[datetime.date, datetime.date]:
-    try:
-        first, last = delivery(row.label("product"))
-    except ValueError as error:
-        raise row.error("product", str(error)) from None
+    first, last = delivery_of(row)
     if (last - first).days >= LONGEST:
         message = f"allowed is a product of at most {LONGEST} days"
         raise row.error("product", message)
@@ -235,14 +232,9 @@ def _check_amount(section: TableContext, model: HistoryModel, days, prices) -> N
             f"there are {len(prices)} prices on {len(days)} dates; {len(model.names)} parameters "
             f"need at least {FEWEST} dates and {2 * len(model.names)} prices"
         )
-        key = next(k for k in ("spot", "maturities", "quotes") if section_has(prices, k))
+        series = prices[0].series  # the name of its key, or a column of maturities
+        key = series if series in ("spot", "quotes") else "maturities"
         raise section.error(key, None, message)
-
-
-def section_has(prices: Sequence[ObservedPrice], key: str) -> bool:
-    """Whether the first price is of the file of a key of `[history]`."""
-    series = prices[0].series
-    return (series if series in ("spot", "quotes") else "maturities") == key
 
 
 def _check_exact(model: HistoryModel, prices: Sequence[ObservedPrice]) -> None:

@@ -1,11 +1,12 @@
 """The methods of a desk on given paths: intrinsic in products, rolling intrinsic, least squares."""
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+
+from snapo.lanes.machine.threads import cores
 
 from ..bounds.basis import gaussian_basis
 from ..prices.process import GaussianFactors
@@ -57,7 +58,7 @@ class DeskMethods:
             curves, before = PathCurves(factors, self.forward, states), self.products.before
             return rolling(chains, blocks.__getitem__, curves, states.shape[2], before).money
 
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             parts = pool.map(money, range(0, self.states.shape[2], BLOCK))
             return np.concatenate(list(parts))
 

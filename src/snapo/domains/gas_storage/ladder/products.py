@@ -15,13 +15,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, NamedTuple, Self
 
 from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import CaseTable, Range, TableContext, parse
+from snapo.case.table import AnyTable, CaseTable, Range, TableContext, parse
 
 from ..curves.products import ONE, months
 from ..read.tables import FileName
@@ -74,7 +74,6 @@ FORMATS = {
     "products.quarters": FamilyTable,
     "products.seasons": FamilyTable,
 }
-Inner = TypeVar("Inner", bound=CaseTable)
 PERIODS = {"months": (1, 1), "quarters": (3, 1), "seasons": (6, 4)}  # length, first month
 DAY_AHEAD, BALANCE = "day_ahead", "balance_of_month"
 FAMILIES = (DAY_AHEAD, BALANCE, *PERIODS, "others")  # the keys of [products]
@@ -196,9 +195,9 @@ def products_of(
     section = TableContext(file, "products", notes)
     table = parse(ProductsTable, data, str(file), "products", notes)
 
-    def inner(kind: type[Inner], key: str) -> Inner | None:
+    def inner(kind: type[AnyTable], key: str) -> AnyTable | None:
         entry = getattr(table, key)
-        return None if entry is None else parse(kind, entry, str(file), f"products.{key}", notes)
+        return None if entry is None else section.nested(kind, entry, key)
 
     products = []
     for name in PERIODS:

@@ -1,6 +1,5 @@
 """A flowsheet as one differentiable function: from its inputs to its quality attributes."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.engine import Unsupported
+from snapo.lanes.machine.threads import cores
 
 from ..derivatives.mode import of_method
 from ..given import Entry, Form
@@ -245,7 +245,7 @@ class Process:
             call = self._natives[key] = self._xla(key)
             parts = [run(0)]
         # One chunk keeps one core busy: the others run in parallel, now that it is compiled.
-        with ThreadPoolExecutor(os.cpu_count()) as threads:
+        with ThreadPoolExecutor(cores()) as threads:
             for part in threads.map(run, range(chunk, len(draws), chunk)):
                 parts.append(part)
                 say(f"{min(chunk * len(parts), len(draws)):,} of {len(draws):,} batches")
