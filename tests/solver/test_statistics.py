@@ -219,3 +219,12 @@ def test_errors_of_deviation_and_shortfall_are_their_scatter():
     for results in zip(*tries, strict=True):
         scatter = np.std([result.value for result in results])
         assert np.mean([x.standard_error for x in results]) == pytest.approx(scatter, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [(0.0123, "± 0.024"), (2.1, "± 4.1"), (157.0, "± 310"), (35_557.0, "± 70,000")],
+)
+def test_half_of_an_interval_is_written_without_a_power_of_ten(error, text):
+    """It was "± 3.1e+02"."""
+    assert statistics.plus_minus(error) == text

@@ -30,7 +30,7 @@ def half_width(error: float, degrees: float = np.inf) -> float:
 
 def plus_minus(error: float, digits: int = 2, degrees: float = np.inf) -> str:
     """ "± 41": half of the 95 % interval, from a standard error."""
-    return f"± {half_width(error, degrees):,.{digits}g}"
+    return f"± {float(f'{half_width(error, degrees):.{digits}g}'):,.12g}"
 
 
 def with_error(value: float, error: float) -> str:
