@@ -113,3 +113,21 @@ def add_past(commands) -> None:
         type=Path,
         help="folder of the results (default: backtest, next to the case)",
     )
+
+
+def add_explain(commands) -> None:
+    """`snapo explain`."""
+    run = "a run folder, or a case, which stands for its latest run"
+    explain = commands.add_parser(
+        "explain",
+        help="part the change of value between two runs of a gas store into its causes",
+        epilog="snapo explain mystore/runs/2026-11-24T0800-7f3a mystore",
+    )
+    explain.add_argument("first", metavar="RUN_A", type=Path, help=f"the earlier one: {run}")
+    explain.add_argument("second", metavar="RUN_B", type=Path, help=f"the later one: {run}")
+    explain.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder of the results (default: explain, in RUN_B)",
+    )

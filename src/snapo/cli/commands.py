@@ -41,6 +41,7 @@ def run(options: argparse.Namespace) -> int:
         "export": _export,
         "open": _open,
         "compare": _compare,
+        "explain": _explain,
         "runs": _runs,
         "bench": _bench,
         "schema": _schema,
@@ -308,6 +309,15 @@ def _compare(options: argparse.Namespace) -> Answer:
 
     result = compare_all([located(run) for run in options.runs])
     return {"status": "ok", **result.table()}, str(result), OK
+
+
+def _explain(options: argparse.Namespace) -> Answer:
+    from snapo.domains.gas_storage.explain.command import explain
+    from snapo.domains.gas_storage.explain.command import summary as parts
+    from snapo.study.runs.store import located
+
+    result = explain(located(options.first), located(options.second), say, out=options.out)
+    return result, parts(result), OK
 
 
 def _runs(options: argparse.Namespace) -> Answer:

@@ -9,6 +9,7 @@ from pathlib import Path
 from snapo import __version__
 
 from .arguments import (
+    add_explain,
     add_past,
     even_number,
     port,
@@ -79,6 +80,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_export,
         _add_open,
         _add_compare,
+        add_explain,
         _add_runs,
         _add_bench,
         _add_schema,

@@ -67,6 +67,44 @@ def ladder(axes: "Axes", bars: Sequence[LadderBar]) -> None:
     axes.axvline(0.0, color=LIGHT["other"], linewidth=0.8)
 
 
+def waterfall(
+    axes: "Axes", before: LadderBar, steps: Sequence[LadderBar], now: LadderBar
+) -> None:
+    """From one total to another: horizontal bars, each from where the one above ends.
+
+    The scale shows the totals and the steps between them, and not zero.
+    """
+    from matplotlib.ticker import NullLocator
+
+    bars = [before, *steps, now]
+    ends = before.value + np.cumsum([0.0, *(step.value for step in steps)])
+    reach = float(np.ptp(ends)) or max(abs(before.value), 1.0) * 1e-3
+    low, high = float(ends.min()) - 0.25 * reach, float(ends.max())
+    starts = np.array([low, *ends[:-1], low])
+    stops = np.array([before.value, *ends[1:], now.value])
+    longest = max(len(bar.text) for bar in bars)
+    for row, (bar, start, stop) in enumerate(zip(bars, starts, stops, strict=True)):
+        colour = "main" if bar.strong else "withdraw" if stop >= start else "inject"
+        axes.barh(row, stop - start, left=start, height=0.62, color=LIGHT[colour])
+        right = max(start, stop)
+        if bar.error and not bar.strong:
+            half = INTERVAL * bar.error
+            line = {"ecolor": LIGHT["ink"], "elinewidth": 1.2, "capsize": 3.0}
+            axes.errorbar(stop, row, xerr=half, fmt="none", **line)
+            right = max(right, stop + half)
+        if 0 < row < len(bars) - 1:
+            axes.plot([stop, stop], [row, row + 1], color=LIGHT["other"], linewidth=0.8, zorder=0)
+        weight = "bold" if bar.strong else "normal"
+        axes.text(right + 0.015 * reach, row, bar.text, va="center", fontweight=weight)
+    axes.set_yticks(range(len(bars)), [bar.name for bar in bars])
+    axes.tick_params(axis="y", length=0, labelcolor=LIGHT["ink"])
+    axes.set_ylim(len(bars) - 0.45, -0.55)
+    axes.set_xlim(low, high + reach * (0.1 + 0.022 * longest))
+    axes.xaxis.set_major_locator(NullLocator())
+    axes.grid(False)
+    axes.spines["bottom"].set_visible(False)
+
+
 def lines(axes: "Axes", when: np.ndarray, curves: Sequence[Line], unit: str) -> None:
     """Lines over dates [T]; a gap where a value is not a number."""
     for curve in curves:

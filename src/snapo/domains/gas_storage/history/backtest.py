@@ -107,7 +107,7 @@ def backtest(
     first = solved_on(file, data, None, None, None)
     observed = read_observed(history, first.case.model.proportional, notes)
     if policy is not None:
-        first = replace(first, policy=_trained(policy, first.policy))
+        first = replace(first, policy=trained_policy(policy, first.policy))
     for note in notes:
         progress(f"note: {note}")
     result = run_backtest(file, data, observed, first, every, progress)
@@ -116,7 +116,11 @@ def backtest(
     return _answer(result) | {"folder": folder}
 
 
-def _trained(run: Path, like: StoragePolicy) -> StoragePolicy:
+def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
+    """The trained policy of a run, of the shape of `like`.
+
+    **Raises:** `CaseError` where the run has none of this shape.
+    """
     try:
         policy = load_policy(run / POLICY, Policy, like)
     except (PolicyFileError, OSError) as error:

@@ -1,0 +1,1 @@
+"""The change of value between two runs of a gas store, in parts: `snapo explain`."""

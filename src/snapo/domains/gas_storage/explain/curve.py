@@ -1,0 +1,118 @@
+"""The effect of a move of the forward curve, to first and second order, by delivery period.
+
+With the decisions held the cash of a day is linear in its forward price. So the cash of the new
+curve with the decisions of the old one, less that of the old curve, is delta times move: X. With
+the decisions of the new curve it is the delta of the new curve times the move: Y. Then
+
+    first order X,   second order (Y - X) / 2,
+
+and X + (Y - X) / 2 is the trapezoidal rule for the integral of delta along the move.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.problem.policy import Policy
+from snapo.problem.smooth import Exact
+from snapo.solver import statistics
+from snapo.solver.adjoint import float64
+from snapo.solver.evaluate import of_groups, value_of_groups
+from snapo.study.study import Setup
+
+from ..setup import OUTPUT
+
+CHUNK = 2048  # paths in one call of an engine: every output of every day is recorded
+
+
+class Period(NamedTuple):
+    """A delivery period: the days from `first` to `after`, not included."""
+
+    name: str
+    first: int
+    after: int
+
+
+class PeriodEffect(NamedTuple):
+    """First and second order of one period, each with its standard error."""
+
+    first: float
+    first_error: float
+    second: float
+    second_error: float
+
+
+class CurveEffect(NamedTuple):
+    """By period; `before`, `after` [G]: shares of groups of paths in the values at both curves;
+    `error`: of the part of their difference that is beyond the second order."""
+
+    periods: tuple[PeriodEffect, ...]
+    before: np.ndarray
+    after: np.ndarray
+    error: float
+
+
+def curve_effect(
+    before: Setup, after: Setup, policy: Policy, periods: Sequence[Period]
+) -> CurveEffect:
+    """The effect of the curve of `after` against that of `before`, which are the same otherwise.
+
+    The last period has the value of the gas left on the end date too.
+    """
+    problems = before.problem, after.problem
+    engines = [setup.engines.evaluate.bind(setup.problem) for setup in (before, after)]
+    simulator, source = problems[0].simulator, problems[0].sources.evaluation
+    paths = source.available(before.evaluation.paths)
+    days = np.zeros((len(periods), simulator.horizon))
+    for row, period in zip(days, periods, strict=True):
+        row[period.first : period.after] = 1.0
+    moved = np.zeros((2, len(periods), paths))
+    totals: list[dict[str, np.ndarray]] = [{}, {}]
+    for block in source.blocks(paths, max(1, -(-paths // CHUNK))):
+        draws = source.draws(block, simulator)
+        for k in range(2):
+            kind = ("action", "outputs")
+            local = engines[k].values(policy, draws, Exact(), record=kind)
+            actions = local.record["action"]
+            other = engines[1 - k].values(
+                None, draws, Exact(), actions=actions, record=("outputs",)
+            )
+            sign = 1.0 if k == 0 else -1.0
+            moved[k][:, block] = sign * (_by_period(other, days) - _by_period(local, days))
+            for name, total in float64(local.totals).items():
+                totals[k].setdefault(name, np.full(paths, np.nan))[block] = total
+    values = [
+        value_of_groups(p.objective, total, source, p.simulator.control_variates())
+        for p, total in zip(problems, totals, strict=True)
+    ]
+    orders = np.array([
+        [_controlled(p, total, source, x) for x in rows]
+        for p, total, rows in zip(problems, totals, moved, strict=True)
+    ])  # fmt: skip
+    mean = orders.mean(axis=0)
+    result = []
+    for x, y in zip(*orders, strict=True):
+        first, second = statistics.of_shares(x), statistics.of_shares((y - x) / 2)
+        result.append(PeriodEffect(*first[:2], *second[:2]))
+    left = statistics.of_shares(values[1] - values[0] - mean.sum(axis=0))
+    return CurveEffect(tuple(result), *values, left.standard_error)
+
+
+def _by_period(rollout, days: np.ndarray) -> np.ndarray:
+    """[P, N] the cash of each period."""
+    cash = np.asarray(rollout.record["outputs"][OUTPUT], np.float64)
+    result = days @ cash
+    result[-1] += np.asarray(rollout.totals[OUTPUT], np.float64) - cash.sum(axis=0)
+    return result
+
+
+def _controlled(problem, totals, source, values: np.ndarray) -> np.ndarray:
+    """[G] shares of groups in the mean of values, with the control variates of the problem."""
+    objective = problem.objective
+    controls = [
+        of_groups(objective, totals, source, totals[name])
+        for name in problem.simulator.control_variates()
+    ]
+    plain = of_groups(objective, totals, source, values)
+    return statistics.controlled(plain, controls)[0]

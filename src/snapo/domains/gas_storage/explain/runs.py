@@ -1,0 +1,158 @@
+"""The two runs of an explained change, and the first one valued on the date of the second."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.problem.scenarios import Pseudo, Scenarios
+from snapo.problem.simulator import Simulator
+from snapo.report.checksums import changed_files
+from snapo.report.folder import RunResult
+from snapo.solver import checkpoint
+from snapo.solver.solution import POLICY, SOLUTION
+from snapo.study import run_folder
+from snapo.study.prepare import case_of_run
+
+from ..contract.records import StorageCase
+from ..read.case import read_case
+
+KIND = StorageCase.kind
+
+
+@dataclass(frozen=True, eq=False)
+class ValuedRun:
+    """A run that came to its end: its case, and the value in its result.json.
+
+    - `shares` [G]: of independent groups of paths in the value, None where they are not saved.
+    """
+
+    folder: Path
+    file: Path
+    data: Mapping[str, Any]
+    case: StorageCase
+    engine: Any
+    value: float
+    error: float
+    shares: np.ndarray | None
+
+    @classmethod
+    def read(cls, folder: Path) -> "ValuedRun":
+        """The run in a folder.
+
+        **Raises:** `CaseError` where it is not one of a gas store with a value, or was changed.
+        """
+        record = run_folder.read(folder)
+        if record["kind"] != KIND:
+            message = f'a change is explained between runs of kind "{KIND}"'
+            raise CaseError(str(folder), "kind", record["kind"], message)
+        run_folder.check_whole(folder, record, (POLICY, SOLUTION, run_folder.GROUPS))
+        if changed_files(folder, {run_folder.RESULT: record.get("result")}):
+            message = "this file was changed since it was written: solve with --resume again"
+            raise CaseError(str(folder / run_folder.RESULT), "", None, message)
+        result = RunResult.read(folder)
+        if result.value is None or result.standard_error is None:
+            message = "this run has no value with an error: solve its case again"
+            raise CaseError(str(folder), "", None, message)
+        file, data = case_of_run(folder, record)
+        case = read_case(file, data)
+        engine = record["decides"].get("options", {}).get("engine", "auto")
+        numbers = result.value, result.standard_error
+        run = cls(folder, file, data, case, engine, *numbers, _shares(folder))
+        run.check()
+        return run
+
+    def check(self) -> None:
+        """**Raises:** `CaseError` where this run's change has no parts."""
+        case = self.case
+        if not case.days:
+            raise CaseError(str(self.file), "contract.end", case.end, "no day is left to decide")
+        if case.objective.kind != "mean":
+            message = 'a change is explained of a mean: allowed is "mean"'
+            raise CaseError(str(self.file), "objective.kind", case.objective.kind, message)
+        if case.model.sources(0) is not None:
+            message = "the paths of this model are supplied, and cannot move with the market"
+            raise CaseError(str(self.file), "model.kind", case.model.kind, message)
+
+
+def _shares(folder: Path) -> np.ndarray | None:
+    try:
+        return checkpoint.load_named(folder / run_folder.GROUPS)[0]["groups",]
+    except (checkpoint.CheckpointError, KeyError):
+        return None
+
+
+def check_pair(first: ValuedRun, second: ValuedRun) -> None:
+    """**Raises:** `CaseError` where the second run cannot follow the first one."""
+    one, other = first.case, second.case
+    if other.valuation_date < one.valuation_date:
+        message = f"it is before that of {first.folder}, {one.valuation_date}: name the runs in "
+        date = other.valuation_date
+        raise CaseError(str(second.file), "market.valuation_date", date, message + "their order")
+    for key in ("currency", "volume_unit"):
+        if getattr(one, key) != getattr(other, key):
+            message = f"{first.folder} has {getattr(one, key)!r}: allowed is the same unit"
+            raise CaseError(str(second.file), key, getattr(other, key), message)
+    if not set(other.days) <= set(one.days) or one.end != other.end:
+        span = f"{one.days[0]} to {one.days[-1]}"
+        message = f"the decision days of {first.folder}, {span}, do not end with those of this case"
+        raise CaseError(str(second.file), "contract", None, message)
+
+
+def on_date_of(first: ValuedRun, second: ValuedRun, inventory: float) -> StorageCase:
+    """The case of the first run on the valuation date of the second one, with `inventory` in store.
+
+    Its prices, model, rates and terms are those of the first run, day by day; the settings of
+    training and evaluation are those of the second one.
+    """
+    one, other = first.case, second.case
+    contract = dict(first.data["contract"]) | {"inventory": inventory}
+    contract.pop("first_decision", None)
+    if "first_decision" in second.data["contract"]:
+        contract["first_decision"] = second.data["contract"]["first_decision"]
+    market = dict(first.data["market"]) | {"valuation_date": other.valuation_date}
+    case = read_case(first.file, dict(first.data) | {"contract": contract, "market": market})
+    curve = one.market.forward_curve
+    count = len(case.market.forward_curve.values)
+    values = curve.used()[len(curve.index) - count :]
+    case = with_curve(case, values)
+    settings = {name: getattr(other, name) for name in ("training", "evaluation", "objective")}
+    return replace(case, **settings)
+
+
+def with_curve(case: StorageCase, prices: np.ndarray) -> StorageCase:
+    """The case with these forward prices, for each of its days."""
+    curve = replace(case.market.forward_curve, values=prices, index=np.arange(len(prices)))
+    model: Any = case.model
+    model = eqx.tree_at(lambda x: x.delivery.curve, model, curve)
+    return replace(case, market=replace(case.market, forward_curve=curve), model=model)
+
+
+@dataclass(frozen=True)
+class LaterPaths(Pseudo):
+    """The paths of a simulator of an earlier date: the noise of each day is the same.
+
+    - `first`: the step of the earlier calendar at which a simulator of the later date begins.
+    """
+
+    first: int = 0
+
+    def draws(self, paths: np.ndarray, simulator: Simulator):
+        begins_later = 0 < simulator.first_step <= simulator.initial_steps
+        return self.counter(paths, self.first, simulator.initial_steps if begins_later else 0)
+
+
+def later_paths(
+    source: Scenarios, earlier: Simulator, later: Simulator, passed: int
+) -> LaterPaths | None:
+    """The paths of `earlier` after the first `passed` of its days; None where no shift gives
+    them."""
+    if type(source) is not Pseudo:
+        return None
+    starts = [x.first_step if x.first_step <= x.initial_steps else 0 for x in (earlier, later)]
+    first = starts[0] + passed
+    return LaterPaths(source.seed, source.antithetic, source.stream, max(first, starts[1]))
