@@ -67,9 +67,7 @@ def ladder(axes: "Axes", bars: Sequence[LadderBar]) -> None:
     axes.axvline(0.0, color=LIGHT["other"], linewidth=0.8)
 
 
-def waterfall(
-    axes: "Axes", before: LadderBar, steps: Sequence[LadderBar], now: LadderBar
-) -> None:
+def waterfall(axes: "Axes", before: LadderBar, steps: Sequence[LadderBar], now: LadderBar) -> None:
     """From one total to another: horizontal bars, each from where the one above ends.
 
     The scale shows the totals and the steps between them, and not zero.

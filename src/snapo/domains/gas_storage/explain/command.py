@@ -12,7 +12,7 @@ from snapo.solver.tables import write_csv, write_text
 from snapo.study.prepare import use_every_core
 from snapo.study.run_folder import plain_json
 
-from .page import page, totals
+from .page import page
 from .parts import ChangePart, ExplainedChange, explained_change
 from .runs import ValuedRun
 
@@ -35,11 +35,9 @@ def explain(first: Path, second: Path, progress, *, out: Path | None = None) -> 
     try:
         folder.mkdir(parents=True, exist_ok=True)
         head = ("part", "period", "amount", "standard_error", "note")
-        rows = ([getattr(row, name) for name in head] for row in change.parts)
-        write_csv(folder / PARTS, head, ([_cell(x) for x in row] for row in rows))
+        write_csv(folder / PARTS, head, _cells(head, change.parts))
         head = ("period", "days", "move", "delta")
-        rows = ([getattr(row, name) for name in head] for row in change.moves)
-        write_csv(folder / MOVES, head, ([_cell(x) for x in row] for row in rows))
+        write_csv(folder / MOVES, head, _cells(head, change.moves))
         write_text(folder / RESULT, json.dumps(plain_json(answer), indent=1))
         write_text(folder / REPORT, page(change))
     except OSError as error:
@@ -48,11 +46,10 @@ def explain(first: Path, second: Path, progress, *, out: Path | None = None) -> 
     return answer | {"folder": folder}
 
 
-def _cell(value: Any) -> Any:
-    """A text that holds commas in quotes; nothing for None."""
-    if isinstance(value, str) and "," in value:
-        return f'"{value}"'
-    return "" if value is None else value
+def _cells(names: Sequence[str], records: Sequence[Any]) -> Iterator[list[Any]]:
+    for record in records:
+        values = [getattr(record, name) for name in names]
+        yield ["" if value is None else value for value in values]
 
 
 def _answer(change: ExplainedChange) -> dict[str, Any]:
@@ -67,6 +64,7 @@ def _answer(change: ExplainedChange) -> dict[str, Any]:
         "cash": change.cash,
         "profit": change.profit,
         "parts": [asdict(row) for row in change.parts],
+        "totals": [asdict(row) for row in change.totals],
         "curve": [asdict(row) for row in change.moves],
         "flows": [flow._asdict() for flow in change.flows],
         "paths": change.paths,
@@ -91,10 +89,10 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
         return f"{name:<26}{amount:>{width},.{digits}f} {half:<11} {note}".rstrip()
 
     yield f"{answer['currency']}; ± is half of a 95 % interval, on {answer['paths']:,} paths"
-    yield line(f"value on {before}", *_value(answer, 0))
-    for total in totals(rows, digits):
+    yield line(f"value before, {before}", *_value(answer, 0))
+    for total in (ChangePart(**row) for row in answer["totals"]):
         yield line(f"  {total.part}", total.amount, total.standard_error, total.note)
-    yield line(f"value on {now}", *_value(answer, 1))
+    yield line(f"value now, {now}", *_value(answer, 1))
     yield line("change of value", answer["change"])
     if answer["cash"] or answer["flows"]:
         yield line("profit and loss", answer["profit"], None, "change of value and cash")

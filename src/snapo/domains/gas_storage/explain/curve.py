@@ -44,10 +44,14 @@ class PeriodEffect(NamedTuple):
 
 
 class CurveEffect(NamedTuple):
-    """By period; `before`, `after` [G]: shares of groups of paths in the values at both curves;
-    `error`: of the part of their difference that is beyond the second order."""
+    """By period, and in total.
+
+    - `before`, `after` [G]: shares of groups of paths in the values at both curves.
+    - `error`: of the part of their difference that is beyond the second order.
+    """
 
     periods: tuple[PeriodEffect, ...]
+    total: PeriodEffect
     before: np.ndarray
     after: np.ndarray
     error: float
@@ -91,12 +95,16 @@ def curve_effect(
         for p, total, rows in zip(problems, totals, moved, strict=True)
     ])  # fmt: skip
     mean = orders.mean(axis=0)
-    result = []
-    for x, y in zip(*orders, strict=True):
-        first, second = statistics.of_shares(x), statistics.of_shares((y - x) / 2)
-        result.append(PeriodEffect(*first[:2], *second[:2]))
+    effects = tuple(_orders(x, y) for x, y in zip(*orders, strict=True))
     left = statistics.of_shares(values[1] - values[0] - mean.sum(axis=0))
-    return CurveEffect(tuple(result), *values, left.standard_error)
+    total = _orders(*orders.sum(axis=1))
+    return CurveEffect(effects, total, *values, left.standard_error)
+
+
+def _orders(old: np.ndarray, new: np.ndarray) -> PeriodEffect:
+    """First and second order from shares [G] of delta times move at both curves."""
+    first, second = statistics.of_shares(old), statistics.of_shares((new - old) / 2)
+    return PeriodEffect(*first[:2], *second[:2])
 
 
 def _by_period(rollout, days: np.ndarray) -> np.ndarray:

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from snapo import __version__
 from snapo.report import charts
 from snapo.report.drawing import draw
@@ -15,8 +13,8 @@ from .parts import CASH, ChangePart, ExplainedChange
 
 CAPTION = (
     "From the value of the first run at the top to that of the second one at the bottom. Each bar "
-    "begins where the one above ends; the numbers add up to the change. The scale does not begin at "
-    "zero."
+    "begins where the one above ends; the numbers add up to the change. The scale does not begin "
+    "at zero."
 )
 METHOD = (
     "Each part is a revaluation with all parts above it in place, on the same paths. Decisions are "
@@ -27,19 +25,6 @@ ORDERS = (
     "First order is delta times move with the decisions of the old curve. Second order is half of "
     "the change in delta times the move, which includes cross effects between periods."
 )
-
-
-def totals(rows: Sequence[ChangePart], digits: int) -> list[ChangePart]:
-    """One row for each part: the periods of a part are summed, with the error of their sum if they
-    were independent."""
-    result = []
-    for part in dict.fromkeys(row.part for row in rows):
-        same = [row for row in rows if row.part == part]
-        amount = round(sum(row.amount for row in same), digits) + 0.0
-        errors = [row.standard_error for row in same if row.standard_error is not None]
-        error = float(np.sqrt(np.sum(np.square(errors)))) if errors else None
-        result.append(ChangePart(part, "", amount, error, same[0].note))
-    return result
 
 
 def page(change: ExplainedChange) -> str:
@@ -57,7 +42,7 @@ def page(change: ExplainedChange) -> str:
 
 
 def _parts(change: ExplainedChange) -> Section:
-    digits, rows = change.digits, totals(change.parts, change.digits)
+    digits, rows = change.digits, change.totals
     facts = [
         ("Value before", money(change.values[0], change.currency, digits), change.dates[0]),
         ("Value now", money(change.values[1], change.currency, digits), change.dates[1]),
@@ -92,8 +77,8 @@ def _waterfall(change: ExplainedChange, rows: Sequence[ChangePart]) -> Chart:
         for row in rows
     ]  # fmt: skip
     ends = [
-        (f"Value on {date}", value, number(value, digits))
-        for date, value in zip(change.dates, change.values)
+        (f"{name}, {date}", value, number(value, digits))
+        for name, date, value in zip(("Before", "Now"), change.dates, change.values)
     ]
     before, now = (charts.LadderBar(*end, strong=True) for end in ends)
     alt = "; ".join(f"{bar.name} {bar.text}" for bar in (before, *steps, now))
@@ -140,5 +125,3 @@ def _flows(change: ExplainedChange) -> Section:
     )
     blocks = [table(change.flows, columns), Text(text)]
     return Section("flows", "Days between", "Days between", blocks)
-
-

@@ -1,6 +1,6 @@
 """The change of value between two runs, one cause after another, on the same paths.
 
-    V(first run) + time + decisions taken + curve + volatility + … + policy + rest - cash = V(second)
+    V(first run) + time + decisions + curve + volatility + … + policy + rest - cash = V(second)
 
 Each cause is a revaluation with all causes before it in place: the exact contract, the policy of
 the first run with its marginal values adapted to the new numbers, and in the last step the
@@ -83,8 +83,9 @@ class ExplainedChange:
 
     - `values`, `errors`: of the two runs; `dates`: their valuation dates.
     - `cash`: of the days between; profit and loss is the change of value and this cash.
-    - `parts`: add up to the change, the cash with a minus; `moves`: of the curve; `flows`: of the
-      days between; `digits`: decimals of the amounts; `paths`: on which the parts are.
+    - `parts`: add up to the change, the cash with a minus; `totals`: the same with all periods of
+      the curve together; `moves`: of the curve; `flows`: of the days between.
+    - `digits`: decimals of the amounts; `paths`: on which the parts are.
     """
 
     runs: tuple[Path, Path]
@@ -96,6 +97,7 @@ class ExplainedChange:
     errors: tuple[float, float]
     cash: float
     parts: tuple[ChangePart, ...]
+    totals: tuple[ChangePart, ...]
     moves: tuple[CurveMove, ...]
     flows: tuple[DayFlow, ...]
     digits: int
@@ -136,6 +138,7 @@ class _Chain:
             trained_policy(run.folder, self.setup.policy) for run in (first, second)
         )
         self.rows: list[ChangePart] = []
+        self.totals: list[ChangePart] = []
         size = max(abs(first.value), abs(second.value), 1e-9)
         self.digits = max(DIGITS, 5 - math.floor(math.log10(size)) - 1)
         self.source = self.setup.problem.sources.evaluation
@@ -156,11 +159,9 @@ class _Chain:
         errors = [effect.error, *self._unpaired(start, first), *self._unpaired(last, second)]
         change = round(second.value - first.value, self.digits)
         left = round(change + cash - sum(row.amount for row in self.rows), self.digits)
-        self.rows.append(
-            ChangePart(REST, "", left + 0.0, float(statistics.independent(*errors)), NOTES[REST])
-        )
+        self._row(REST, left, float(statistics.independent(*errors)), NOTES[REST])
         if passed.flows:
-            self.rows.append(ChangePart(CASH, "", 0.0 - cash, None, NOTES[CASH]))
+            self._row(CASH, -cash, None, NOTES[CASH])
         return ExplainedChange(
             (first.folder, second.folder),
             case.title,
@@ -171,6 +172,7 @@ class _Chain:
             (first.error, second.error),
             cash,
             tuple(self.rows),
+            tuple(self.totals),
             moves,
             passed.flows,
             self.digits,
@@ -264,11 +266,14 @@ class _Chain:
         self._row(name, step.value, step.standard_error, note)
         return now
 
-    def _row(self, name: str, amount: float, error: float | None, note: str, period: str = ""):
-        rounded = round(amount, self.digits) + 0.0
-        self.rows.append(ChangePart(name, period, rounded, error, note))
-        if not period:
-            self.progress(f"{name}: {rounded:,.{self.digits}f}")
+    def _row(self, name: str, amount: float, error: float | None, note: str) -> None:
+        row = ChangePart(name, "", round(amount, self.digits) + 0.0, error, note)
+        self.rows.append(row)
+        self._total(row)
+
+    def _total(self, row: ChangePart) -> None:
+        self.totals.append(row)
+        self.progress(f"{row.part}: {row.amount:,.{self.digits}f}")
 
     def _curve(self, before: Setup, after: Setup) -> tuple[CurveEffect, tuple[CurveMove, ...]]:
         case = self.second.case
@@ -281,10 +286,18 @@ class _Chain:
             move = float(np.mean((new - old)[period.first : last]))
             delta = of.first / move if move else None
             moves.append(CurveMove(period.name, period.after - period.first, move, delta))
-        for period, of in zip(periods, effect.periods, strict=True):
-            self._row(FIRST, of.first, of.first_error, NOTES[FIRST], period.name)
-        for period, of in zip(periods, effect.periods, strict=True):
-            self._row(SECOND, of.second, of.second_error, NOTES[SECOND], period.name)
+        errors = effect.total.first_error, effect.total.second_error
+        for k, (name, error) in enumerate(zip((FIRST, SECOND), errors)):
+            rows = [
+                ChangePart(
+                    name, period.name, round(of[2 * k], self.digits) + 0.0, of[2 * k + 1],
+                    NOTES[name],
+                )
+                for period, of in zip(periods, effect.periods, strict=True)
+            ]  # fmt: skip
+            self.rows += rows
+            amount = round(sum(row.amount for row in rows), self.digits) + 0.0
+            self._total(ChangePart(name, "", amount, error, NOTES[name]))
         return effect, tuple(moves)
 
     def _steps(self, case: StorageCase) -> Iterator[tuple[str, str, StorageCase]]:
@@ -363,5 +376,3 @@ def _notes(passed: PassedDays) -> Iterator[str]:
         )
     elif len(passed.flows) > 1:
         yield f"{len(passed.flows)} days passed: their flows are at the forward prices"
-
-
