@@ -43,9 +43,9 @@ NOTES = {
     CONTRACT: "other terms of the contract",
     POLICY: "the policy of the second run on the same paths",
     REST: "third order of the curve, error of the policy, other paths",
-    CASH: "of the days between: paid out of the value",
+    CASH: "minus the money of the days between",
 }
-DIGITS = 2  # decimals: cents; more where a value has fewer than 5 digits before the point
+DIGITS = 2  # decimals: cents
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,11 @@ class ExplainedChange:
         return round(self.change + self.cash, self.digits)
 
 
+def decimals_of(value: float) -> int:
+    """Of the parts of a value: cents, and more of one below 1,000."""
+    return max(DIGITS, 5 - math.floor(math.log10(value))) if 0 < value < 1000 else DIGITS
+
+
 def explained_change(
     first: ValuedRun, second: ValuedRun, progress: ProgressCallback
 ) -> ExplainedChange:
@@ -139,8 +144,7 @@ class _Chain:
         )
         self.rows: list[ChangePart] = []
         self.totals: list[ChangePart] = []
-        size = max(abs(first.value), abs(second.value), 1e-9)
-        self.digits = max(DIGITS, 5 - math.floor(math.log10(size)) - 1)
+        self.digits = decimals_of(max(abs(first.value), abs(second.value)))
         self.source = self.setup.problem.sources.evaluation
 
     def result(self) -> ExplainedChange:
