@@ -243,3 +243,14 @@ def test_the_command_writes_parts_and_report(tmp_path, monkeypatch):
 
 def test_digits_follow_the_size_of_the_value():
     assert [decimals_of(x) for x in (10_447.3, 656.15, 15.28, 0.0)] == [2, 3, 4, 2]
+
+
+@pytest.mark.prove
+def test_a_run_against_itself(solved, tmp_path):
+    """The chain of revaluations ends at the value in result.json, to the bits."""
+    run = solved("gas-storage") / "run"
+    answer = command.explain(run, run, silent, out=tmp_path)
+    amounts = {row["part"]: row["amount"] for row in answer["totals"]}
+    assert set(amounts) == {parts.FIRST, parts.SECOND, parts.POLICY, parts.REST}
+    assert not any(amounts.values())
+    assert all(row["standard_error"] == 0 for row in answer["totals"])
