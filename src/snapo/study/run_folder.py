@@ -56,6 +56,7 @@ WRITTEN = (
     RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, HALFWAY, SOLUTION, HISTORY,
     SENSITIVITIES, VERDICTS, GROWTH, ONNX, PYTHON, DECIDED, START, SEEDS, "profile.csv",
     "decisions.csv", "ladder.csv", "products.csv", "hedge.csv", "hedge_products.csv",
+    "vega.csv",
 )  # fmt: skip
 LAYOUT = 4  # of the folder; it grows when older runs can no longer be read
 APART = ("parts", *TEXTS)  # keys of [report] on which no number depends

@@ -13,11 +13,12 @@ from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
 from ..gas_storage.chapters.products import PRODUCT_DELTAS
+from ..gas_storage.chapters.vega import VEGA
 from .chapters.values import VALUES
 
 OVER_TIME = profile()
 SECTIONS = (
-    headline, VALUES, METHODS, value_bounds, OVER_TIME, sensitivities, PRODUCT_DELTAS,
+    headline, VALUES, METHODS, value_bounds, OVER_TIME, sensitivities, PRODUCT_DELTAS, VEGA,
     DISTRIBUTION, history, CERTIFICATE, making,
 )  # fmt: skip
 MENU = {

@@ -21,6 +21,7 @@ from .chapters.ladder import METHODS
 from .chapters.products import PRODUCT_DELTAS
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
+from .chapters.vega import VEGA
 from .core.feasibility import first_fault
 from .core.simulator import simulator_of
 from .methods.grid import grid_of
@@ -70,6 +71,7 @@ def study(case: EnergyCase, options: Options) -> Study:
     parts = [INTRINSIC.part, TRAINING, MOVES.part, DISTRIBUTION.part, profile().part,
              CERTIFICATE.part]  # fmt: skip
     parts += [] if case.products is None else [PRODUCT_DELTAS.part]
+    parts.append(VEGA.part)
     parts += [BOUND.part] if callable(relaxation) else []
     parts += [REFERENCE.part] if options.reference else []
     parts += [METHODS.part] if options.ladder else []

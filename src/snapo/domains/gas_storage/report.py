@@ -35,6 +35,7 @@ from .chapters.risk import risk, sliders
 from .chapters.run import StorageRun
 from .chapters.today import FirstDecision, ladder
 from .chapters.value import VALUES, cash_flow, ladder_bars
+from .chapters.vega import VEGA
 
 TONES = {"inject": "inject", "withdraw": "withdraw", "hold": "main"}
 
@@ -143,8 +144,8 @@ def today(run: StorageRun) -> Section:
 
 SECTIONS = (
     headline, today, VALUES, METHODS, value_bounds, cash_flow, POSITION, inventory, DELTAS,
-    daily, QUOTE_DELTAS, PRODUCT_DELTAS, HEDGE, risk, sliders, history, CERTIFICATE, assumptions,
-    making,
+    daily, QUOTE_DELTAS, PRODUCT_DELTAS, VEGA, HEDGE, risk, sliders, history, CERTIFICATE,
+    assumptions, making,
 )  # fmt: skip
 MENU = {
     "Today": today,

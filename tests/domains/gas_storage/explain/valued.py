@@ -1,13 +1,14 @@
 """Run folders as `snapo explain` reads them, without a training: the rule of the guide decides."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from tests.domains.gas_storage.storage_cases import CASES, tables_of
 
-from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.explain.runs import ValuedRun, with_curve
+from snapo.domains.gas_storage.read.case import read_case
 from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup, setup_at
 from snapo.problem.policy import Policy
 from snapo.solver import statistics
@@ -22,11 +23,11 @@ def valued(
     like: Setup | None = None,
     policy: Policy | None = None,
     curve: float = 1.0,
-    **tables: dict[str, Any],
+    tables: Mapping[str, dict[str, Any]] | None = None,
 ) -> tuple[ValuedRun, Setup]:
     """The run of a case with keys of its tables changed, and its curve times a factor."""
-    file, data = tables_of(CASES / name, **tables)
-    case = DOMAIN.read(file, data)
+    file, data = tables_of(CASES / name, **(tables or {}))
+    case = read_case(file, data)
     if curve != 1:
         case = with_curve(case, curve * case.market.forward_curve.used())
     if like is None:

@@ -104,7 +104,7 @@ def curve_effect(
 def _orders(old: np.ndarray, new: np.ndarray) -> PeriodEffect:
     """First and second order from shares [G] of delta times move at both curves."""
     first, second = statistics.of_shares(old), statistics.of_shares((new - old) / 2)
-    return PeriodEffect(*first[:2], *second[:2])
+    return PeriodEffect(first.value, first.standard_error, second.value, second.standard_error)
 
 
 def _by_period(rollout, days: np.ndarray) -> np.ndarray:

@@ -1,7 +1,6 @@
 """The days between two valuation dates: the flows planned on the first one, those taken, and
 their cash."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -91,7 +90,7 @@ class _Cash:
         self.steps, self.prices = problem.schedule.steps, case.market.forward_curve.used()
         contract, market = case.contract, case.market
 
-        def discount(days: Sequence[int]) -> np.ndarray:
+        def discount(days: np.ndarray) -> np.ndarray:
             since = np.asarray(days, np.float64)
             rates = np.interp(np.maximum(since, 0), market.zero_rate_day, market.zero_rate.used())
             return np.exp(-rates * np.maximum(since - elapsed, 0) / YEAR)

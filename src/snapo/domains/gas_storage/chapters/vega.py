@@ -1,0 +1,149 @@
+"""Vega by parameter and delivery month: the derivative with respect to a month's volatility.
+
+The volatility s(d) of a delivery day d is that which the price model gives its spot price: in
+
+    S(d) = F(d) exp(s(d) f(d) - s(d)^2 var f(d) / 2)
+
+all other days keep theirs. The vega of a month is the sum of the derivatives with respect to s(d)
+over its days, so that a volatility of all days has the sum over the months as its derivative.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from typing import Any
+
+import jax
+import numpy as np
+
+from snapo.problem.form import Use
+from snapo.problem.problem import Problem
+from snapo.report.folder import RunFiles
+from snapo.report.missing import why_missing
+from snapo.report.page import Block, Table, Text
+from snapo.report.quantity import decimals, long_month, number, plus_minus
+from snapo.solver.sensitivity import sensitivities
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+
+from ..setup import case_of
+
+GROUP = "volatility"  # of the inputs that are volatilities
+FILE = "vega.csv"
+TEXT = (
+    "By how much the value changes where the volatility of all prices delivered in a month is one "
+    "unit higher, with the decisions held; the volatility of other months stays. The sum over the "
+    "months is the derivative with respect to the volatility of all days. Of a factor that moves "
+    "all prices, the month's vega is that of its effect on the prices of the month."
+)
+
+
+@dataclass(frozen=True)
+class MonthVega:
+    """The vega of a delivery month, per `unit` of the volatility.
+
+    - `parameter`: the input; `factor`: its number where there are several, else 0.
+    - `month`: "2021-04", or "" of all months; `volatility`: the mean over its days.
+    - `vega`: with the decisions held; `standard_error`: of it.
+    """
+
+    parameter: str
+    factor: int
+    month: str
+    volatility: Number = np.nan
+    vega: Number = np.nan
+    standard_error: Number = np.nan
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Vegas:
+    """By parameter, then by month, the sum of each parameter last."""
+
+    vega_by_month: tuple[MonthVega, ...] = ()
+
+
+def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
+    """The vega of a run whose prices are on `dates`, one more than decisions; writes vega.csv."""
+    setup, policy = run.setup, run.solution.policy
+    table = run.solution.sensitivities
+    problem = setup.problem
+    names = [n for n, x in problem.inputs_by_name.items() if x.group == GROUP and x.value.size]
+    if table is None or policy is None or not names:
+        return Vegas()
+    months = np.array([day.strftime("%Y-%m") for day in dates])
+    wide = by_date(problem, names, len(dates))
+    paths, engine = setup.evaluation.sensitivity_paths, setup.engines.evaluate
+    held = sensitivities(wide, policy, paths=paths, engine=engine).held
+    rows = []
+    for name in names:
+        values = wide.inputs_by_name[name].value.reshape(len(dates), -1)
+        about, count = problem.inputs_by_name[name], values.shape[1]
+        for factor in range(count):
+            for month in (*dict.fromkeys(months), ""):
+                chosen = months == month if month else np.ones(len(months), bool)
+                along = np.zeros(values.shape)
+                along[chosen, factor] = 1.0
+                vega = held[name].along(along.ravel())
+                mean = float(values[chosen, factor].mean())
+                rows.append(MonthVega(name, factor + 1 if count > 1 else 0, month, mean, *vega,
+                                      about.unit))  # fmt: skip
+    run.write_records(FILE, MonthVega, rows)
+    return Vegas(tuple(rows))
+
+
+def by_date(problem: Problem, names: Sequence[str], count: int) -> Problem:
+    """The problem with a number of these inputs for each of `count` dates, of the same value.
+
+    A number that is used on all dates, or on some of them, becomes one for each; several factors
+    have one each for each date.
+    """
+    values = {name: entry.value for name, entry in problem.inputs_by_name.items()}
+    wide: dict[str, np.ndarray] = {}
+
+    def spread(leaf: Any) -> Any:
+        if not isinstance(leaf, Use) or leaf.name not in names:
+            return leaf
+        shape = leaf.shape or (count,)
+        wide[leaf.name] = np.broadcast_to(leaf.in_numpy(values), shape).ravel()
+        numbers = wide[leaf.name].size
+        return Use.of(leaf.name, numbers, np.arange(numbers).reshape(shape))
+
+    simulator = jax.tree.map(spread, problem.simulator, is_leaf=lambda x: isinstance(x, Use))
+    inputs: Any = dict(problem.inputs)
+    for name, numbers in wide.items():
+        labels = tuple(map(str, range(numbers.size)))
+        inputs[name] = replace(inputs[name], value=numbers, labels=labels)
+    return replace(problem, simulator=simulator, inputs=inputs)
+
+
+def measure(run: StudyRun) -> Vegas:
+    """The vega of a store."""
+    case = case_of(run.setup)
+    return vega_by_month(run, (*case.days, case.end))
+
+
+def show(run: RunFiles, result: Vegas) -> Sequence[Block]:
+    """A row for each month, a column for each volatility."""
+    rows = result.vega_by_month
+    if not rows:
+        return [why_missing(run, VEGA.name)]
+    columns = {key: [x for x in rows if (x.parameter, x.factor) == key]
+               for key in dict.fromkeys((x.parameter, x.factor) for x in rows)}  # fmt: skip
+    head, digits = [("Delivery", "")], decimals([x.vega for x in rows], 4)
+    for (name, factor), column in columns.items():
+        title = name.replace("_", " ").capitalize() + (f", factor {factor}" if factor else "")
+        per = f"{run.unit} per {column[0].unit}".strip()
+        head += [(title, column[0].unit), ("Vega", per), ("", "")]
+    cells = []
+    for line in zip(*columns.values(), strict=True):
+        row = [long_month(line[0].month) if line[0].month else "All months"]
+        for x in line:
+            level = decimals([y.volatility for y in columns[x.parameter, x.factor]], 4)
+            row += [number(x.volatility, level), number(x.vega, digits),
+                    plus_minus(x.standard_error, digits)]  # fmt: skip
+        cells.append(tuple(row))
+    return [Text(TEXT), Table(head, cells, texts=1, strong=frozenset([len(cells) - 1]))]
+
+
+VEGA = Chapter("vega", "Vega by delivery month", Vegas, measure, show, "Vega", optional=True)
