@@ -4,6 +4,7 @@ import csv
 import datetime
 import json
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -14,6 +15,7 @@ from tests.domains.gas_storage.explain.valued import valued
 from tests.domains.gas_storage.storage_cases import CASES, read, tables_of, untrained
 
 from snapo.case.error import CaseError
+from snapo.domains.gas_storage.chapters.vega import by_date
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.explain import command, parts
 from snapo.domains.gas_storage.explain.flows import DayFlow, passed_days
@@ -30,6 +32,7 @@ from snapo.domains.gas_storage.references.lattice import refined
 from snapo.domains.gas_storage.setup import bare_problem, factors
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sobol
+from snapo.solver.sensitivity import sensitivities
 
 VALUATION = datetime.date(2019, 8, 29)
 EXERCISE = {"2019-12-15": (1200.0, "2020-01-20"), "2020-01-20": (800.0, "2020-02-18"),
@@ -45,8 +48,16 @@ def error_of(row: ChangePart) -> float:
     return row.standard_error
 
 
-def black(day: str, volume: float, paid: str, up: float) -> tuple[float, float]:
-    """Delta times move, and half of gamma times its square, of one of the calls of G4."""
+class BlackTerms(NamedTuple):
+    """Delta times move, half of gamma times its square, and the derivative by the volatility."""
+
+    first: float
+    second: float
+    vega: float
+
+
+def black(day: str, volume: float, paid: str, up: float) -> BlackTerms:
+    """The terms of one of the calls of G4."""
     date = datetime.date.fromisoformat(day)
     i = (date - VALUATION).days
     forward = 53.5 + 24.6 * np.sin(2 * np.pi * i / 365)
@@ -57,25 +68,41 @@ def black(day: str, volume: float, paid: str, up: float) -> tuple[float, float]:
     later = (datetime.date.fromisoformat(paid) - VALUATION).days
     size, move = volume * np.exp(-0.09 * later / 365), up * forward
     gamma = norm.pdf(d1) / (forward * deviation)
-    return size * norm.cdf(d1) * move, size * gamma * move**2 / 2
+    vega = size * forward * norm.pdf(d1) * deviation / sigma
+    return BlackTerms(size * norm.cdf(d1) * move, size * gamma * move**2 / 2, vega)
+
+
+def vega_of(setup) -> dict[str, tuple[float, float]]:
+    """By month, with the standard error."""
+    case, problem, engine = setup.case, setup.problem, setup.engines.evaluate
+    wide = by_date(problem, ["volatility"], len(case.days) + 1)
+    paths = setup.evaluation.sensitivity_paths
+    held = sensitivities(wide, setup.policy, paths=paths, engine=engine).held["volatility"]
+    months = np.array([f"{day:%Y-%m}" for day in (*case.days, case.end)])
+    return {str(month): held.along(months == month) for month in np.unique(months)}
 
 
 @pytest.mark.prove
 def test_calls_one_percent_up(tmp_path):
     """G4: the terms of first and second order are Black's, and the rest is less than 1 %."""
-    settings = {"evaluation": {"paths": 16384, "sensitivity_paths": 16384}}
+    settings = {"evaluation": {"paths": 8192, "sensitivity_paths": 8192}}
     first, setup = valued(tmp_path / "a", "G4", tables=settings)
     second, _ = valued(tmp_path / "b", "G4", setup, setup.policy, 1.01, settings)
     change = explained_change(first, second, silent)
     rows = {(row.part, row.period): row for row in change.parts}
+    vegas = vega_of(setup)
     for day, call in EXERCISE.items():
+        exact_terms = black(day, *call, 0.01)
+        vega, error = vegas[day[:7]]
+        print(day, "vega", vega, error, exact_terms.vega)
+        assert abs(vega - exact_terms.vega) < 2 * error < 0.03 * exact_terms.vega
         month = f"{datetime.date.fromisoformat(day):%b}\u00a0{day[:4]}"
-        for part, exact in zip((parts.FIRST, parts.SECOND), black(day, *call, 0.01)):
+        for part, exact in zip((parts.FIRST, parts.SECOND), exact_terms):
             row = rows[part, month]
             print(day, part, row.amount, row.standard_error, exact)
             assert abs(row.amount - exact) < 2 * error_of(row)
             assert error_of(row) < 0.1 * exact
-    assert rows[parts.FIRST, "Feb\u00a02020"].amount == 0
+    assert rows[parts.FIRST, "Feb\u00a02020"].amount == vegas["2020-02"][0] == 0
     rest = rows[parts.REST, ""]
     assert abs(rest.amount) < 0.01 * abs(change.change)
     assert error_of(rest) < 0.005 * abs(change.change)
