@@ -75,11 +75,11 @@ def waterfall(axes: "Axes", before: LadderBar, steps: Sequence[LadderBar], now: 
     from matplotlib.ticker import NullLocator
 
     bars = [before, *steps, now]
-    ends = before.value + np.cumsum([0.0, *(step.value for step in steps)])
-    reach = float(np.ptp(ends)) or max(abs(before.value), 1.0) * 1e-3
-    low, high = float(ends.min()) - 0.25 * reach, float(ends.max())
-    starts = np.array([low, *ends[:-1], low])
-    stops = np.array([before.value, *ends[1:], now.value])
+    levels = before.value + np.cumsum([0.0, *(step.value for step in steps)])
+    reach = float(np.ptp(levels)) or max(abs(before.value), 1.0) * 1e-3
+    low, high = float(levels.min()) - 0.25 * reach, float(levels.max())
+    starts = np.array([low, *levels[:-1], low])
+    stops = np.array([before.value, *levels[1:], now.value])
     longest = max(len(bar.text) for bar in bars)
     for row, (bar, start, stop) in enumerate(zip(bars, starts, stops, strict=True)):
         colour = "main" if bar.strong else "withdraw" if stop >= start else "inject"

@@ -17,7 +17,7 @@ from tests.domains.gas_storage.storage_cases import CASES, read, tables_of, untr
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.chapters.vega import by_date
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
-from snapo.domains.gas_storage.explain import command, parts
+from snapo.domains.gas_storage.explain import CASH, FIRST, POLICY, REST, SECOND, command
 from snapo.domains.gas_storage.explain.flows import DayFlow, passed_days
 from snapo.domains.gas_storage.explain.parts import (
     ChangePart,
@@ -97,13 +97,13 @@ def test_calls_one_percent_up(tmp_path):
         print(day, "vega", vega, error, exact_terms.vega)
         assert abs(vega - exact_terms.vega) < 2 * error < 0.03 * exact_terms.vega
         month = f"{datetime.date.fromisoformat(day):%b}\u00a0{day[:4]}"
-        for part, exact in zip((parts.FIRST, parts.SECOND), exact_terms):
+        for part, exact in zip((FIRST, SECOND), exact_terms):
             row = rows[part, month]
             print(day, part, row.amount, row.standard_error, exact)
             assert abs(row.amount - exact) < 2 * error_of(row)
             assert error_of(row) < 0.1 * exact
-    assert rows[parts.FIRST, "Feb\u00a02020"].amount == vegas["2020-02"][0] == 0
-    rest = rows[parts.REST, ""]
+    assert rows[FIRST, "Feb\u00a02020"].amount == vegas["2020-02"][0] == 0
+    rest = rows[REST, ""]
     assert abs(rest.amount) < 0.01 * abs(change.change)
     assert error_of(rest) < 0.005 * abs(change.change)
     assert_allclose(sum(row.amount for row in change.parts), change.change, atol=1e-9)
@@ -237,16 +237,16 @@ def test_the_case_on_a_later_date_keeps_its_market():
 
 
 ROWS = (
-    ChangePart(parts.FIRST, "Jan 2025", 2.5, 0.2, "delta times move"),
-    ChangePart(parts.FIRST, "Feb 2025", -1.0, 0.1, "delta times move"),
-    ChangePart(parts.SECOND, "Jan 2025", 0.25, 0.1, "half"),
-    ChangePart(parts.SECOND, "Feb 2025", 0.0, 0.0, "half"),
-    ChangePart(parts.REST, "", 0.05, 0.02, "others"),
-    ChangePart(parts.CASH, "", 12.0, None, "minus the money"),
+    ChangePart(FIRST, "Jan 2025", 2.5, 0.2, "delta times move"),
+    ChangePart(FIRST, "Feb 2025", -1.0, 0.1, "delta times move"),
+    ChangePart(SECOND, "Jan 2025", 0.25, 0.1, "half"),
+    ChangePart(SECOND, "Feb 2025", 0.0, 0.0, "half"),
+    ChangePart(REST, "", 0.05, 0.02, "others"),
+    ChangePart(CASH, "", 12.0, None, "minus the money"),
 )
 TOTALS = (
-    ChangePart(parts.FIRST, "", 1.5, 0.21, "delta times move"),
-    ChangePart(parts.SECOND, "", 0.25, 0.1, "half"), *ROWS[4:],
+    ChangePart(FIRST, "", 1.5, 0.21, "delta times move"),
+    ChangePart(SECOND, "", 0.25, 0.1, "half"), *ROWS[4:],
 )  # fmt: skip
 
 
@@ -283,6 +283,6 @@ def test_a_run_against_itself(solved, tmp_path):
     run = solved("gas-storage") / "run"
     answer = command.explain(run, run, silent, out=tmp_path)
     amounts = {row["part"]: row["amount"] for row in answer["totals"]}
-    assert set(amounts) == {parts.FIRST, parts.SECOND, parts.POLICY, parts.REST}
+    assert set(amounts) == {FIRST, SECOND, POLICY, REST}
     assert not any(amounts.values())
     assert all(row["standard_error"] == 0 for row in answer["totals"])

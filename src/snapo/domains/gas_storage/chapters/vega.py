@@ -81,11 +81,11 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
         about, count = problem.inputs_by_name[name], values.shape[1]
         for factor in range(count):
             for month in (*dict.fromkeys(months), ""):
-                chosen = months == month if month else np.ones(len(months), bool)
+                selected = months == month if month else np.ones(len(months), bool)
                 along = np.zeros(values.shape)
-                along[chosen, factor] = 1.0
+                along[selected, factor] = 1.0
                 vega = held[name].along(along.ravel())
-                mean = float(values[chosen, factor].mean())
+                mean = float(values[selected, factor].mean())
                 rows.append(MonthVega(name, factor + 1 if count > 1 else 0, month, mean, *vega,
                                       about.unit))  # fmt: skip
     run.write_records(FILE, MonthVega, rows)

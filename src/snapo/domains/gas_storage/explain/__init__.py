@@ -1,1 +1,15 @@
 """The change of value between two runs of a gas store, in parts: `snapo explain`."""
+
+TIME, DECISIONS, FIRST, SECOND = "time", "decisions taken", "curve", "curve, second order"
+RATE, CONTRACT, POLICY, REST, CASH = "interest rate", "contract", "policy", "rest", "cash"
+NOTES = {
+    TIME: "the valuation date moves; curve, model and rates stay",
+    DECISIONS: "inventory and cash against the plan of the first run",
+    FIRST: "delta times move",
+    SECOND: "half of the change in delta times the move",
+    RATE: "discounting",
+    CONTRACT: "other terms of the contract",
+    POLICY: "the policy of the second run on the same paths",
+    REST: "third order of the curve, error of the policy, other paths",
+    CASH: "minus the money of the days between",
+}

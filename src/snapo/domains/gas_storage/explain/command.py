@@ -96,8 +96,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     yield line("change of value", answer["change"])
     if answer["cash"] or answer["flows"]:
         yield line("profit and loss", answer["profit"], None, "change of value and cash")
-    moved = [row for row in rows if row.period and row.amount]
-    if moved:
+    if any(row.period and row.amount for row in rows):
         yield from _curve(answer, rows, digits, width)
     for note in answer["notes"]:
         yield f"note: {note}"

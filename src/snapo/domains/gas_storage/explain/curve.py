@@ -26,7 +26,7 @@ from ..setup import OUTPUT
 CHUNK = 2048  # paths in one call of an engine: every output of every day is recorded
 
 
-class Period(NamedTuple):
+class DeliveryPeriod(NamedTuple):
     """A delivery period: the days from `first` to `after`, not included."""
 
     name: str
@@ -58,7 +58,7 @@ class CurveEffect(NamedTuple):
 
 
 def curve_effect(
-    before: Setup, after: Setup, policy: Policy, periods: Sequence[Period]
+    before: Setup, after: Setup, policy: Policy, periods: Sequence[DeliveryPeriod]
 ) -> CurveEffect:
     """The effect of the curve of `after` against that of `before`, which are the same otherwise.
 
@@ -71,7 +71,7 @@ def curve_effect(
     days = np.zeros((len(periods), simulator.horizon))
     for row, period in zip(days, periods, strict=True):
         row[period.first : period.after] = 1.0
-    moved = np.zeros((2, len(periods), paths))
+    effect = np.zeros((2, len(periods), paths))
     totals: list[dict[str, np.ndarray]] = [{}, {}]
     for block in source.blocks(paths, max(1, -(-paths // CHUNK))):
         draws = source.draws(block, simulator)
@@ -83,7 +83,7 @@ def curve_effect(
                 None, draws, Exact(), actions=actions, record=("outputs",)
             )
             sign = 1.0 if k == 0 else -1.0
-            moved[k][:, block] = sign * (_by_period(other, days) - _by_period(local, days))
+            effect[k][:, block] = sign * (_by_period(other, days) - _by_period(local, days))
             for name, total in float64(local.totals).items():
                 totals[k].setdefault(name, np.full(paths, np.nan))[block] = total
     values = [
@@ -92,13 +92,13 @@ def curve_effect(
     ]
     orders = np.array([
         [_controlled(p, total, source, x) for x in rows]
-        for p, total, rows in zip(problems, totals, moved, strict=True)
+        for p, total, rows in zip(problems, totals, effect, strict=True)
     ])  # fmt: skip
     mean = orders.mean(axis=0)
     effects = tuple(_orders(x, y) for x, y in zip(*orders, strict=True))
     left = statistics.of_shares(values[1] - values[0] - mean.sum(axis=0))
     total = _orders(*orders.sum(axis=1))
-    return CurveEffect(effects, total, *values, left.standard_error)
+    return CurveEffect(effects, total, values[0], values[1], left.standard_error)
 
 
 def _orders(old: np.ndarray, new: np.ndarray) -> PeriodEffect:

@@ -9,7 +9,8 @@ from snapo.report.page import Block, Chart, Facts, Page, Section, Text, render
 from snapo.report.quantity import decimals, long_date, money, number
 from snapo.report.rows import Column, WithError, table
 
-from .parts import CASH, ChangePart, ExplainedChange
+from . import CASH
+from .parts import ChangePart, ExplainedChange
 
 CAPTION = (
     "From the value of the first run at the top to that of the second one at the bottom. Each bar "
@@ -76,11 +77,11 @@ def _waterfall(change: ExplainedChange, rows: Sequence[ChangePart]) -> Chart:
         )
         for row in rows
     ]  # fmt: skip
-    ends = [
+    bars = [
         (f"{name}, {date}", value, number(value, digits))
         for name, date, value in zip(("Before", "Now"), change.dates, change.values)
     ]
-    before, now = (charts.LadderBar(*end, strong=True) for end in ends)
+    before, now = (charts.LadderBar(*bar, strong=True) for bar in bars)
     alt = "; ".join(f"{bar.name} {bar.text}" for bar in (before, *steps, now))
     height = 40 + 30 * (len(steps) + 2)
     svg = draw("explained", alt, lambda axes: charts.waterfall(axes, before, steps, now), height)

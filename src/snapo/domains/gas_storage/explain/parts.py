@@ -28,23 +28,11 @@ from ..contract.records import StorageCase
 from ..history.backtest import trained_policy
 from ..policy.network import StoragePolicy
 from ..setup import bare_problem, fitted_value, make_setup, rebuilt, setup_at
-from .curve import CurveEffect, Period, curve_effect
+from . import CASH, CONTRACT, DECISIONS, FIRST, NOTES, POLICY, RATE, REST, SECOND, TIME
+from .curve import CurveEffect, DeliveryPeriod, curve_effect
 from .flows import DayFlow, PassedDays, passed_days
 from .runs import ValuedRun, check_pair, later_paths, on_date_of, with_curve
 
-TIME, DECISIONS, FIRST, SECOND = "time", "decisions taken", "curve", "curve, second order"
-RATE, CONTRACT, POLICY, REST, CASH = "interest rate", "contract", "policy", "rest", "cash"
-NOTES = {
-    TIME: "the valuation date moves; curve, model and rates stay",
-    DECISIONS: "inventory and cash against the plan of the first run",
-    FIRST: "delta times move",
-    SECOND: "half of the change in delta times the move",
-    RATE: "discounting",
-    CONTRACT: "other terms of the contract",
-    POLICY: "the policy of the second run on the same paths",
-    REST: "third order of the curve, error of the policy, other paths",
-    CASH: "minus the money of the days between",
-}
 DIGITS = 2  # decimals: cents
 
 
@@ -151,10 +139,11 @@ class _Chain:
         first, second, case = self.first, self.second, self.second.case
         passed = self._passed()
         start, at = self._started(passed)
-        moved = with_curve(at.case, case.market.forward_curve.used())  # pyright: ignore
-        effect, moves = self._curve(at, self._at(moved, at))
-        setup, shares = self._at(moved, at), effect.after
-        for name, note, step in self._steps(moved):
+        assert isinstance(at.case, StorageCase)
+        setup = self._at(with_curve(at.case, case.market.forward_curve.used()), at)
+        effect, moves = self._curve(at, setup)
+        shares = effect.after
+        for name, note, step in self._steps(setup.case):
             setup = self._at(step, setup)
             shares = self._add(name, note, shares, self._shares(setup, self.policy))
         last = self._shares(setup, self.last_policy)
@@ -305,7 +294,7 @@ class _Chain:
         return effect, tuple(moves)
 
     def _steps(self, case: StorageCase) -> Iterator[tuple[str, str, StorageCase]]:
-        """(name, note, case) of each later cause, on top of those before; only what differs."""
+        """(name, note, case) of each later cause, on top of those before, where the runs differ."""
         target = self.second.case
         for name, note, model in _models(case.model, target.model):
             case = replace(case, model=model)
@@ -360,14 +349,19 @@ def _equal(one: Any, other: Any) -> bool:
     return all(np.array_equal(*(x.used() if _is_input(x) else x for x in pair)) for pair in pairs)
 
 
-def _periods(case: StorageCase) -> Sequence[Period]:
+def _periods(case: StorageCase) -> Sequence[DeliveryPeriod]:
     """The traded products of a case, or the months."""
     if case.products is not None:
         rows = case.products.named(-1 if case.products.before else 0)
-        return [Period(name or "no product yet", block.first, block.after) for name, block in rows]
+        return [
+            DeliveryPeriod(name or "no product yet", block.first, block.after)
+            for name, block in rows
+        ]
     months = [day.strftime("%Y-%m") for day in case.days]
     return [
-        Period(long_month(month), months.index(month), len(months) - months[::-1].index(month))
+        DeliveryPeriod(
+            long_month(month), months.index(month), len(months) - months[::-1].index(month)
+        )
         for month in dict.fromkeys(months)
     ]
 
