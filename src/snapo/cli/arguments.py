@@ -126,6 +126,13 @@ def add_explain(commands) -> None:
     explain.add_argument("first", metavar="RUN_A", type=Path, help=f"the earlier one: {run}")
     explain.add_argument("second", metavar="RUN_B", type=Path, help=f"the later one: {run}")
     explain.add_argument(
+        "--flows",
+        metavar="FILE",
+        type=Path,
+        help="CSV of the flows on the days between the two valuation dates: date,volume,price, "
+        "volumes into the store above 0 (default: from the inventories, at forward prices)",
+    )
+    explain.add_argument(
         "--out",
         metavar="DIR",
         type=Path,

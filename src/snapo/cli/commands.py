@@ -316,7 +316,8 @@ def _explain(options: argparse.Namespace) -> Answer:
     from snapo.domains.gas_storage.explain.command import summary as parts
     from snapo.study.runs.store import located
 
-    result = explain(located(options.first), located(options.second), say, out=options.out)
+    runs = located(options.first), located(options.second)
+    result = explain(*runs, say, flows=options.flows, out=options.out)
     return result, parts(result), OK
 
 

@@ -18,7 +18,7 @@ from snapo.case.error import CaseError
 from snapo.domains.gas_storage.chapters.vega import by_date
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.explain import CASH, FIRST, POLICY, REST, SECOND, command
-from snapo.domains.gas_storage.explain.flows import DayFlow, passed_days
+from snapo.domains.gas_storage.explain.flows import DayFlow, TakenFlow, passed_days, read_flows
 from snapo.domains.gas_storage.explain.parts import (
     ChangePart,
     CurveMove,
@@ -109,6 +109,9 @@ def test_calls_one_percent_up(tmp_path):
     assert_allclose(sum(row.amount for row in change.parts), change.change, atol=1e-9)
 
 
+FIRST_DAY = datetime.date(2025, 1, 1)
+
+
 def exact_value(problem: Problem) -> float:
     prices = factors(problem)
     assert prices is not None
@@ -127,7 +130,9 @@ def test_a_day_later(tmp_path):
         "model": {"volatility": 1.0},
     }
     second, _ = valued(tmp_path / "b", "quick", None, setup.policy, 1.02, changed)
-    change = explained_change(first, second, silent)
+    day = plan.flows[0]
+    flows = {FIRST_DAY: TakenFlow(day.planned - 2.0, day.price + 0.5)}
+    change = explained_change(first, second, silent, flows)
     rows = {row.part: row for row in change.totals}
     other = second.case
     planned = on_date_of(first, second, plan.planned_inventory)
@@ -142,7 +147,7 @@ def test_a_day_later(tmp_path):
     assert flow.taken == pytest.approx(flow.planned - 2.0)
     found = [
         (rows["time"], values[1] - values[0] + flow.planned_cash),
-        (rows["decisions taken"], values[2] - values[1] + flow.cash - flow.planned_cash),
+        (rows["decisions taken"], values[2] - values[1] + flow.forward_cash - flow.planned_cash),
         (rows["interest rate"], values[4] - values[3]),
         (rows["contract"], values[5] - values[4]),
     ]
@@ -152,6 +157,12 @@ def test_a_day_later(tmp_path):
     curve = sum(rows[name].amount for name in ("curve", "curve, second order", "volatility"))
     print(curve, values[3] - values[2], rows["rest"])
     assert rows["policy"].amount == 0
+    assert rows["spot prices"].amount == pytest.approx(-0.5 * flow.taken)
+    with pytest.raises(CaseError, match="in store, and the second run has"):
+        wrong = {FIRST_DAY: TakenFlow(day.planned, day.price)}
+        explained_change(first, second, silent, wrong)
+    with pytest.raises(CaseError, match="this day lies between the two valuation dates"):
+        explained_change(first, second, silent, {})
     assert_allclose(sum(row.amount for row in change.parts), change.change, atol=1e-9)
     assert_allclose(change.profit, change.change + change.cash, atol=1e-9)
 
@@ -250,9 +261,20 @@ TOTALS = (
 )  # fmt: skip
 
 
+def test_flows_from_a_file(tmp_path):
+    file = tmp_path / "taken.csv"
+    file.write_text("date,volume,price\n2025-01-01,-2.5,30\n2025-01-02,0,31.5\n")
+    assert read_flows(file)[datetime.date(2025, 1, 1)] == (-2.5, 30.0)
+    file.write_text("date,volume,price\n2025-01-01,many,30\n")
+    with pytest.raises(CaseError, match=r"taken.csv, line 2, column volume"):
+        read_flows(file)
+    with pytest.raises(CaseError, match="flows"):
+        read_flows(tmp_path / "none.csv")
+
+
 def test_the_command_writes_parts_and_report(tmp_path, monkeypatch):
     moves = CurveMove("Jan 2025", 31, 0.5, 5.0), CurveMove("Feb 2025", 28, -0.5, 2.0)
-    flows = (DayFlow("2025-01-01", 12.0, 1.0, 1.0, -12.0, -12.0),)
+    flows = (DayFlow("2025-01-01", 12.0, 12.0, 1.0, 1.0, -12.0, -12.0, -12.0),)
     change = ExplainedChange(
         (tmp_path / "a", tmp_path / "b"), "Store", "EUR", "MWh", ("2025-01-01", "2025-01-02"),
         (100.0, 113.8), (0.1, 0.1), -12.0, ROWS, TOTALS, moves, flows, 2, 1024, ("a note",),

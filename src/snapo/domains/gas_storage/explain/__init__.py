@@ -1,10 +1,12 @@
 """The change of value between two runs of a gas store, in parts: `snapo explain`."""
 
-TIME, DECISIONS, FIRST, SECOND = "time", "decisions taken", "curve", "curve, second order"
+TIME, DECISIONS, SPOT = "time", "decisions taken", "spot prices"
+FIRST, SECOND = "curve", "curve, second order"
 RATE, CONTRACT, POLICY, REST, CASH = "interest rate", "contract", "policy", "rest", "cash"
 NOTES = {
     TIME: "the valuation date moves; curve, model and rates stay",
     DECISIONS: "inventory and cash against the plan of the first run",
+    SPOT: "of the flows taken, against the forward prices of the first run",
     FIRST: "delta times move",
     SECOND: "half of the change in delta times the move",
     RATE: "discounting",

@@ -12,6 +12,7 @@ from snapo.solver.tables import write_csv, write_text
 from snapo.study.prepare import use_every_core
 from snapo.study.run_folder import plain_json
 
+from .flows import read_flows
 from .page import page
 from .parts import ChangePart, ExplainedChange, explained_change
 from .runs import ValuedRun
@@ -21,16 +22,20 @@ FOLDER, PARTS, MOVES, RESULT, REPORT = (
 )  # fmt: skip
 
 
-def explain(first: Path, second: Path, progress, *, out: Path | None = None) -> dict[str, Any]:
+def explain(
+    first: Path, second: Path, progress, *, flows: Path | None = None, out: Path | None = None
+) -> dict[str, Any]:
     """Explains the change of value from the first run to the second one, and writes the parts.
 
+    - `flows`: a CSV file of the flows on the days between, with columns date,volume,price.
     - `out`: folder of the results, by default `explain` in that of the second run.
 
     **Raises:** `CaseError` where a run has no value, or the second one cannot follow the first;
     nothing is written.
     """
     use_every_core()
-    change = explained_change(ValuedRun.read(first), ValuedRun.read(second), progress)
+    taken = None if flows is None else read_flows(flows)
+    change = explained_change(ValuedRun.read(first), ValuedRun.read(second), progress, taken)
     folder, answer = second / FOLDER if out is None else out, _answer(change)
     try:
         folder.mkdir(parents=True, exist_ok=True)

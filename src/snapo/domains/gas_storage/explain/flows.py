@@ -1,10 +1,16 @@
 """The days between two valuation dates: the flows planned on the first one, those taken, and
 their cash."""
 
+import datetime
+from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from snapo.case.csv import FileReference, read_rows, rising_dates
+from snapo.case.error import CaseError
+from snapo.case.table import TableContext
 from snapo.problem.problem import Problem
 
 from ..contract.records import StorageCase
@@ -12,19 +18,25 @@ from ..history.rule import DatedRule, decided, spot_filter
 from ..policy.network import StoragePolicy
 from ..prices.process import YEAR
 
+ROUNDED = 9  # decimals of a planned inventory: a limit is not passed by rounding
+
 
 class DayFlow(NamedTuple):
     """A day between the two valuation dates.
 
-    - `price`: forward price on the first date; `planned`, `taken`: net volume into the store;
-      `planned_cash`, `cash`: what they earn, less their costs, discounted to the second date.
+    - `price`: forward price on the first date; `spot`: that of the flow, the same where no file
+      says it; `planned`, `taken`: net volume into the store.
+    - `planned_cash`: of the plan at the forward price; `forward_cash`, `cash`: of the flow taken at
+      the forward price and at the spot price. All are less costs, discounted to the second date.
     """
 
     date: str
     price: float
+    spot: float
     planned: float
     taken: float
     planned_cash: float
+    forward_cash: float
     cash: float
 
 
@@ -39,8 +51,30 @@ class PassedDays(NamedTuple):
         return sum(flow.planned_cash for flow in self.flows)
 
     @property
+    def forward_cash(self) -> float:
+        return sum(flow.forward_cash for flow in self.flows)
+
+    @property
     def cash(self) -> float:
         return sum(flow.cash for flow in self.flows)
+
+
+class TakenFlow(NamedTuple):
+    """A flow as it was: net volume into the store, and its price."""
+
+    volume: float
+    price: float
+
+
+def read_flows(file: Path) -> dict[datetime.date, TakenFlow]:
+    """The flows of a CSV file with columns date,volume,price.
+
+    **Raises:** `CaseError` where a date or a number is wrong, with its line.
+    """
+    reference = FileReference(TableContext(file, "flows", []), "flows", file.name)
+    rows = read_rows(reference, ("date", "volume", "price"), ())
+    numbers = [TakenFlow(row.number("volume"), row.number("price")) for row in rows]
+    return dict(zip(rising_dates(rows), numbers, strict=True))
 
 
 def passed_days(
@@ -50,44 +84,65 @@ def passed_days(
     count: int,
     inventory: float,
     elapsed: int,
+    flows: Mapping[datetime.date, TakenFlow] | None = None,
 ) -> PassedDays:
     """The first `count` days of a case, after which `inventory` is in store.
 
-    Planned are the decisions of the policy at the forward prices. The difference of the inventory
-    to the plan is spread evenly over the days; of one day the flow taken is exact.
+    Planned are the decisions of the policy at the forward prices. Without `flows` the difference of
+    the inventory to the plan is spread evenly over the days; of one day the flow taken is exact.
 
     - `elapsed`: days from the valuation date of the case to the second one.
+    - `flows`: as they were, on all of these days.
+
+    **Raises:** `CaseError` where a day has no flow, or the flows do not lead to the inventory.
     """
     rule = DatedRule(case, problem, policy, spot_filter(problem))
     level = np.full(1, float(problem.schedule.constants.inventory))
-    prices, state, planned, levels = case.market.forward_curve.used(), None, [], [float(level[0])]
+    prices, planned, levels = case.market.forward_curve.used(), [], [float(level[0])]
     state = rule.initial_factors(1)
     for t in range(count):
         result = decided(rule, t, problem, t, level, state, prices[t : t + 1])
         planned.append(float(result.injection[0] - result.withdrawal[0]))
         level, state = result.inventory, result.factors
         levels.append(float(level[0]))
+    planned_inventory = round(levels[-1], ROUNDED) + 0.0
     if not count:
-        return PassedDays((), levels[0])
+        return PassedDays((), planned_inventory)
     more = (inventory - levels[-1]) / count
     if abs(more) <= 1e-9 * max(abs(inventory), abs(levels[0]), 1.0):
         more = 0.0  # as planned, to rounding
+    if flows is None:
+        known = {day: TakenFlow(planned[t] + more, float(prices[t]))
+                 for t, day in enumerate(case.days[:count])}  # fmt: skip
+    else:
+        known = flows
     cash = _Cash(case, problem, elapsed)
     rows, taken_level = [], levels[0]
     for t in range(count):
         keep = 1 - float(problem.schedule.steps.inventory_loss[t])
-        taken = planned[t] + more
-        money = cash.of(t, levels[t], planned[t]), cash.of(t, taken_level, taken)
-        rows.append(DayFlow(case.days[t].isoformat(), float(prices[t]), planned[t], taken, *money))
+        day, forward = case.days[t], float(prices[t])
+        if day not in known:
+            message = "this day lies between the two valuation dates, and needs a line"
+            raise CaseError("--flows", "", day.isoformat(), message)
+        taken, spot = known[day]
+        money = (
+            cash.of(t, levels[t], planned[t], forward),
+            cash.of(t, taken_level, taken, forward),
+            cash.of(t, taken_level, taken, spot),
+        )
+        rows.append(DayFlow(day.isoformat(), forward, spot, planned[t], taken, *money))
         taken_level = taken_level * keep + taken
-    return PassedDays(tuple(rows), levels[-1])
+    if abs(taken_level - inventory) > 1e-6 * max(abs(inventory), abs(levels[0]), 1.0):
+        message = f"they leave {taken_level:,.6g} in store, and the second run has {inventory:,.6g}"
+        raise CaseError("--flows", "volume", None, message)
+    return PassedDays(tuple(rows), planned_inventory)
 
 
 class _Cash:
-    """The money of a day's flow at the forward price, discounted to a later date."""
+    """The money of a day's flow, discounted to a later date."""
 
     def __init__(self, case: StorageCase, problem: Problem, elapsed: int):
-        self.steps, self.prices = problem.schedule.steps, case.market.forward_curve.used()
+        self.steps = problem.schedule.steps
         contract, market = case.contract, case.market
 
         def discount(days: np.ndarray) -> np.ndarray:
@@ -100,11 +155,11 @@ class _Cash:
         self.into = discount(contract.injection_cost_day)
         self.out = discount(contract.withdrawal_cost_day)
 
-    def of(self, t: int, inventory: float, net: float) -> float:
+    def of(self, t: int, inventory: float, net: float, price: float) -> float:
         steps, injection, withdrawal = self.steps, max(net, 0.0), max(-net, 0.0)
         sold = withdrawal * (1 - steps.withdrawal_fuel[t])
         sold -= injection * (1 + steps.injection_fuel[t])
-        money = self.prices[t] * self.gas[t] * sold
+        money = price * self.gas[t] * sold
         money -= injection * steps.injection_cost[t] * self.into[t]
         money -= withdrawal * steps.withdrawal_cost[t] * self.out[t]
         return float(money - inventory * steps.inventory_cost[t] * self.flow[t])

@@ -112,9 +112,11 @@ def _curve(change: ExplainedChange) -> Section:
 
 
 def _flows(change: ExplainedChange) -> Section:
+    price = f"{change.currency}/{change.unit}"
     columns = [
         Column("Day", "date"),
-        Column("Price", "price", f"{change.currency}/{change.unit}", decimal_places=4),
+        Column("Forward price", "price", price, decimal_places=4),
+        Column("Spot price", "spot", price, decimal_places=4),
         Column("Planned", "planned", change.unit, sign=True),
         Column("Taken", "taken", change.unit, sign=True),
         Column("Planned cash", "planned_cash", change.currency, decimal_places=change.digits),

@@ -7,8 +7,9 @@ the first run with its marginal values adapted to the new numbers, and in the la
 policy of the second run. Only the rest is a remainder.
 """
 
+import datetime
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,9 +29,9 @@ from ..contract.records import StorageCase
 from ..history.backtest import trained_policy
 from ..policy.network import StoragePolicy
 from ..setup import bare_problem, fitted_value, make_setup, rebuilt, setup_at
-from . import CASH, CONTRACT, DECISIONS, FIRST, NOTES, POLICY, RATE, REST, SECOND, TIME
+from . import CASH, CONTRACT, DECISIONS, FIRST, NOTES, POLICY, RATE, REST, SECOND, SPOT, TIME
 from .curve import CurveEffect, DeliveryPeriod, curve_effect
-from .flows import DayFlow, PassedDays, passed_days
+from .flows import DayFlow, PassedDays, TakenFlow, passed_days
 from .runs import ValuedRun, check_pair, later_paths, on_date_of, with_curve
 
 DIGITS = 2  # decimals: cents
@@ -109,21 +110,30 @@ def decimals_of(value: float) -> int:
 
 
 def explained_change(
-    first: ValuedRun, second: ValuedRun, progress: ProgressCallback
+    first: ValuedRun,
+    second: ValuedRun,
+    progress: ProgressCallback,
+    flows: Mapping[datetime.date, TakenFlow] | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value.
+    """The parts of the change of value; `flows`: of the days between, as they were.
 
     **Raises:** `CaseError` where the second run cannot follow the first one.
     """
     check_pair(first, second)
-    return _Chain(first, second, progress).result()
+    return _Chain(first, second, progress, flows).result()
 
 
 class _Chain:
     """Revaluations from the first run to the second one."""
 
-    def __init__(self, first: ValuedRun, second: ValuedRun, progress: ProgressCallback):
-        self.first, self.second, self.progress = first, second, progress
+    def __init__(
+        self,
+        first: ValuedRun,
+        second: ValuedRun,
+        progress: ProgressCallback,
+        flows: Mapping[datetime.date, TakenFlow] | None,
+    ):
+        self.first, self.second, self.progress, self.flows = first, second, progress, flows
         case = second.case
         self.setup = make_setup(case, second.engine, fitted_value(bare_problem(case)))
         assert isinstance(self.setup.policy, StoragePolicy)
@@ -170,7 +180,7 @@ class _Chain:
             passed.flows,
             self.digits,
             self.source.available(second.case.evaluation.paths),
-            tuple(_notes(passed)),
+            () if self.flows else tuple(_notes(passed)),
         )
 
     def _passed(self) -> PassedDays:
@@ -180,7 +190,8 @@ class _Chain:
         elapsed = (other.valuation_date - one.valuation_date).days
         inventory = float(other.contract.inventory.used())
         problem = rebuilt(bare_problem(one)) if count else bare_problem(one)
-        return passed_days(one, problem, self.policy, count, inventory, elapsed)
+        numbers = count, inventory, elapsed
+        return passed_days(one, problem, self.policy, *numbers, self.flows)
 
     def _started(self, passed: PassedDays) -> tuple[np.ndarray, Setup]:
         """The shares of the value before the first part that is on common paths, and the setup of
@@ -210,8 +221,10 @@ class _Chain:
             setup = self._at(on_date_of(first, self.second, inventory), setup)
             now = self._shares(setup, self.policy)
             step = statistics.of_shares(now - start)
-            more = passed.cash - passed.planned_cash
+            more = passed.forward_cash - passed.planned_cash
             self._row(DECISIONS, step.value + more, step.standard_error, NOTES[DECISIONS])
+        if passed.cash != passed.forward_cash:
+            self._row(SPOT, passed.cash - passed.forward_cash, None, NOTES[SPOT])
         return (start if not later else np.zeros(0)), setup
 
     def _on_common_paths(self, setup: Setup, passed: int) -> Setup:
@@ -370,7 +383,8 @@ def _notes(passed: PassedDays) -> Iterator[str]:
     if len(passed.flows) > 1 and any(x.taken != x.planned for x in passed.flows):
         yield (
             f"{len(passed.flows)} days passed: flows other than planned are spread evenly over "
-            "them, at the forward prices of the first run"
+            "them, at the forward prices of the first run; --flows names them"
         )
     elif len(passed.flows) > 1:
-        yield f"{len(passed.flows)} days passed: their flows are at the forward prices"
+        count = len(passed.flows)
+        yield f"{count} days passed: their flows are at the forward prices; --flows names others"
