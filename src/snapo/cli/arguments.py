@@ -117,7 +117,7 @@ def add_past(commands) -> None:
 
 def add_explain(commands) -> None:
     """`snapo explain`."""
-    run = "a run folder, or a case, which stands for its latest run"
+    run = "a run folder, or a case, which means its latest run"
     explain = commands.add_parser(
         "explain",
         help="part the change of value between two runs of a gas store into its causes",

@@ -18,10 +18,9 @@ from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
 from .chapters.ladder import METHODS
-from .chapters.products import PRODUCT_DELTAS
+from .chapters.products import PRODUCT_DELTAS, VEGA
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
-from .chapters.vega import VEGA
 from .core.feasibility import first_fault
 from .core.simulator import simulator_of
 from .methods.grid import grid_of

@@ -73,8 +73,8 @@ def text_of(html):
 def test_every_section_stands_in_its_place(full):
     outline = Outline(full)
     assert outline.sections == NAMES
-    # Those of quotes, traded products, methods and hedges are there only where the run has them.
-    assert len(SECTIONS) - 4 == len(NAMES)
+    # Quotes, traded products, vega, methods and hedges are there only where the run has them.
+    assert len(SECTIONS) - 5 == len(NAMES)
     assert outline.open == []
     assert 'class="missing"' not in full.replace('<noscript><p class="missing">', "")
 

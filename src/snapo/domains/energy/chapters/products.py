@@ -1,4 +1,4 @@
-"""Deltas by traded product, of a daily contract."""
+"""Deltas by traded product, of a daily contract, and vega by delivery month, of any contract."""
 
 from dataclasses import replace
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from snapo.study.study import StudyRun
 
-from ...gas_storage.chapters import products
+from ...gas_storage.chapters import products, vega
 from ...gas_storage.chapters.products import ProductDeltas, deltas_by_product
+from ...gas_storage.chapters.vega import Vegas, vega_by_month
 from ..setup import case_of
 
 
@@ -19,3 +20,12 @@ def measure(run: StudyRun) -> ProductDeltas:
 
 
 PRODUCT_DELTAS = replace(products.PRODUCT_DELTAS, measure=measure)
+
+
+def measure_vega(run: StudyRun) -> Vegas:
+    """The vega of a contract."""
+    days = case_of(run.setup).days
+    return vega_by_month(run, (*days, days[-1]))
+
+
+VEGA = replace(vega.VEGA, measure=measure_vega)

@@ -85,7 +85,7 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
                 along = np.zeros(values.shape)
                 along[selected, factor] = 1.0
                 vega = held[name].along(along.ravel())
-                mean = float(values[selected, factor].mean())
+                mean = float(f"{values[selected, factor].mean():.12g}")  # rounding of a sum
                 rows.append(MonthVega(name, factor + 1 if count > 1 else 0, month, mean, *vega,
                                       about.unit))  # fmt: skip
     run.write_records(FILE, MonthVega, rows)

@@ -24,8 +24,7 @@ ROUNDED = 9  # decimals of a planned inventory: a limit is not passed by roundin
 class DayFlow(NamedTuple):
     """A day between the two valuation dates.
 
-    - `price`: forward price on the first date; `spot`: that of the flow, the same where no file
-      says it; `planned`, `taken`: net volume into the store.
+    - `price`: forward price on the first date; `spot`: that of the flow, by default the same; `planned`, `taken`: net volume into the store.
     - `planned_cash`: of the plan at the forward price; `forward_cash`, `cash`: of the flow taken at
       the forward price and at the spot price. All are less costs, discounted to the second date.
     """
@@ -112,19 +111,17 @@ def passed_days(
     if abs(more) <= 1e-9 * max(abs(inventory), abs(levels[0]), 1.0):
         more = 0.0  # as planned, to rounding
     if flows is None:
-        known = {day: TakenFlow(planned[t] + more, float(prices[t]))
+        flows = {day: TakenFlow(planned[t] + more, float(prices[t]))
                  for t, day in enumerate(case.days[:count])}  # fmt: skip
-    else:
-        known = flows
     cash = _Cash(case, problem, elapsed)
     rows, taken_level = [], levels[0]
     for t in range(count):
         keep = 1 - float(problem.schedule.steps.inventory_loss[t])
         day, forward = case.days[t], float(prices[t])
-        if day not in known:
+        if day not in flows:
             message = "this day lies between the two valuation dates, and needs a line"
             raise CaseError("--flows", "", day.isoformat(), message)
-        taken, spot = known[day]
+        taken, spot = flows[day]
         money = (
             cash.of(t, levels[t], planned[t], forward),
             cash.of(t, taken_level, taken, forward),
