@@ -17,7 +17,7 @@ from tests.domains.gas_storage.storage_cases import CASES, read, tables_of, untr
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.chapters.vega import by_date
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
-from snapo.domains.gas_storage.explain import CASH, FIRST, POLICY, REST, SECOND, command
+from snapo.domains.gas_storage.explain import CASH, FIRST, POLICY, REST, SECOND, command, runs
 from snapo.domains.gas_storage.explain.flows import DayFlow, TakenFlow, passed_days, read_flows
 from snapo.domains.gas_storage.explain.parts import (
     ChangePart,
@@ -221,6 +221,19 @@ def run_of(name: str, **tables) -> ValuedRun:
 def test_a_run_that_cannot_follow(first, second, words):
     with pytest.raises(CaseError, match=words):
         check_pair(run_of("quick", **first), run_of("quick", **second))
+
+
+def test_a_run_of_another_kind(tmp_path, monkeypatch):
+    monkeypatch.setattr(runs.run_folder, "read", lambda folder: {"kind": "swing"})
+    with pytest.raises(CaseError, match='between runs of kind "gas-storage"'):
+        ValuedRun.read(tmp_path)
+
+
+def test_a_run_without_a_value(tmp_path, monkeypatch):
+    record = {"kind": "gas-storage", "parts": {}, "decides": {}}
+    monkeypatch.setattr(runs.run_folder, "read", lambda folder: record)
+    with pytest.raises(CaseError, match="has no value with an error: solve its case again"):
+        ValuedRun.read(tmp_path)
 
 
 def test_runs_of_two_currencies():

@@ -51,7 +51,7 @@ class ValuedRun:
             message = f'a change is explained between runs of kind "{KIND}"'
             raise CaseError(str(folder), "kind", record["kind"], message)
         run_folder.check_whole(folder, record, (POLICY, SOLUTION, run_folder.GROUPS))
-        if changed_files(folder, {run_folder.RESULT: record.get("result")}):
+        if "result" in record and changed_files(folder, {run_folder.RESULT: record["result"]}):
             message = "this file was changed since it was written: solve with --resume again"
             raise CaseError(str(folder / run_folder.RESULT), "", None, message)
         result = RunResult.read(folder)
