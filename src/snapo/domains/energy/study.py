@@ -17,6 +17,7 @@ from snapo.study.domain import Options
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
+from ..gas_storage.chapters.vega import volatilities
 from .chapters.ladder import METHODS
 from .chapters.products import PRODUCT_DELTAS, VEGA
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
@@ -70,7 +71,7 @@ def study(case: EnergyCase, options: Options) -> Study:
     parts = [INTRINSIC.part, TRAINING, MOVES.part, DISTRIBUTION.part, profile().part,
              CERTIFICATE.part]  # fmt: skip
     parts += [] if case.products is None else [PRODUCT_DELTAS.part]
-    parts.append(VEGA.part)
+    parts += [VEGA.part] if volatilities(problem) else []
     parts += [BOUND.part] if callable(relaxation) else []
     parts += [REFERENCE.part] if options.reference else []
     parts += [METHODS.part] if options.ladder else []

@@ -25,7 +25,7 @@ from .chapters.risk import SHADOW_PRICES
 from .chapters.run import InputEntry
 from .chapters.today import today
 from .chapters.value import INTRINSIC, REFERENCE, VALUES, Reference, intrinsic_chapter
-from .chapters.vega import VEGA
+from .chapters.vega import VEGA, volatilities
 from .contract.records import GasMarket, StorageCase
 from .references.intrinsic import intrinsic
 from .setup import bare_problem, fitted_value, make_setup, setup_at
@@ -86,7 +86,9 @@ def study(case: StorageCase, options: Options) -> Study:
     ready, bare = _Prepared(case, options.engine), bare_problem(case)
     of_quotes = () if case.quotes is None else (QUOTE_DELTAS,)
     of_products = () if case.products is None else (PRODUCT_DELTAS,)
-    chapters = (POSITION, DELTAS, *of_quotes, *of_products, VEGA, SHADOW_PRICES, CERTIFICATE)
+    of_prices = (VEGA,) if volatilities(bare) else ()
+    optional = (*of_quotes, *of_products, *of_prices)
+    chapters = (POSITION, DELTAS, *optional, SHADOW_PRICES, CERTIFICATE)
     parts = [intrinsic_chapter(bare, case).part, TRAINING, *(x.part for x in chapters)]
     relaxation = _relaxation(ready)
     if callable(relaxation):

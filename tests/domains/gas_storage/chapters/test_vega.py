@@ -4,6 +4,7 @@ The totals are central differences of the optimal value on a lattice, good to 0.
 """
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from tests.domains.energy.energy_cases import swing
 from tests.domains.gas_storage.storage_cases import read
 
 from snapo.domains.energy.setup import make_setup as energy_setup
-from snapo.domains.gas_storage.chapters.vega import VEGA, by_date
+from snapo.domains.gas_storage.chapters.vega import VEGA, by_date, volatilities
 from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
 from snapo.solver.sensitivity import sensitivities
 
@@ -63,3 +64,11 @@ def test_a_run_has_its_vega(solved):
         assert_allclose(months, total, rtol=1e-9)
     assert rows and 'id="vega"' in (run / "report.html").read_text()
     assert VEGA.optional
+
+
+def test_supplied_paths_have_no_volatility():
+    """A problem without such an input has no vega, and its run no part of that name."""
+    problem = bare_problem(read("quick"))
+    assert volatilities(problem) == ["volatility"]
+    inputs = {name: x for name, x in problem.inputs_by_name.items() if x.group != "volatility"}
+    assert volatilities(replace(problem, inputs=inputs)) == []

@@ -31,8 +31,9 @@ from ..setup import case_of
 GROUP = "volatility"  # of the inputs that are volatilities
 FILE = "vega.csv"
 TEXT = (
-    "By how much the value changes where the volatility of all prices delivered in a month is one "
-    "unit higher, with the decisions held; the volatility of other months stays. The sum over the "
+    "By how much the value changes where the volatility of all prices delivered in a month is "
+    "higher by one, in the unit of the column, with the decisions held. The volatility of other "
+    "months stays. The sum over the "
     "months is the derivative with respect to the volatility of all days. Of a factor that moves "
     "all prices, the month's vega is that of its effect on the prices of the month."
 )
@@ -40,11 +41,12 @@ TEXT = (
 
 @dataclass(frozen=True)
 class MonthVega:
-    """The vega of a delivery month, per `unit` of the volatility.
+    """The vega of a delivery month.
 
     - `parameter`: the input; `factor`: its number where there are several, else 0.
     - `month`: "2021-04", or "" of all months; `volatility`: the mean over its days.
-    - `vega`: with the decisions held; `standard_error`: of it.
+    - `vega`, `standard_error`: with the decisions held, per `unit` of the volatility.
+    - `points`: volatility points, or other units of a report, in a `unit`; `point`: their name.
     """
 
     parameter: str
@@ -54,6 +56,8 @@ class MonthVega:
     vega: Number = np.nan
     standard_error: Number = np.nan
     unit: str = ""
+    points: Number = 1.0
+    point: str = ""
 
 
 @dataclass(frozen=True)
@@ -63,31 +67,40 @@ class Vegas:
     vega_by_month: tuple[MonthVega, ...] = ()
 
 
+def volatilities(problem: Problem) -> list[str]:
+    """The names of the inputs that are volatilities; supplied paths have none."""
+    return [name for name, x in problem.inputs_by_name.items() if x.group == GROUP and x.value.size]
+
+
 def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
     """The vega of a run whose prices are on `dates`, one more than decisions; writes vega.csv."""
     setup, policy = run.setup, run.solution.policy
     table = run.solution.sensitivities
     problem = setup.problem
-    names = [n for n, x in problem.inputs_by_name.items() if x.group == GROUP and x.value.size]
+    names = volatilities(problem)
     if table is None or policy is None or not names:
         return Vegas()
     months = np.array([day.strftime("%Y-%m") for day in dates])
     wide = by_date(problem, names, len(dates))
     paths, engine = setup.evaluation.sensitivity_paths, setup.engines.evaluate
     held = sensitivities(wide, policy, paths=paths, engine=engine).held
-    rows = []
+    # The end date has a price only where gas left is paid by it.
+    last = [held[name].value.reshape(len(dates), -1)[-1] for name in names]
+    priced, rows = months if np.any(np.concatenate(last)) else months[:-1], []
     for name in names:
         values = wide.inputs_by_name[name].value.reshape(len(dates), -1)
         about, count = problem.inputs_by_name[name], values.shape[1]
         for factor in range(count):
-            for month in (*dict.fromkeys(months), ""):
+            for month in (*dict.fromkeys(priced), ""):
                 selected = months == month if month else np.ones(len(months), bool)
                 along = np.zeros(values.shape)
                 along[selected, factor] = 1.0
                 vega = held[name].along(along.ravel())
                 mean = float(f"{values[selected, factor].mean():.12g}")  # rounding of a sum
-                rows.append(MonthVega(name, factor + 1 if count > 1 else 0, month, mean, *vega,
-                                      about.unit))  # fmt: skip
+                units = about.unit, about.display_factor, about.display_unit or about.unit
+                rows.append(
+                    MonthVega(name, factor + 1 if count > 1 else 0, month, mean, *vega, *units)
+                )
     run.write_records(FILE, MonthVega, rows)
     return Vegas(tuple(rows))
 
@@ -130,18 +143,18 @@ def show(run: RunFiles, result: Vegas) -> Sequence[Block]:
         return [why_missing(run, VEGA.name)]
     columns = {key: [x for x in rows if (x.parameter, x.factor) == key]
                for key in dict.fromkeys((x.parameter, x.factor) for x in rows)}  # fmt: skip
-    head, digits = [("Delivery", "")], decimals([x.vega for x in rows], 4)
+    head, digits = [("Delivery", "")], decimals([x.vega / x.points for x in rows], 5)
     for (name, factor), column in columns.items():
         title = name.replace("_", " ").capitalize() + (f", factor {factor}" if factor else "")
-        per = f"{run.unit} per {column[0].unit}".strip()
+        per = f"{run.unit} per {column[0].point}".strip()
         head += [(title, column[0].unit), ("Vega", per), ("", "")]
     cells = []
     for line in zip(*columns.values(), strict=True):
         row = [long_month(line[0].month) if line[0].month else "All months"]
         for x in line:
             level = decimals([y.volatility for y in columns[x.parameter, x.factor]], 4)
-            row += [number(x.volatility, level), number(x.vega, digits),
-                    plus_minus(x.standard_error, digits)]  # fmt: skip
+            row += [number(x.volatility, level), number(x.vega / x.points, digits),
+                    plus_minus(x.standard_error / x.points, digits)]  # fmt: skip
         cells.append(tuple(row))
     return [Text(TEXT), Table(head, cells, texts=1, strong=frozenset([len(cells) - 1]))]
 
