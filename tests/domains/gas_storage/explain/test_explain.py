@@ -24,6 +24,7 @@ from snapo.domains.gas_storage.explain.parts import (
     CurveMove,
     ExplainedChange,
     decimals_of,
+    delivery_periods,
     explained_change,
 )
 from snapo.domains.gas_storage.explain.runs import ValuedRun, check_pair, later_paths, on_date_of
@@ -158,11 +159,11 @@ def test_a_day_later(tmp_path):
     print(curve, values[3] - values[2], rows["rest"])
     assert rows["policy"].amount == 0
     assert rows["spot prices"].amount == pytest.approx(-0.5 * flow.taken)
+    numbers = first.case, setup.problem, setup.policy, 1, inventory, 1
     with pytest.raises(CaseError, match="in store, and the second run has"):
-        wrong = {FIRST_DAY: TakenFlow(day.planned, day.price)}
-        explained_change(first, second, silent, wrong)
+        passed_days(*numbers, {FIRST_DAY: TakenFlow(day.planned, day.price)})  # pyright: ignore
     with pytest.raises(CaseError, match="this day lies between the two valuation dates"):
-        explained_change(first, second, silent, {})
+        passed_days(*numbers, {})  # pyright: ignore
     assert_allclose(sum(row.amount for row in change.parts), change.change, atol=1e-9)
     assert_allclose(change.profit, change.change + change.cash, atol=1e-9)
 
@@ -306,6 +307,15 @@ def test_the_command_writes_parts_and_report(tmp_path, monkeypatch):
     assert "profit and loss" in text and "note: a note" in text
     html = (tmp_path / "x" / "explain.html").read_text()
     assert "Days between" in html and "Curve, second order +0.25" in html
+
+
+@pytest.mark.parametrize("products", [None, {"day_ahead": {}, "months": {}}])
+def test_delivery_periods_have_each_day_once(products):
+    case = read("G4", **({} if products is None else {"products": products}))
+    periods = delivery_periods(case)
+    days = [day for period in periods for day in range(period.first, period.after)]
+    assert days == list(range(len(case.days)))
+    assert len(periods) == 4
 
 
 def test_digits_follow_the_size_of_the_value():

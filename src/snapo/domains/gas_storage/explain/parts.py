@@ -283,7 +283,7 @@ class _Chain:
 
     def _curve(self, before: Setup, after: Setup) -> tuple[CurveEffect, tuple[CurveMove, ...]]:
         case = self.second.case
-        periods = _periods(case)
+        periods = delivery_periods(case)
         effect = curve_effect(before, after, self.policy, periods)
         old, new = (x.case.market.forward_curve.used() for x in (before, after))  # pyright: ignore
         moves = []
@@ -362,7 +362,7 @@ def _equal(one: Any, other: Any) -> bool:
     return all(np.array_equal(*(x.used() if _is_input(x) else x for x in pair)) for pair in pairs)
 
 
-def _periods(case: StorageCase) -> Sequence[DeliveryPeriod]:
+def delivery_periods(case: StorageCase) -> Sequence[DeliveryPeriod]:
     """The traded products of a case, or the months."""
     if case.products is not None:
         rows = case.products.named(-1 if case.products.before else 0)
