@@ -26,7 +26,9 @@ from snapo.study.domain import Options
 from snapo.study.run_folder import decisive
 
 HEAD = {"kind", "value", "standard_error", "references", "status", "seconds", "failures", "run"}
-PARTS = ["intrinsic value", "training", "profile", "deltas", "shadow prices", "certificate"]
+PARTS = [
+    "intrinsic value", "training", "profile", "deltas", "vega", "shadow prices", "certificate",
+]  # fmt: skip
 PARTS += ["bound", "dynamic programming", "value ladder"]
 STEPS, EVERY = 300, 10
 
