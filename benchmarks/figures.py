@@ -236,7 +236,9 @@ def main(arguments: list[str]) -> None:
         record("demo", "make demo", demo(run))
         if found := exact(run):
             record("exact", "snapo solve demo --reference", found)
-        (FILE.parent / "storage.svg").write_text(readme_picture(run), encoding="utf-8")
+        value = figures()["exact"]["value"].replace(",", "")
+        picture = readme_picture(run, exact=float(value))
+        (FILE.parent / "storage.svg").write_text(picture, encoding="utf-8")
     elif arguments[:1] == ["cases"]:
         record("cases", "snapo new KIND; snapo solve KIND", cases(Path(arguments[1])))
     elif arguments == ["reservoir"]:
