@@ -117,7 +117,7 @@ def best(
             else:
                 reached = np.sum(weights * there[goals], axis=0) + earned
                 here[rows] = np.maximum(here[rows], reached)
-    return value if step.end.made_up is None else value - step.end.made_up[0][:, None]
+    return value if step.end.held is None else value - step.end.held[0][:, None]
 
 
 def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
@@ -237,6 +237,8 @@ def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
         limits = np.array([low[t + 1], high[t + 1], terms.low[t, i], terms.high[t, i]])
         if restarts[t]:
             limits = np.append(limits, terms.owed[t, i])
+        if terms.of_levels is not None:  # whose money bends at zero
+            limits = np.append(limits, 0.0)
         after.append(_within(limits, low[t + 1], high[t + 1], near))
     first = np.array([start[i]])
     for _ in range(3):
