@@ -3,9 +3,9 @@
 import datetime
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from tests.domains.energy.energy_cases import HOME, case_at, exact
@@ -289,8 +289,8 @@ def test_mistakes_are_named(changes, where):
         contract(**changes)
 
 
-@settings(max_examples=60, deadline=None)
-@given(
+@hypothesis.settings(max_examples=60, deadline=None)
+@hypothesis.given(
     st.sampled_from(["max_park", "max_loan", "max_deliver", "max_take", "park_fee", "loan_fee",
                      "initial_fee", "completion_fee", "cash_out_loan"]),
     st.one_of(st.floats(max_value=-1e-9), st.just(float("nan")), st.text(max_size=3), st.booleans(),
@@ -304,8 +304,8 @@ def test_a_number_that_cannot_be_is_refused_by_its_key(key, value):
 
 
 @pytest.mark.prove
-@settings(max_examples=20, deadline=None)
-@given(
+@hypothesis.settings(max_examples=20, deadline=None)
+@hypothesis.given(
     st.integers(0, 6), st.integers(0, 6), st.integers(1, 4), st.integers(1, 4), st.integers(0, 5)
 )
 def test_fees_lower_the_value_and_limits_raise_it(park, loan, deliver, take, fee):

@@ -5,13 +5,13 @@
     fees     = initial x opened + completion x closed + park fee x B+ + loan fee x B-
 
 d is delivered to the operator and w taken from it on a day, with B+ = max(B, 0), parked, and
-B- = max(-B, 0), on loan, both after the day. What moves the balance away from zero is opened, what
-moves it towards zero is closed, so that a delivery first repays a loan and parks the rest:
+B- = max(-B, 0), on loan, both after the day. Volumes that move the balance away from zero open,
+those that move it towards zero close: a delivery first repays a loan, and the rest is parked:
 
     initial x opened + completion x closed = (initial + completion) / 2 x (d + w)
                                              + (initial - completion) / 2 x change of |B|
 
-At the end the balance is zero, or what is left is cashed out. Sources of the terms: Natural Gas
+At the end the balance is zero, or the units left are cashed out. Sources of the terms: Natural Gas
 Pipeline Company of America, FERC Gas Tariff, Seventh Revised Volume No. 1, Rate Schedule LPS,
 section 6.1: an initial fee for each unit tendered for park or taken for loan, a balance fee on the
 balance at the end of each day, a completion fee for each unit that is returned. Colorado Interstate

@@ -58,12 +58,12 @@ class FlatVolumes:
 
     def _volumes(self) -> tuple[np.ndarray, np.ndarray]:
         """[T] the least and the most volume of each step, of both signs."""
-        least, most = np.asarray(self.terms.least), np.asarray(self.terms.most)
+        forced, free = np.asarray(self.terms.least), np.asarray(self.terms.most)
         if self._down is None:
-            return least[:, self._up], most[:, self._up]
-        up, down = least[:, self._up], least[:, self._down]
-        lowest = np.where(up > 0, up, -most[:, self._down])
-        return lowest, np.where(down > 0, -down, most[:, self._up])
+            return forced[:, self._up], free[:, self._up]
+        up, down = forced[:, self._up], forced[:, self._down]
+        lowest = np.where(up > 0, up, -free[:, self._down])
+        return lowest, np.where(down > 0, -down, free[:, self._up])
 
     def _limit_levels(self, least: np.ndarray, most: np.ndarray) -> None:
         """Narrows the levels after each step to those that are reached."""
