@@ -23,6 +23,7 @@ from .settling import Settling, balances, settling
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
 COARSE = {0: 1, 1: 401, 2: 2601, 3: 4913}  # where these are too many, by the number of levels
+MOVED = 1.5  # times as many for a moved contract, whose nodes are as far apart as before
 LONG = 2_000_000  # nodes of all steps of a coarse grid
 NEAR = 1e-9  # of the largest volume: nearer levels are one
 
@@ -137,6 +138,7 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     widest = [float(np.max(high - low)) for low, high in visited]
     coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
     least = np.zeros(count) if apart is None else apart
+    coarse *= MOVED if least.any() else 1
     if layout.banked:
         widths = banked_widths(visited, measures, least, LONG)
     else:
