@@ -7,6 +7,7 @@ import hypothesis
 import numpy as np
 import pytest
 from hypothesis import strategies as st
+from scipy.integrate import quad
 from scipy.optimize import linprog
 from tests.domains.energy.energy_cases import HOME, case_at, exact
 from tests.domains.gas_storage.storage_cases import CASES, bare, read, tables_of
@@ -94,6 +95,33 @@ def best_plan(case: EnergyCase) -> float:
     result = linprog(-gain, np.concatenate(rows), np.concatenate(values), bounds=(0, None))
     assert result.status == 0
     return constant - result.fun
+
+
+@pytest.mark.prove
+def test_two_days_are_an_integral():
+    """Opened on the first day and closed on the second, where the expected spread is above the
+    fees: S = F exp(v x - v^2 var(x) / 2), x an Ornstein-Uhlenbeck factor of speed 12, v = 0.9."""
+    fees = {"initial_fee": 0.03, "completion_fee": 0.01, "park_fee": 0.004, "loan_fee": 0.03}
+    days = {"start": DAY(2026, 9, 11), "end": DAY(2026, 9, 13), "max_park": 40.0, "max_loan": 30.0}
+    case = contract(**days, **fees)
+    forward, times = case.market.forward_curve.used(), case.day / 365
+    assert forward.tolist() == [30.0, 30.0]
+    discount, decay = np.exp(-0.03 * times), np.exp(-12.0 / 365)
+    variance = (1 - np.exp(-24.0 * times[0])) / 24.0
+
+    def gain(x: float) -> float:
+        now, later = (
+            f * np.exp(0.9 * k * x - 0.5 * (0.9 * k) ** 2 * variance)
+            for f, k in zip(forward, (1.0, decay))
+        )
+        spread = discount[1] * later - discount[0] * now
+        paid = [discount @ (0.03 + fees[name], 0.01) for name in ("park_fee", "loan_fee")]
+        worth = 40.0 * max(spread - paid[0], 0.0) + 30.0 * max(-spread - paid[1], 0.0)
+        return worth * np.exp(-x * x / 2 / variance) / np.sqrt(2 * np.pi * variance)
+
+    value = quad(gain, -1.6, 1.6, limit=400)[0]
+    assert value > 1.0
+    assert exact(case, finer=8) == pytest.approx(value, rel=1e-4)
 
 
 FREE = dict.fromkeys(("park_fee", "loan_fee", "initial_fee", "completion_fee"), 0.0)
