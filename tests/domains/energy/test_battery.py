@@ -127,3 +127,18 @@ def test_bumps_of_energy_and_cycles_stay_on_the_nodes(cycles):
         for share in (-1.0, -0.5, 0.5, 1.0):
             moved = problem.at({name: values.value + share * one_percent(values)})
             assert grid_of(case.contract.layout, moved.schedule, apart=width).exact
+
+
+def bumps_of(**changes):
+    contract = battery(**changes).contract
+    limits = [contract.energy, contract.cycles_day, contract.cycles_term]
+    return [x and x.judge_bump for x in limits]
+
+
+def test_bumps_are_at_least_one_percent_and_at_most_ten():
+    assert bumps_of() == pytest.approx([0.2, 0.05, None])
+    assert bumps_of(energy=40.0, cycles={"term": 2.0}) == pytest.approx([0.4, None, 0.01])
+    assert bumps_of(energy=4.001, cycles={"day": 1.0}) == pytest.approx(
+        [0.042, 0.042 / 4.001, None]
+    )
+    assert bumps_of(energy=1.5) == [None, None, None]

@@ -9,6 +9,7 @@ of the whole term, may be limited.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 from typing import Any
 
 import equinox as eqx
@@ -26,7 +27,8 @@ from ...gas_storage.read.tables import FileName
 from ..core.contract import ContractLayout, EnergyContract, EnergyFlow, Level, StepTerms, Terms
 from ..methods.measure import common_measure
 
-WIDEST = 0.1  # of the energy: a wider bump would be no derivative
+NARROWEST, WIDEST = 0.01, 0.1  # of the energy: a wider bump would be no derivative
+MAX_TRIES = 100
 ROUND_OFF = 1e-9
 GROUP = "contract"
 ENERGY = Quantity("MWh", POSITIVE, GROUP, move=0.1, name="energy")
@@ -138,7 +140,8 @@ def bumps(
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
     """Of energy and of cycles: the least that keep volumes, halfway too, on the common measure of
-    all, on whose multiples methods have their nodes. None where they are more than `WIDEST`."""
+    all, on whose multiples methods have their nodes; of at least 1 %. None where they are more than
+    `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
     limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]
     measure = common_measure(
@@ -146,11 +149,12 @@ def bumps(
     )
     if measure is None or 2 * measure > WIDEST * energy:
         return None, None
-    of_cycles = 2 * measure / energy
-    for times in range(1, int(WIDEST * energy / (2 * measure) + ROUND_OFF) + 1):
+    first, last = (share * energy / (2 * measure) for share in (NARROWEST, WIDEST))
+    first = max(ceil(first - ROUND_OFF), 1)
+    for times in range(first, min(int(last + ROUND_OFF), first + MAX_TRIES) + 1):
         if all(abs(x * times - round(x * times)) < ROUND_OFF for x in limits):
-            return 2 * measure * times, of_cycles
-    return None, of_cycles
+            return 2 * measure * times, 2 * measure * first / energy
+    return None, 2 * measure * first / energy
 
 
 def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) -> BatteryContract:
