@@ -193,10 +193,10 @@ def cases(folder: Path) -> dict[str, str]:
     return {
         **{
             name: f"{x['value']:,.2f} ± {half_width(x['standard_error']):.2f}"
-            for kind in ("swing", "battery")
+            for kind in ("swing", "battery", "park-and-loan")
             for name, x in (
-                (kind, result(kind)),
-                (f"{kind}_upper", result(kind)["bound"]["upper"]),
+                (kind.replace("-", "_"), result(kind)),
+                (f"{kind.replace('-', '_')}_upper", result(kind)["bound"]["upper"]),
             )
         },
         "inventory": f"{-stock['value']:.3f} ± {half_width(stock['standard_error']):.3f}",
