@@ -10,7 +10,14 @@ import pytest
 import snapo
 from snapo.engine import Xla
 from snapo.problem.scenarios import Sources
-from snapo.solver.derivatives.bump import WIDE, Reaction, _Bumper, opposite, reactions
+from snapo.solver.derivatives.bump import (
+    WIDE,
+    Reaction,
+    _Bumper,
+    one_percent,
+    opposite,
+    reactions,
+)
 
 ENGINE = Xla("float64")
 
@@ -104,3 +111,8 @@ def test_an_input_without_effect_on_the_value_gets_no_wider_move(monkeypatch, va
     screened = moved(bumper, "rate", np.zeros(1), np.full(32, 1e-7), 4)
     bumper.refined("rate", np.ones(1), screened)
     assert taken[1:] == moves
+
+
+def test_an_input_may_state_its_bump():
+    assert one_percent(snapo.Input([4.0, 5.0])).tolist() == [0.04, 0.05]
+    assert one_percent(snapo.Input([4.0, 5.0], judge_bump=0.2)).tolist() == [0.2, 0.2]
