@@ -16,3 +16,10 @@ BATTERY = Kind(
     {"week": "template_battery"},
     tables="read.case:battery_formats",
 )
+PLANT = Kind(
+    "plant",
+    "a power plant: power from gas by the hour, with hot and cold starts and minimum times",
+    __name__,
+    {"week": "template_plant"},
+    tables="read.case:plant_formats",
+)

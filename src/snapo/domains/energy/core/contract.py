@@ -6,9 +6,10 @@ a static `ContractLayout`. It may be in one of a few modes; on each step it make
 that begin in its mode, and each flow of that move takes a volume from an interval.
 
     levels after a step = levels + move.changes + effects[flow] volume
-    earnings of a step  = move's money + volume (price S + index I + money)
+    earnings of a step  = move's money + move's index I + volume (price S + index I + money)
 
-S is the spot price, and I, of an indexed contract, the index of its prices.
+S is the spot price, and I, of an indexed contract, the index of its prices: of a month, or the
+spot price of a second commodity.
 
 All money is a present value. Limits hold after each step; a level that `restarts` is then
 settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
@@ -131,7 +132,8 @@ class StepTerms(NamedTuple):
     - `low`, `high`: limits of the levels after the step.
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
-    - `fixed`: [T, moves] money of a move. `promises`, `bank`: None without any.
+    - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
+      none. `promises`, `bank`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -147,6 +149,7 @@ class StepTerms(NamedTuple):
     index: Float[Array, "T flows"] | None = None
     promises: Promises | None = None
     bank: Bank | None = None
+    fixed_index: Float[Array, "T moves"] | None = None
 
 
 class StepPrices(NamedTuple):
@@ -163,6 +166,19 @@ class StepPrices(NamedTuple):
     def units(self, terms: StepTerms, t: int) -> np.ndarray:
         """[flows, columns] the same on step t of all flows, at prices of several columns."""
         return np.asarray(self.unit(terms, (t, slice(None), None)))
+
+    def move(self, terms: StepTerms, place: Any) -> Any:
+        """The earnings of a move, whatever flows; `place` as of `unit`."""
+        money = terms.fixed[place]
+        if terms.fixed_index is None:
+            return money
+        return money + terms.fixed_index[place] * self.index
+
+    def moves(self, terms: StepTerms, t: int) -> np.ndarray:
+        """[moves, columns] the same on step t; [moves] where no price matters."""
+        if terms.fixed_index is None:
+            return np.asarray(terms.fixed[t])
+        return np.asarray(self.move(terms, (t, slice(None), None)))
 
 
 class Terms(NamedTuple):

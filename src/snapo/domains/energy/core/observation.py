@@ -63,7 +63,7 @@ def head(
     units, rooms, base = [], [], []
     for i, move in enumerate(layout.every_move):
         start = state.levels + jnp.asarray(move.changes)
-        forced_gain = now.terms.fixed[i] / price / size
+        forced_gain = prices.move(now.terms, i) / price / size
         if move.flows:
             room = volumes(layout, i, now, state.levels, EXACT, size)
             for k, flow in enumerate(move.flows):

@@ -23,8 +23,7 @@ from snapo.problem.smooth import Exact
 
 from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
-from ...gas_storage.prices.index import IndexedPrices
-from ...gas_storage.prices.process import PricedSimulator, PriceProcess, use
+from ...gas_storage.prices.process import PricedSimulator, PriceProcess, TwoPrices, use
 from .contract import ContractLayout, EnergyContract, StepPrices
 from .feasibility import charged, intervals, volumes
 from .observation import observation
@@ -158,13 +157,13 @@ class EnergySimulator(PricedSimulator):
         spot = self.process.level(constants.price, now.price, state.price)
         if not self.layout.indexed:
             return StepPrices(spot)
-        assert isinstance(self.process, IndexedPrices)
+        assert isinstance(self.process, TwoPrices)
         return StepPrices(spot, self.process.index(constants.price, now.price, state.price))
 
     def open_moves(self, now: Step, state: State, scale: Any) -> Float[Array, " moves"]:
         """1 for each move to levels from which the contract can be met, else 0."""
-        if len(self.layout.every_move) == 1:
-            return jnp.ones(1)
+        if len(self.layout.every_move) == 1 or not self.layout.levels:
+            return jnp.ones(len(self.layout.every_move))
         near, result = NEAR * scale, []
         for i, move in enumerate(self.layout.every_move):
             room = (
@@ -198,7 +197,7 @@ class EnergySimulator(PricedSimulator):
         cash, flows = jnp.zeros(()), [jnp.zeros(()) for _ in layout.flows]
         place = 0
         for i, move in enumerate(layout.every_move):
-            after, earned = state.levels + jnp.asarray(move.changes), terms.fixed[i]
+            after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
             if move.flows:
                 room = volumes(layout, i, now, state.levels, smooth, scale)
                 for k, flow in enumerate(move.flows):

@@ -66,7 +66,7 @@ def fit(
         prices = StepPrices(
             available.spot(t, schedule.steps.forward[t]), _index(available, factors, t)
         )
-        value = best(step, layout, prices.units(terms, t), terms.fixed[t], after)
+        value = best(step, layout, prices.units(terms, t), prices.moves(terms, t), after)
         flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])
         coefficients[t][:] = available.fitted(t, flat).reshape(*value.shape[:2], size)
     return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))

@@ -16,6 +16,7 @@ from ...gas_storage.prices.process import GaussianFactors
 from ...gas_storage.references.marginal import (
     SLOW_REACH,
     FactorGrid,
+    Transition,
     factor_grid,
     gauss_hermite,
     spline_weights,
@@ -111,6 +112,43 @@ class IndexGrid:
     def _fast(self, into: int, points: np.ndarray) -> np.ndarray:
         deviation = self.of.shock[into, 0, 0]
         return transition_weights(self.fast.fast, self.of.decay[into, 0] * points, deviation)
+
+
+@dataclass(frozen=True, eq=False)
+class PairGrid:
+    """Nodes of two correlated factors, that of the spot price and that of a second commodity.
+
+    Columns run over those of the second x those of the spot price.
+    """
+
+    of: GaussianFactors
+    both: FactorGrid
+
+    @classmethod
+    def made(cls, of: GaussianFactors, spacing: float, slow: int) -> "PairGrid":
+        """`spacing` of the spot price's, in deviations of the shock of a step; `slow`: how many of
+        the second."""
+        return cls(of, factor_grid(of._replace(index=None), (0, 1), spacing, slow))
+
+    def columns(self, t: int) -> int:
+        """How many there are."""
+        return self.both.columns
+
+    def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
+        """[columns] spot prices of mean `forward`."""
+        return self.both.spot(t, forward)
+
+    def index(self, t: int) -> np.ndarray:
+        """[columns] prices of the second commodity."""
+        return np.repeat(self.of.index.price(self.of, t, self.both.slow), len(self.both.fast))
+
+    def after(self, t: int) -> Transition:
+        """From a date to the next."""
+        return self.both.after(t)
+
+    def start(self) -> Transition:
+        """From the valuation date, where both factors are 0, to the first date."""
+        return self.both.start()
 
 
 def _read(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
