@@ -96,8 +96,23 @@ class ContractLayout(NamedTuple):
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """(move, flow) of every volume that a policy decides."""
-        return tuple((m, f) for m, move in enumerate(self.every_move) for f in move.flows)
+        """(move, flow) of every volume that a policy decides; that of a flow without effect on the
+        levels is the same in all moves, and is with the first of them."""
+        result: list[tuple[int, int]] = []
+        for m, move in enumerate(self.every_move):
+            known = [flow for _, flow in result if not any(self.flows[flow].effects)]
+            result += [(m, flow) for flow in move.flows if flow not in known]
+        return tuple(result)
+
+    @property
+    def places(self) -> tuple[tuple[int, ...], ...]:
+        """[moves] the numbers of the pairs of each flow of a move."""
+        pairs = self.pairs
+        flows = [flow for _, flow in pairs]
+        return tuple(
+            tuple(pairs.index((m, f)) if (m, f) in pairs else flows.index(f) for f in move.flows)
+            for m, move in enumerate(self.every_move)
+        )
 
     @property
     def effects(self) -> np.ndarray:

@@ -61,6 +61,7 @@ def head(
     if unit_values is not None:
         read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
     units, rooms, base = [], [], []
+    pairs, first = layout.pairs, [-1, *(move.before for move in layout.every_move)]
     for i, move in enumerate(layout.every_move):
         start = state.levels + jnp.asarray(move.changes)
         forced_gain = prices.move(now.terms, i) / price / size
@@ -70,19 +71,21 @@ def head(
                 effects = jnp.asarray(layout.flows[flow].effects)
                 unit = prices.unit(now.terms, flow)
                 gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
-                if unit_values is not None:
-                    table = unit_values.slopes[layout.pairs.index((i, flow))]
+                if unit_values is not None and any(layout.flows[flow].effects):
+                    table = unit_values.slopes[pairs.index((i, flow))]
                     for j in range(POINTS):
                         volume = room.forced[k] + free_volume * j / (POINTS - 1)
                         last, place = j == POINTS - 1, start + volume * effects
                         effects_of = layout.flows[flow].effects
                         row = _slope(unit_values, table, effects_of, place, last, layout.banked)
                         gains[j] = unit + jnp.sum(row * read)
-                units.append(jnp.stack(gains) / price)
-                rooms.append(free_volume / size)
+                if (i, flow) in pairs:
+                    units.append(jnp.stack(gains) / price)
+                    rooms.append(free_volume / size)
                 forced_gain = forced_gain + room.forced[k] / size * gains[0] / price
         if layout.moves:
-            if unit_values is not None and unit_values.moves is not None:
+            others = move.before in first[: i + 1]  # of the first of a mode, these are zero
+            if unit_values is not None and unit_values.moves is not None and others:
                 table = unit_values.moves[i]
                 flat, position = (
                     table.reshape((-1, table.shape[-1])),

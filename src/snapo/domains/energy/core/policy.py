@@ -53,11 +53,10 @@ class UnitValuePolicy(Policy):
         if not layout.moves:
             return jnp.stack(shares)
         scores = [base[m] for m in range(len(layout.moves))]
-        for i, (m, _) in enumerate(layout.pairs):
-            unit, width = units[i], gains.room[i] / (POINTS - 1)
-            for k, share in enumerate(parts[i]):
-                mean = unit[k] + share * (unit[k + 1] - unit[k]) / 2
-                scores[m] = scores[m] + width * share * mean
+        gained = [_gained(*x, gains.room[i] / (POINTS - 1)) for i, x in enumerate(zip(units, parts))]
+        for m, places in enumerate(layout.places):
+            for i in places:
+                scores[m] = scores[m] + gained[i]
         return jnp.concatenate([jnp.stack(shares), _weights(layout, jnp.stack(scores), smooth)])
 
     def corrected(self, gains: Head, seen: Array) -> tuple[list[Array], Array]:
@@ -90,6 +89,15 @@ class UnitValuePolicy(Policy):
             return policy.network.weights[-1], policy.network.biases[-1]
 
         return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
+
+
+def _gained(unit: Array, shares: list[Array], width: Array) -> Array:
+    """The gain of the free volume, of which each of the segments of a width takes its share."""
+    return sum(
+        (width * share * (unit[k] + share * (unit[k + 1] - unit[k]) / 2)
+         for k, share in enumerate(shares)),
+        jnp.zeros(()),
+    )  # fmt: skip
 
 
 def _weights(layout: ContractLayout, scores: Array, smooth) -> Array:

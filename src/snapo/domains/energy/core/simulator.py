@@ -193,22 +193,21 @@ class EnergySimulator(PricedSimulator):
         prices, terms = self.prices(constants, now, state), now.terms
         chosen = self._weights(constants, now, state, action)
         levels = jnp.zeros_like(state.levels)
-        mode = jnp.zeros_like(state.mode)
         cash, flows = jnp.zeros(()), [jnp.zeros(()) for _ in layout.flows]
-        place = 0
+        places = layout.places
         for i, move in enumerate(layout.every_move):
             after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
             if move.flows:
                 room = volumes(layout, i, now, state.levels, smooth, scale)
                 for k, flow in enumerate(move.flows):
-                    volume = room.forced[k] + action[place] * (room.most[k] - room.forced[k])
-                    place += 1
+                    share = action[places[i][k]]
+                    volume = room.forced[k] + share * (room.most[k] - room.forced[k])
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
                     earned = earned + volume * prices.unit(terms, flow)
                     flows[flow] = flows[flow] + chosen[i] * volume
             levels = levels + chosen[i] * after
-            mode = mode.at[move.after].add(chosen[i])
             cash = cash + chosen[i] * earned
+        mode = self._modes(chosen)
         owed, settled = terms.owed, jnp.where(terms.restarts, 0.0, levels)
         if terms.bank is not None:
 
@@ -245,14 +244,21 @@ class EnergySimulator(PricedSimulator):
         free = self.open_moves(now, state, constants.volume_scale)
         asked = action[len(layout.pairs) :] * free
         before = np.array([move.before for move in layout.every_move])
+        order = np.argsort(before, kind="stable")
         result = []
         for mode in range(len(layout.modes)):
-            wanted, possible = (jnp.where(before == mode, x, 0.0) for x in (asked, free))
+            places = order[before[order] == mode]
+            wanted, possible = asked[places], free[places]
             # A policy that wants only closed moves gets the open ones.
             wanted = jnp.where(jnp.sum(wanted) > 0, wanted, possible)
             total = jnp.sum(wanted)
             result.append(state.mode[mode] * wanted / jnp.where(total > 0, total, 1.0))
-        return jnp.sum(jnp.stack(result), axis=0)
+        return jnp.concatenate(result)[np.argsort(order)]
+
+    def _modes(self, chosen: Array) -> Array:
+        """[modes] the weight of each mode after moves of these weights."""
+        after = np.array([move.after for move in self.layout.every_move])
+        return jnp.stack([jnp.sum(chosen[after == k]) for k in range(len(self.layout.modes))])
 
     def terminal(self, constants: Constants, state: State, smooth):
         if constants.first_value is None:
