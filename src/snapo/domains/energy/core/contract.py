@@ -115,6 +115,12 @@ class ContractLayout(NamedTuple):
         )
 
     @property
+    def choices(self) -> tuple[int, ...]:
+        """The numbers of the moves of modes in which there are others."""
+        before = [move.before for move in self.moves]
+        return tuple(m for m, mode in enumerate(before) if before.count(mode) > 1)
+
+    @property
     def effects(self) -> np.ndarray:
         """[flows, levels]"""
         return np.array([flow.effects for flow in self.flows])

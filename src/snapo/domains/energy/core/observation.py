@@ -20,8 +20,8 @@ class Head(NamedTuple):
 
     - `units` [pairs, POINTS]: gains of units of each feasible volume, evenly spaced in it.
     - `room` [pairs]: the free volume, over the largest volume of a step.
-    - `base` [moves]: gain of each move without its free volume, over price and volume scale; those
-      that are not open are far below. Empty where there is no choice.
+    - `base` [choices]: gain of each move without its free volume, over price and volume scale;
+      those that are not open are far below. Empty where there is no choice.
     """
 
     units: Array
@@ -39,7 +39,7 @@ class Head(NamedTuple):
 
 def head_size(layout: ContractLayout) -> int:
     """How many numbers a head has."""
-    return (POINTS + 1) * len(layout.pairs) + len(layout.moves)
+    return (POINTS + 1) * len(layout.pairs) + len(layout.choices)
 
 
 CLOSED = -1e4
@@ -61,7 +61,7 @@ def head(
     if unit_values is not None:
         read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
     units, rooms, base = [], [], []
-    pairs, first = layout.pairs, [-1, *(move.before for move in layout.every_move)]
+    pairs, choices, first = layout.pairs, layout.choices, [-1, *(move.before for move in layout.every_move)]
     for i, move in enumerate(layout.every_move):
         start = state.levels + jnp.asarray(move.changes)
         forced_gain = prices.move(now.terms, i) / price / size
@@ -83,7 +83,7 @@ def head(
                     units.append(jnp.stack(gains) / price)
                     rooms.append(free_volume / size)
                 forced_gain = forced_gain + room.forced[k] / size * gains[0] / price
-        if layout.moves:
+        if i in choices:
             others = move.before in first[: i + 1]  # of the first of a mode, these are zero
             if unit_values is not None and unit_values.moves is not None and others:
                 table = unit_values.moves[i]

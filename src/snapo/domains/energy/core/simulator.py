@@ -1,7 +1,7 @@
 """One path of any contract: prices, feasible volumes, cash.
 
 The action has a share for each volume that may flow (`ContractLayout.pairs`), of what is feasible
-beyond the forced volume, and, where there is a choice of moves, a weight for each move. In
+beyond the forced volume, and, where there is a choice of moves, a weight for each of these. In
 training moves may be mixed: levels, modes and cash are then means over them.
 """
 
@@ -79,7 +79,7 @@ class EnergySimulator(PricedSimulator):
             layout=layout,
             first=int(case.first_step),
             action=Box(  # pyright: ignore[reportCallIssue]
-                0.0, 1.0, len(layout.pairs) + len(layout.moves)
+                0.0, 1.0, len(layout.pairs) + len(layout.choices)
             ),
         )
         return made.scaled({x.name: x.values for x in case.numbers()})
@@ -242,7 +242,10 @@ class EnergySimulator(PricedSimulator):
         if len(layout.every_move) == 1:
             return jnp.ones(1)
         free = self.open_moves(now, state, constants.volume_scale)
-        asked = action[len(layout.pairs) :] * free
+        choices, count = layout.choices, len(layout.choices)
+        asked = jnp.append(action[len(layout.pairs) :], 1.0)  # that of a move without others last
+        every = [choices.index(m) if m in choices else count for m in range(len(layout.moves))]
+        asked = asked[np.array(every)] * free
         before = np.array([move.before for move in layout.every_move])
         order = np.argsort(before, kind="stable")
         result = []

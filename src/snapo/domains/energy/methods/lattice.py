@@ -15,6 +15,7 @@ from .grid import ContractGrid, arrived, best, grid_of
 from .index_grid import IndexGrid, PairGrid
 
 ENOUGH = 1e-5  # of the value: a grid is fine enough when half its spacing moves the value by less
+PAIR = 33, 5e-5  # nodes of a second commodity, and the same share: its first grid is finer
 SPACINGS = {1: 0.3, 2: 0.3}  # of the fast factor's nodes, in deviations of the shock of a step
 
 
@@ -82,8 +83,11 @@ def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid 
 
 
 def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> Refined:
-    """The value, each of its grids halved until that moves it by less than 0.001 %."""
-    of_levels = partial(lattice, layout, schedule, factors)
+    """The value, each of its grids halved until that moves it by less than 0.001 %, or 0.005 % with
+    two commodities."""
+    index = None if factors is None else factors.index
+    slow, enough = (SLOW, ENOUGH) if index is None or index.renewed else PAIR
+    of_levels = partial(lattice, layout, schedule, factors, slow=slow)
     first = of_levels()
     if len(layout.levels) > 2 and not first.grid.exact:
         raise ValueError("there is no lattice of three levels without a practical common measure")
@@ -94,8 +98,8 @@ def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | No
     if factors is not None:
         finer.append(lambda n: of_prices(finer=n))
         if factors.index is not None or coordinates(factors, selected_factors(factors)) > 1:
-            finer.append(lambda n: of_prices(slow=(SLOW - 1) * n + 1))
-    results = [on_finer_grids(first.value, partial(_value, side), ENOUGH) for side in finer]
+            finer.append(lambda n: of_prices(slow=(slow - 1) * n + 1))
+    results = [on_finer_grids(first.value, partial(_value, side), enough) for side in finer]
     moved = sum(result.value - first.value for result in results)
     return Refined(first.value + moved, sum(result.error for result in results))
 
