@@ -4,9 +4,9 @@
                - sum over starts of discount x (money + fuel (G + e c))
 
 S is the price of power, G that of the fuel, c that of emissions, e of which a unit of fuel needs; q
-is the power of an hour on, from the least to the most. A start is of the last class whose hours off
-have passed. Modes are the hours off so far, up to those of the last class, and the hours on so far,
-up to the least.
+is the power of an hour on, between two limits. A start is of the last class whose hours off have
+passed. Modes are the hours off so far, up to those of the last class, and the hours on so far, up
+to `min_up`.
 """
 
 from typing import Any
@@ -35,17 +35,17 @@ POWER = 0  # the flow
 class PlantContract(EnergyContract):
     """The terms of a plant.
 
-    - `least`, `most`: MW on. `idle`, `rate`: fuel of an hour on, and for each MWh of power.
+    - `min_power`, `max_power`: MW on. `idle`, `rate`: fuel of an hour on, and for a MWh of power.
     - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price,
       and other money for each MWh.
     - `start_money`, `start_fuel` [classes]: of a start; None where starts are free.
     - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
       is on.
-    - `most_starts`: 0 without a limit.
+    - `start_limit`: how many starts there may be; 0 without a limit.
     """
 
-    least: CaseInput
-    most: CaseInput
+    min_power: CaseInput
+    max_power: CaseInput
     idle: CaseInput
     rate: CaseInput
     per_fuel: CaseInput
@@ -56,7 +56,7 @@ class PlantContract(EnergyContract):
     layout: ContractLayout = eqx.field(static=True)
     classes: tuple[int, ...] = eqx.field(static=True)
     runs: tuple[bool, ...] = eqx.field(static=True)
-    most_starts: int = eqx.field(static=True)
+    start_limit: int = eqx.field(static=True)
 
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         count, counted = len(paid), len(self.layout.levels)
@@ -72,12 +72,12 @@ class PlantContract(EnergyContract):
         fixed = -paid[:, None] * (money + fuel * emissions[:, None])
         none = jnp.zeros((count, counted))
         steps = StepTerms(
-            jnp.full((count, 1), 1.0) * use(inputs, self.least),
-            jnp.full((count, 1), 1.0) * use(inputs, self.most),
+            jnp.full((count, 1), 1.0) * use(inputs, self.min_power),
+            jnp.full((count, 1), 1.0) * use(inputs, self.max_power),
             paid[:, None],
             -(cost * paid)[:, None],
             none,
-            none + self.most_starts,
+            none + self.start_limit,
             none,
             none,
             jnp.zeros((count, counted), bool),
@@ -103,13 +103,13 @@ def layout_of(
     names = [begins, *(name for name in names if name != begins)]
     where = names.index
     none, one = (0.0,) * counted, (1.0,) * counted
-    moves: list[tuple[ContractMove, int, bool]] = []
+    rows: list[tuple[ContractMove, int, bool]] = []
 
     def add(name: str, before: str, after: str, start: int, runs: bool) -> None:
         changes = one if name == "start" else none
         flows = (POWER,) if runs else ()
         move = ContractMove(name, where(before), where(after), flows, changes)
-        moves.append((move, start, runs))
+        rows.append((move, start, runs))
 
     for k in range(1, longest + 1):
         add("stay off", f"off {k}", f"off {min(k + 1, longest)}", -1, False)
@@ -121,5 +121,8 @@ def layout_of(
         add("run", f"on {j}", f"on {min(j + 1, min_up)}", -1, True)
     levels = (Level("starts", "starts"),) if counted else ()
     power = EnergyFlow("power", "MW", (0.0,) * counted)
-    every, classes, runs = zip(*moves)
-    return ContractLayout(levels, (power,), tuple(names), every, indexed=True), classes, runs
+    every, classes, runs = zip(*rows)
+    layout = ContractLayout(
+        levels, (power,), tuple(names), every, indexed=True, reported=("start",)
+    )
+    return layout, classes, runs

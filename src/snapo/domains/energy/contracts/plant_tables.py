@@ -33,7 +33,7 @@ class PowerTable(CaseTable):
 
 
 class FuelTable(CaseTable):
-    """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: MWh of fuel, of an hour on and for each MWh."""
+    """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: MWh of fuel burnt."""
 
     market: Literal["gas"] = Field("gas", description='"gas"')
     idle: CaseInput = FUEL("burnt in each hour on", 0.0, name="fuel_idle")
@@ -62,11 +62,13 @@ class StartTable(CaseTable):
 class BeforeTable(CaseTable):
     """{ off = 12 } or { on = 6 }: hours off, or on, before the first hour."""
 
-    off: int | None = Field(None, ge=1, le=100_000, description="a whole number of hours, 1 or more")
+    off: int | None = Field(
+        None, ge=1, le=100_000, description="a whole number of hours, 1 or more"
+    )
     on: int | None = Field(None, ge=1, le=100_000, description="a whole number of hours, 1 or more")
 
 
-class PlantTable(CaseTable):
+class PowerPlantTable(CaseTable):
     """`[contract]` of kind "plant"."""
 
     volume_unit: FileName = Field("MWh", description='"MWh"', pattern="^MWh$")
@@ -85,16 +87,16 @@ class PlantTable(CaseTable):
     before: dict | None = Field(None, description="a table like { off = 12 } or { on = 6 }")
 
 
-def read_plant(where: TableContext, table: PlantTable, days: Sequence[Any]) -> PlantContract:
+def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any]) -> PlantContract:
     """The contract; `days`: the local date of each hour."""
     power = where.nested(PowerTable, table.power, "power")
     fuel = where.nested(FuelTable, table.fuel, "fuel")
     emission = where.nested(
         EmissionTable, {"price": 0.0} if table.emission is None else table.emission, "emission"
     )
-    least, most = (float(x.values[0]) for x in (power.min, power.max))
-    if least > most:
-        raise where.error("power.min", least, f"allowed is at most power.max, {most:g}")
+    low, high = (float(x.values[0]) for x in (power.min, power.max))
+    if low > high:
+        raise where.error("power.min", low, f"allowed is at most power.max, {high:g}")
     starts, before = _starts(where, table), where.nested(BeforeTable, table.before or {}, "before")
     if before.on is not None and before.off is not None:
         raise where.error("before", table.before, "allowed is `off` or `on`, not both")
@@ -114,14 +116,14 @@ def read_plant(where: TableContext, table: PlantTable, days: Sequence[Any]) -> P
         table.other_cost.on(days, where.notes),
         stacked("start_money", [start.money for start in starts]) if starts else None,
         stacked("start_fuel", [start.fuel for start in starts]) if starts else None,
-        layout=layout,
+        layout=layout,  # pyright: ignore[reportCallIssue]
         classes=classes,
         runs=runs,
-        most_starts=(table.most_starts or 0) if limited else 0,
+        start_limit=(table.most_starts or 0) if limited else 0,
     )
 
 
-def _starts(where: TableContext, table: PlantTable) -> list[StartTable]:
+def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
     """The classes of starts, by rising hours off; the first is that of the earliest start."""
     starts = [
         parse(StartTable, entry, str(where.file), f"{where.name}.starts.{i + 1}", where.notes,
@@ -130,7 +132,7 @@ def _starts(where: TableContext, table: PlantTable) -> list[StartTable]:
     ]  # fmt: skip
     for i, start in enumerate(starts):
         if not i and start.off > table.min_down:
-            message = f"a start is possible after min_down = {table.min_down} hours off, and needs a class"
+            message = f"starts are possible after {table.min_down} hours off (min_down)"
             raise where.error("starts.1.off", start.off, message)
         if i and start.off <= starts[i - 1].off:
             message = f"allowed is more than that of the class before, {starts[i - 1].off}"

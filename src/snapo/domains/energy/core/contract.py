@@ -66,6 +66,7 @@ class ContractLayout(NamedTuple):
 
     - `indexed`: whether its cash depends on an index as well as on the spot price.
     - `banked`: whether the last of its levels is the bank of the first one, see `bank.py`.
+    - `reported`: names of moves of which a path counts how often they are made.
     """
 
     levels: tuple[Level, ...]
@@ -74,11 +75,12 @@ class ContractLayout(NamedTuple):
     moves: tuple[ContractMove, ...] = ()
     indexed: bool = False
     banked: bool = False
+    reported: tuple[str, ...] = ()
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
-        return levels, flows, self.modes, moves, self.indexed, self.banked
+        return levels, flows, self.modes, moves, self.indexed, self.banked, self.reported
 
     @classmethod
     def of_plain(cls, parts: tuple) -> "ContractLayout":
@@ -100,8 +102,8 @@ class ContractLayout(NamedTuple):
         levels is the same in all moves, and is with the first of them."""
         result: list[tuple[int, int]] = []
         for m, move in enumerate(self.every_move):
-            known = [flow for _, flow in result if not any(self.flows[flow].effects)]
-            result += [(m, flow) for flow in move.flows if flow not in known]
+            decided = [flow for _, flow in result if not any(self.flows[flow].effects)]
+            result += [(m, flow) for flow in move.flows if flow not in decided]
         return tuple(result)
 
     @property

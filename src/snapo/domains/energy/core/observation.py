@@ -61,7 +61,11 @@ def head(
     if unit_values is not None:
         read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
     units, rooms, base = [], [], []
-    pairs, choices, first = layout.pairs, layout.choices, [-1, *(move.before for move in layout.every_move)]
+    pairs, choices, first = (
+        layout.pairs,
+        layout.choices,
+        [-1, *(move.before for move in layout.every_move)],
+    )
     for i, move in enumerate(layout.every_move):
         start = state.levels + jnp.asarray(move.changes)
         forced_gain = prices.move(now.terms, i) / price / size

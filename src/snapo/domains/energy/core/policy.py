@@ -53,7 +53,9 @@ class UnitValuePolicy(Policy):
         if not layout.choices:
             return jnp.stack(shares)
         scores = [base[k] for k in range(len(layout.choices))]
-        gained = [_gained(*x, gains.room[i] / (POINTS - 1)) for i, x in enumerate(zip(units, parts))]
+        gained = [
+            _gained(*x, gains.room[i] / (POINTS - 1)) for i, x in enumerate(zip(units, parts))
+        ]
         for k, m in enumerate(layout.choices):
             for i in layout.places[m]:
                 scores[k] = scores[k] + gained[i]

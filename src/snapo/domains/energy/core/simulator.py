@@ -230,6 +230,9 @@ class EnergySimulator(PricedSimulator):
         )
         outputs = {"cash_flow": cash - lost, "shortfall": lost}
         outputs |= {flow.name: volume for flow, volume in zip(layout.flows, flows)}
+        for name in layout.reported:
+            made = [chosen[i] for i, move in enumerate(layout.moves) if move.name == name]
+            outputs[name] = sum(made, jnp.zeros(()))
         if now.surprise is not None:
             moved = self.process.gaussian(state.price)
             outputs["value_surprise"] = of_step(now.surprise, moved, state, after)
@@ -243,25 +246,25 @@ class EnergySimulator(PricedSimulator):
             return jnp.ones(1)
         free = self.open_moves(now, state, constants.volume_scale)
         choices, count = layout.choices, len(layout.choices)
-        asked = jnp.append(action[len(layout.pairs) :], 1.0)  # that of a move without others last
+        weights = jnp.append(action[len(layout.pairs) :], 1.0)  # of a move without others
         every = [choices.index(m) if m in choices else count for m in range(len(layout.moves))]
-        asked = asked[np.array(every)] * free
+        weights = weights[np.array(every)] * free
         before = np.array([move.before for move in layout.every_move])
         order = np.argsort(before, kind="stable")
         result = []
         for mode in range(len(layout.modes)):
             places = order[before[order] == mode]
-            wanted, possible = asked[places], free[places]
+            wanted, possible = weights[places], free[places]
             # A policy that wants only closed moves gets the open ones.
             wanted = jnp.where(jnp.sum(wanted) > 0, wanted, possible)
             total = jnp.sum(wanted)
             result.append(state.mode[mode] * wanted / jnp.where(total > 0, total, 1.0))
         return jnp.concatenate(result)[np.argsort(order)]
 
-    def _modes(self, chosen: Array) -> Array:
+    def _modes(self, weights: Array) -> Array:
         """[modes] the weight of each mode after moves of these weights."""
         after = np.array([move.after for move in self.layout.every_move])
-        return jnp.stack([jnp.sum(chosen[after == k]) for k in range(len(self.layout.modes))])
+        return jnp.stack([jnp.sum(weights[after == k]) for k in range(len(self.layout.modes))])
 
     def terminal(self, constants: Constants, state: State, smooth):
         if constants.first_value is None:

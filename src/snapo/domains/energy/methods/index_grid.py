@@ -114,6 +114,22 @@ class IndexGrid:
         return transition_weights(self.fast.fast, self.of.decay[into, 0] * points, deviation)
 
 
+class PairTransition(NamedTuple):
+    """A `Transition` of two factors in small products, which OpenBLAS computes on one thread."""
+
+    of: Transition
+
+    def expect(self, value: np.ndarray) -> np.ndarray:
+        """Conditional expectation: [n, second to x first to] -> [n, second from x first from]."""
+        count, total = len(value), 0.0
+        for slow, fast in self.of.terms:
+            mean = product(fast, value.reshape(-1, fast.shape[1]).T)
+            mean = mean.reshape(len(fast), count, -1).transpose(2, 1, 0)
+            total = total + product(slow, mean.reshape(slow.shape[1], -1))
+        every = np.reshape(total, (-1, count, len(self.of.terms[0][1])))
+        return every.transpose(1, 0, 2).reshape(count, -1)
+
+
 @dataclass(frozen=True, eq=False)
 class PairGrid:
     """Nodes of two correlated factors, that of the spot price and that of a second commodity.
@@ -142,13 +158,13 @@ class PairGrid:
         """[columns] prices of the second commodity."""
         return np.repeat(self.of.index.price(self.of, t, self.both.slow), len(self.both.fast))
 
-    def after(self, t: int) -> Transition:
+    def after(self, t: int) -> PairTransition:
         """From a date to the next."""
-        return self.both.after(t)
+        return PairTransition(self.both.after(t))
 
-    def start(self) -> Transition:
+    def start(self) -> PairTransition:
         """From the valuation date, where both factors are 0, to the first date."""
-        return self.both.start()
+        return PairTransition(self.both.start())
 
 
 def _read(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:

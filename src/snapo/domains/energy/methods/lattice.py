@@ -70,7 +70,9 @@ def selected_factors(factors: GaussianFactors) -> tuple[int, ...]:
     return tuple(int(i) for i in speed if moves[i]) or (int(speed[0]),)
 
 
-def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid | IndexGrid | PairGrid:
+def _factor_grid(
+    factors: GaussianFactors, finer: int, slow: int
+) -> FactorGrid | IndexGrid | PairGrid:
     if factors.index is not None and not factors.index.renewed:
         return PairGrid.made(factors, SPACINGS[2] / finer, slow)
     if factors.index is not None:

@@ -44,7 +44,7 @@ from ..contracts.plant_tables import (
     BeforeTable,
     EmissionTable,
     FuelTable,
-    PlantTable,
+    PowerPlantTable,
     PowerTable,
     StartTable,
     read_plant,
@@ -130,7 +130,7 @@ KINDS: dict[str, ContractKind] = {
         hourly=True,
     ),
     "plant": ContractKind(
-        PlantTable,
+        PowerPlantTable,
         read_plant,
         "Power plant",
         {

@@ -158,15 +158,15 @@ def dated_curve(
 ) -> CaseInput:
     """The price of each day, for all of its hours; index [T]."""
     rows = read_rows(FileReference(section, "forward_curve", file), ("date", "price"))
-    known = {day: row for day, row in zip(rising_dates(rows, "date"), rows)}
+    by_day = dict(zip(rising_dates(rows, "date"), rows))
     dates = sorted(set(hours.days))
     for day in dates:
-        if day not in known:
+        if day not in by_day:
             message = f"there is no price for this day; one is needed for each from {dates[0]} to "
             raise CaseError(file, day.isoformat(), None, f"{message}{dates[-1]}")
     labels = [day.isoformat() for day in dates]
-    curve = _input(name, [known[day] for day in dates], labels, unit, "day")
-    return replace(curve, index=np.searchsorted(dates, hours.days))
+    curve = _input(name, [by_day[day] for day in dates], labels, unit, "day")
+    return replace(curve, index=np.array([dates.index(day) for day in hours.days]))
 
 
 def _input(

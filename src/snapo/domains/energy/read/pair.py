@@ -67,10 +67,10 @@ def read_pair_market(
     daily = bool(columns) and "time" not in columns[0].cells
     read = dated_curve if daily else hourly_curve
     second = read(inner, gas.forward_curve, hours, unit, f"{SECOND}_curve")
-    for name, each in ((power.forward_curve, curve), (gas.forward_curve, second)):
-        for t in np.flatnonzero(each.values <= 0)[:1]:
+    for file, prices in ((power.forward_curve, curve), (gas.forward_curve, second)):
+        for t in np.flatnonzero(prices.values <= 0)[:1]:
             message = "the model multiplies the forward price and needs it above 0"
-            raise CaseError(name, each.labels[t], float(each.values[t]), message)
+            raise CaseError(file, prices.labels[t], float(prices.values[t]), message)
     return hourly_market(curve, table, hours), second
 
 
@@ -80,11 +80,11 @@ def read_pair_model(
     """The prices of both; `hours`: the delivery, with the curve of power."""
     factors = [section.nested(OneFactorTable, x, name)
                for name, x in ((FIRST, table.power), (SECOND, table.gas))]  # fmt: skip
-    named = [(FIRST, factors[0]), (SECOND, factors[1])]
-    reversions = tuple(replace(x.mean_reversion, name=f"{name}_mean_reversion") for name, x in named)
+    both = [(FIRST, factors[0]), (SECOND, factors[1])]
+    reversions = tuple(replace(x.mean_reversion, name=f"{name}_mean_reversion") for name, x in both)
     volatilities = tuple(
         replace(x.volatility.on(hours.dates, section.notes), name=f"{name}_volatility")
-        for name, x in named
+        for name, x in both
     )
     rho = _correlation(section, table.correlation)
     position = (*section.keys, "correlation", 0, 2) if table.correlation else None

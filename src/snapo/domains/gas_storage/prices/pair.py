@@ -51,7 +51,7 @@ class PairStep(NamedTuple):
 
 
 class SecondCommodity(NamedTuple):
-    """The second commodity as dynamic programs read it: the last factor moves its price alone."""
+    """The second commodity as dynamic programs read it: the last factor moves its price, and no other."""
 
     rows: SecondRows
     carry: np.ndarray
