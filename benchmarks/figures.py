@@ -193,7 +193,7 @@ def cases(folder: Path) -> dict[str, str]:
     return {
         **{
             name: f"{x['value']:,.2f} ± {half_width(x['standard_error']):.2f}"
-            for kind in ("swing", "battery")
+            for kind in ("swing", "battery", "plant")
             for name, x in (
                 (kind, result(kind)),
                 (f"{kind}_upper", result(kind)["bound"]["upper"]),

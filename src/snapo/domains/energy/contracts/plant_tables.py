@@ -132,7 +132,7 @@ def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
     ]  # fmt: skip
     for i, start in enumerate(starts):
         if not i and start.off > table.min_down:
-            message = f"starts are possible after {table.min_down} hours off (min_down)"
+            message = f"allowed is at most min_down = {table.min_down}: all starts have a class"
             raise where.error("starts.1.off", start.off, message)
         if i and start.off <= starts[i - 1].off:
             message = f"allowed is more than that of the class before, {starts[i - 1].off}"

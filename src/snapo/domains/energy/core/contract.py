@@ -190,12 +190,12 @@ class StepPrices(NamedTuple):
         """[flows, columns] the same on step t of all flows, at prices of several columns."""
         return np.asarray(self.unit(terms, (t, slice(None), None)))
 
-    def move(self, terms: StepTerms, place: Any) -> Any:
-        """The earnings of a move, whatever flows; `place` as of `unit`."""
-        money = terms.fixed[place]
+    def move(self, terms: StepTerms, row: Any) -> Any:
+        """The earnings of a move, whatever flows; `row` as the place of `unit`."""
+        money = terms.fixed[row]
         if terms.fixed_index is None:
             return money
-        return money + terms.fixed_index[place] * self.index
+        return money + terms.fixed_index[row] * self.index
 
     def moves(self, terms: StepTerms, t: int) -> np.ndarray:
         """[moves, columns] the same on step t; [moves] where no price matters."""

@@ -51,7 +51,7 @@ class PairStep(NamedTuple):
 
 
 class SecondCommodity(NamedTuple):
-    """The second commodity as dynamic programs read it: the last factor moves its price, and no other."""
+    """The second commodity as dynamic programs read it: its factor is the last."""
 
     rows: SecondRows
     carry: np.ndarray
