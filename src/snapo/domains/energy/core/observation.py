@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from snapo.problem.smooth import EXACT
 
 from .contract import ContractLayout, StepPrices
-from .feasibility import volumes
+from .feasibility import volumes_by_move
 from .tables import UnitValues, along, nearest_row
 
 POINTS = 5  # units of a volume whose gain is looked at, from the first to the last feasible one
@@ -66,11 +66,11 @@ def head(
         layout.choices,
         [-1, *(move.before for move in layout.every_move)],
     )
-    for i, move in enumerate(layout.every_move):
+    spaces = volumes_by_move(layout, now, state.levels, EXACT, size)
+    for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
         start = state.levels + jnp.asarray(move.changes)
         forced_gain = prices.move(now.terms, i) / price / size
-        if move.flows:
-            room = volumes(layout, i, now, state.levels, EXACT, size)
+        if room is not None:
             for k, flow in enumerate(move.flows):
                 effects = jnp.asarray(layout.flows[flow].effects)
                 unit = prices.unit(now.terms, flow)

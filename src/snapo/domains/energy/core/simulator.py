@@ -25,7 +25,7 @@ from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
 from ...gas_storage.prices.process import PricedSimulator, PriceProcess, TwoPrices, use
 from .contract import ContractLayout, EnergyContract, StepPrices
-from .feasibility import charged, intervals, volumes
+from .feasibility import charged, intervals, volumes_by_move
 from .observation import observation
 from .schedule import Constants, State, Step
 from .tables import Surprises, UnitValueTable, at_end, of_step
@@ -165,10 +165,8 @@ class EnergySimulator(PricedSimulator):
         if len(self.layout.every_move) == 1 or not self.layout.levels:
             return jnp.ones(len(self.layout.every_move))
         near, result = NEAR * scale, []
-        for i, move in enumerate(self.layout.every_move):
-            room = (
-                volumes(self.layout, i, now, state.levels, Exact(), scale) if move.flows else None
-            )
+        spaces = volumes_by_move(self.layout, now, state.levels, Exact(), scale)
+        for move, room in zip(self.layout.every_move, spaces):
             after = state.levels + jnp.asarray(move.changes)
             for k, flow in enumerate(move.flows):
                 assert room is not None
@@ -195,10 +193,10 @@ class EnergySimulator(PricedSimulator):
         levels = jnp.zeros_like(state.levels)
         cash, flows = jnp.zeros(()), [jnp.zeros(()) for _ in layout.flows]
         places = layout.places
-        for i, move in enumerate(layout.every_move):
+        spaces = volumes_by_move(layout, now, state.levels, smooth, scale)
+        for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
             after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
-            if move.flows:
-                room = volumes(layout, i, now, state.levels, smooth, scale)
+            if room is not None:
                 for k, flow in enumerate(move.flows):
                     share = action[places[i][k]]
                     volume = room.forced[k] + share * (room.most[k] - room.forced[k])
