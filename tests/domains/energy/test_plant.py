@@ -143,6 +143,14 @@ def test_all_plans_of_twelve_hours(before, state, most, tmp_path):
     assert exact(case, forward=True) == pytest.approx(best, rel=1e-12)
 
 
+def test_numbers_have_units_and_labels():
+    inputs = plant(emission={"per_fuel": 0.2, "price": 70.0}).inputs()
+    units = {name: inputs[name].unit for name in ("start_money", "emission_price", "other_cost")}
+    assert units == {"start_money": "EUR", "emission_price": "EUR", "other_cost": "EUR/MWh"}
+    assert inputs["start_fuel"].labels == ("3 hours off", "12 hours off")
+    assert inputs["gas_curve"].value.shape == (7,) and inputs["power_curve"].value.shape == (168,)
+
+
 def test_more_starts_than_there_can_be_are_no_limit():
     assert plant(most_starts=200).contract.layout == plant().contract.layout
 

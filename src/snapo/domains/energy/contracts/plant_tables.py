@@ -14,7 +14,7 @@ from ...gas_storage.read.tables import FileName
 from .plant import PlantContract, layout_of
 
 GROUP, COST = "contract", "cost"
-LONGEST = 48  # modes: hours off until the last class of starts, and least hours on
+LONGEST = 72  # modes: hours off until the last class of starts, and least hours on
 POWER = Quantity("MW", NOT_NEGATIVE, GROUP, move=1.0)
 FUEL = Quantity("MWh", NOT_NEGATIVE, GROUP, move=1.0)
 RATE = Quantity("1", POSITIVE, GROUP, move=0.01)
@@ -44,10 +44,10 @@ class EmissionTable(CaseTable):
     """{ per_fuel = 1.0, price = 14.0 }: certificates for each MWh of fuel, and their price."""
 
     per_fuel: CaseInput = Quantity("1", NOT_NEGATIVE, GROUP, move=0.01)(
-        "for each MWh of fuel", 1.0, name="emission_per_fuel"
+        "certificates for each MWh of fuel", 1.0, name="emission_per_fuel"
     )
     price: CaseInput = replace(BY_MWH, unit="{currency}", range=NOT_NEGATIVE)(
-        "of emissions", name="emission_price"
+        "price of a certificate", name="emission_price"
     )
 
 
@@ -55,7 +55,7 @@ class StartTable(CaseTable):
     """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after so many hours off."""
 
     off: int = Field(ge=1, le=LONGEST, description=HOURS)
-    money: CaseInput = MONEY("of a start", 0.0, name="start_money")
+    money: CaseInput = MONEY("paid for a start", 0.0, name="start_money")
     fuel: CaseInput = FUEL("burnt by a start", 0.0, name="start_fuel")
 
 
@@ -112,15 +112,25 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
         fuel.idle,
         fuel.per_mwh,
         emission.per_fuel,
-        emission.price.on(days, where.notes),
+        replace(emission.price, unit=table.currency).on(days, where.notes),
         table.other_cost.on(days, where.notes),
-        stacked("start_money", [start.money for start in starts]) if starts else None,
-        stacked("start_fuel", [start.fuel for start in starts]) if starts else None,
+        _by_class("start_money", starts, [replace(x.money, unit=table.currency) for x in starts]),
+        _by_class("start_fuel", starts, [x.fuel for x in starts]),
         layout=layout,  # pyright: ignore[reportCallIssue]
         classes=classes,
         runs=runs,
         start_limit=(table.most_starts or 0) if limited else 0,
     )
+
+
+def _by_class(
+    name: str, starts: Sequence[StartTable], numbers: Sequence[CaseInput]
+) -> CaseInput | None:
+    """The numbers of all classes, index [classes]; None without classes."""
+    if not starts:
+        return None
+    labels = tuple(f"{start.off} hours off" for start in starts)
+    return replace(stacked(name, numbers), labels=labels)
 
 
 def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
