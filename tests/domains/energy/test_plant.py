@@ -2,11 +2,13 @@
 
 import datetime
 import itertools
+import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from tests.domains.energy.energy_cases import HOME, case_at, exact, plant
 
 from snapo.case.error import CaseError
@@ -187,6 +189,32 @@ def test_strip_of_exchange_options():
         blocks = held[name].blocks
         sums = blocks.reshape(len(blocks), -1).sum(axis=1)
         assert abs(sums.mean() - slope) < 2 * sums.std(ddof=1) / len(sums) ** 0.5
+
+
+@pytest.mark.prove
+def test_strip_valued_earlier_and_with_rates():
+    """Margrabe's formula for every hour, three days before the first one."""
+    earlier = datetime.date(2026, 1, 2)
+    case = d9(**STRIP, **{"market.valuation_date": earlier, "market.interest_rate": 0.5})
+    time = np.arange(72, 240) / 8760
+    power, gas = case.market.forward_curve.used(), 2.0 * case.model.second_curve.used()
+    rates, volatilities = np.array([525.6, 20.0]), np.array([D9["model.power.volatility"], 0.6])
+    pair = rates[:, None] + rates
+    part = np.outer(volatilities, volatilities) * np.array([[1.0, -0.4], [-0.4, 1.0]])
+    deviation = np.sqrt(np.sum(part / pair * (1 - np.exp(-np.multiply.outer(time, pair))), (1, 2)))
+    d = np.log(power / gas) / deviation + deviation / 2
+    paid = np.exp(-0.5 * np.array([(day - earlier).days for day in case.days]) / 365)
+    value = 110.0 * np.sum(paid * (power * norm.cdf(d) - gas * norm.cdf(d - deviation)))
+    problem = bare_problem(case)
+    exact_value = lattice(case.contract.layout, problem.schedule, factors_of(problem), slow=33)
+    assert exact_value.value == pytest.approx(value, rel=2e-6)
+
+
+def test_no_file_of_core_and_methods_names_a_contract():
+    files = [*(HOME / "core").glob("*.py"), *(HOME / "methods").glob("*.py")]
+    words = re.compile(r"\b(swing|battery|batteries|plant)s?\b", re.IGNORECASE)
+    assert len(files) > 10
+    assert [file.name for file in files if words.search(file.read_text())] == []
 
 
 @pytest.mark.prove
