@@ -189,7 +189,7 @@ class EnergySimulator(PricedSimulator):
     def step(self, constants: Constants, now: Step, state: State, action, noise, smooth):
         layout, scale = self.layout, constants.volume_scale
         prices, terms = self.prices(constants, now, state), now.terms
-        chosen = self._weights(constants, now, state, action)
+        weights = self._weights(constants, now, state, action)
         levels = jnp.zeros_like(state.levels)
         cash, flows = jnp.zeros(()), [jnp.zeros(()) for _ in layout.flows]
         places = layout.places
@@ -202,10 +202,10 @@ class EnergySimulator(PricedSimulator):
                     volume = room.forced[k] + share * (room.most[k] - room.forced[k])
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
                     earned = earned + volume * prices.unit(terms, flow)
-                    flows[flow] = flows[flow] + chosen[i] * volume
-            levels = levels + chosen[i] * after
-            cash = cash + chosen[i] * earned
-        mode = self._modes(chosen)
+                    flows[flow] = flows[flow] + weights[i] * volume
+            levels = levels + weights[i] * after
+            cash = cash + weights[i] * earned
+        mode = self._modes(weights)
         owed, settled = terms.owed, jnp.where(terms.restarts, 0.0, levels)
         if terms.bank is not None:
 
@@ -229,7 +229,7 @@ class EnergySimulator(PricedSimulator):
         outputs = {"cash_flow": cash - lost, "shortfall": lost}
         outputs |= {flow.name: volume for flow, volume in zip(layout.flows, flows)}
         for name in layout.reported:
-            made = [chosen[i] for i, move in enumerate(layout.moves) if move.name == name]
+            made = [weights[i] for i, move in enumerate(layout.moves) if move.name == name]
             outputs[name] = sum(made, jnp.zeros(()))
         if now.surprise is not None:
             moved = self.process.gaussian(state.price)
