@@ -63,6 +63,19 @@ MINIATURES = {
             ),
         ),
         Miniature(
+            "plant",
+            assignments=(
+                "contract.end=2026-01-05T12:00:00",
+                "contract.min_up=1",
+                "contract.min_down=1",
+                "contract.starts=[]",
+                "training.steps=4",
+                "evaluation.judge_paths=0",
+                "evaluation.paths=256",
+                *LITTLE,
+            ),
+        ),
+        Miniature(
             "pension",
             "small",
             (

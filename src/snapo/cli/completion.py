@@ -17,9 +17,17 @@ if TYPE_CHECKING:
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 KINDS = (
-    "gas-storage", "swing", "battery", "park-and-loan", "pension", "pharma", "inventory", "control",
+    "gas-storage",
+    "swing",
+    "battery",
+    "park-and-loan",
+    "plant",
+    "pension",
+    "pharma",
+    "inventory",
+    "control",
     "own",
-)  # fmt: skip
+)
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:

@@ -46,6 +46,12 @@ def battery(**changes: Any) -> EnergyCase:
     return case_at(HOME / "template_battery", named)
 
 
+def plant(**changes: Any) -> EnergyCase:
+    """The template of a power plant, keys of `[contract]` changed."""
+    named = {f"contract.{name}": value for name, value in changes.items()}
+    return case_at(HOME / "template_plant", named)
+
+
 def exact(case: EnergyCase, forward: bool = False, finer: int = 2) -> float:
     """The value on a lattice, `finer` than its first one; `forward`: at forward prices."""
     problem = bare_problem(case)

@@ -23,3 +23,10 @@ PARK_AND_LOAN = Kind(
     {"winter": "template_park_and_loan"},
     tables="read.case:park_and_loan_formats",
 )
+PLANT = Kind(
+    "plant",
+    "a power plant: power from gas by the hour, with hot and cold starts and minimum times",
+    __name__,
+    {"week": "template_plant"},
+    tables="read.case:plant_formats",
+)

@@ -112,6 +112,7 @@ def _about(case: EnergyCase) -> dict[str, Any]:
     layout, money = case.contract.layout, case.currency
     unit = money if case.objective.keeps_unit else ""
     units = {flow.name: flow.unit for flow in layout.flows}
+    units |= dict.fromkeys(layout.reported, "1")
     return {
         "title": case.title,
         "unit": unit,

@@ -6,10 +6,12 @@ a static `ContractLayout`. It may be in one of a few modes; on each step it make
 that begin in its mode, and each flow of that move takes a volume from an interval.
 
     levels after a step = levels + move.changes + effects[flow] volume
-    earnings of a step  = move's money + volume (price S + index I + money) + money of the levels
+    earnings of a step  = move's money + move's index I + volume (price S + index I + money)
+                          + money of the levels
 
-S is the spot price, and I, of an indexed contract, the index of its prices. Levels may be negative;
-their money is linear on each side of zero (`LevelMoney`).
+S is the spot price, and I, of an indexed contract, the index of its prices: of a month, or the
+spot price of a second commodity. Levels may be negative; their money is linear on each side of
+zero (`LevelMoney`).
 
 All money is a present value. Limits hold after each step; a level that `restarts` is then
 settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
@@ -67,6 +69,7 @@ class ContractLayout(NamedTuple):
 
     - `indexed`: whether its cash depends on an index as well as on the spot price.
     - `banked`: whether the last of its levels is the bank of the first one, see `bank.py`.
+    - `reported`: names of moves of which a path counts how often they are made.
     """
 
     levels: tuple[Level, ...]
@@ -75,11 +78,12 @@ class ContractLayout(NamedTuple):
     moves: tuple[ContractMove, ...] = ()
     indexed: bool = False
     banked: bool = False
+    reported: tuple[str, ...] = ()
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
-        return levels, flows, self.modes, moves, self.indexed, self.banked
+        return levels, flows, self.modes, moves, self.indexed, self.banked, self.reported
 
     @classmethod
     def of_plain(cls, parts: tuple) -> "ContractLayout":
@@ -97,8 +101,29 @@ class ContractLayout(NamedTuple):
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """(move, flow) of every volume that a policy decides."""
-        return tuple((m, f) for m, move in enumerate(self.every_move) for f in move.flows)
+        """(move, flow) of every volume that a policy decides; that of a flow without effect on the
+        levels is the same in all moves, and is with the first of them."""
+        result: list[tuple[int, int]] = []
+        for m, move in enumerate(self.every_move):
+            decided = [flow for _, flow in result if not any(self.flows[flow].effects)]
+            result += [(m, flow) for flow in move.flows if flow not in decided]
+        return tuple(result)
+
+    @property
+    def places(self) -> tuple[tuple[int, ...], ...]:
+        """[moves] the numbers of the pairs of each flow of a move."""
+        pairs = self.pairs
+        flows = [flow for _, flow in pairs]
+        return tuple(
+            tuple(pairs.index((m, f)) if (m, f) in pairs else flows.index(f) for f in move.flows)
+            for m, move in enumerate(self.every_move)
+        )
+
+    @property
+    def choices(self) -> tuple[int, ...]:
+        """The numbers of the moves of modes in which there are others."""
+        before = [move.before for move in self.moves]
+        return tuple(m for m, mode in enumerate(before) if before.count(mode) > 1)
 
     @property
     def effects(self) -> np.ndarray:
@@ -154,7 +179,8 @@ class StepTerms(NamedTuple):
     - `low`, `high`: limits of the levels after the step.
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
-    - `fixed`: [T, moves] money of a move. `promises`, `bank`, `of_levels`: None without any.
+    - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
+      none. `promises`, `bank`, `of_levels`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -171,6 +197,7 @@ class StepTerms(NamedTuple):
     promises: Promises | None = None
     bank: Bank | None = None
     of_levels: LevelMoney | None = None
+    fixed_index: Float[Array, "T moves"] | None = None
 
 
 class StepPrices(NamedTuple):
@@ -187,6 +214,19 @@ class StepPrices(NamedTuple):
     def units(self, terms: StepTerms, t: int) -> np.ndarray:
         """[flows, columns] the same on step t of all flows, at prices of several columns."""
         return np.asarray(self.unit(terms, (t, slice(None), None)))
+
+    def move(self, terms: StepTerms, row: Any) -> Any:
+        """The earnings of a move, whatever flows; `row` as the place of `unit`."""
+        money = terms.fixed[row]
+        if terms.fixed_index is None:
+            return money
+        return money + terms.fixed_index[row] * self.index
+
+    def moves(self, terms: StepTerms, t: int) -> np.ndarray:
+        """[moves, columns] the same on step t; [moves] where no price matters."""
+        if terms.fixed_index is None:
+            return np.asarray(terms.fixed[t])
+        return np.asarray(self.move(terms, (t, slice(None), None)))
 
 
 class Terms(NamedTuple):

@@ -114,6 +114,22 @@ def volumes(
     return FeasibleVolumes(jnp.stack(forced), jnp.stack(most))
 
 
+def volumes_by_move(
+    layout: ContractLayout, now: Any, levels: Array, smooth, scale
+) -> list[FeasibleVolumes | None]:
+    """[moves] `volumes` of each; None for one without flows. It is the same for all moves whose
+    flows have no effect on the levels."""
+    shared: dict[tuple[int, ...], FeasibleVolumes] = {}
+    result: list[FeasibleVolumes | None] = []
+    for i, move in enumerate(layout.every_move):
+        touched = any(any(layout.flows[flow].effects) for flow in move.flows)
+        key = (i,) if touched or now.terms.promises is not None else (-1, *move.flows)
+        if move.flows and key not in shared:
+            shared[key] = volumes(layout, i, now, levels, smooth, scale)
+        result.append(shared.get(key))
+    return result
+
+
 def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None:
     """(step, level) at which no decision can keep the limits; None where all can be met.
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from snapo.problem.smooth import EXACT
 
 from .contract import ContractLayout, StepPrices
-from .feasibility import volumes
+from .feasibility import volumes_by_move
 from .tables import UnitValues, along, nearest_row
 
 POINTS = 5  # units of a volume whose gain is looked at, from the first to the last feasible one
@@ -20,8 +20,8 @@ class Head(NamedTuple):
 
     - `units` [pairs, POINTS]: gains of units of each feasible volume, evenly spaced in it.
     - `room` [pairs]: the free volume, over the largest volume of a step.
-    - `base` [moves]: gain of each move without its free volume, over price and volume scale; those
-      that are not open are far below. Empty where there is no choice.
+    - `base` [choices]: gain of each move without its free volume, over price and volume scale;
+      those that are not open are far below. Empty where there is no choice.
     """
 
     units: Array
@@ -39,7 +39,7 @@ class Head(NamedTuple):
 
 def head_size(layout: ContractLayout) -> int:
     """How many numbers a head has."""
-    return (POINTS + 1) * len(layout.pairs) + len(layout.moves)
+    return (POINTS + 1) * len(layout.pairs) + len(layout.choices)
 
 
 CLOSED = -1e4
@@ -61,28 +61,35 @@ def head(
     if unit_values is not None:
         read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
     units, rooms, base = [], [], []
-    for i, move in enumerate(layout.every_move):
+    pairs, choices, first = (
+        layout.pairs,
+        layout.choices,
+        [-1, *(move.before for move in layout.every_move)],
+    )
+    spaces = volumes_by_move(layout, now, state.levels, EXACT, size)
+    for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
         start = state.levels + jnp.asarray(move.changes)
-        forced_gain = now.terms.fixed[i] / price / size
-        if move.flows:
-            room = volumes(layout, i, now, state.levels, EXACT, size)
+        forced_gain = prices.move(now.terms, i) / price / size
+        if room is not None:
             for k, flow in enumerate(move.flows):
                 effects = jnp.asarray(layout.flows[flow].effects)
                 unit = prices.unit(now.terms, flow)
                 gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
-                if unit_values is not None:
-                    table = unit_values.slopes[layout.pairs.index((i, flow))]
+                if unit_values is not None and any(layout.flows[flow].effects):
+                    table = unit_values.slopes[pairs.index((i, flow))]
                     for j in range(POINTS):
                         volume = room.forced[k] + free_volume * j / (POINTS - 1)
                         last, place = j == POINTS - 1, start + volume * effects
                         effects_of = layout.flows[flow].effects
                         row = _slope(unit_values, table, effects_of, place, last, layout.banked)
                         gains[j] = unit + jnp.sum(row * read)
-                units.append(jnp.stack(gains) / price)
-                rooms.append(free_volume / size)
+                if (i, flow) in pairs:
+                    units.append(jnp.stack(gains) / price)
+                    rooms.append(free_volume / size)
                 forced_gain = forced_gain + room.forced[k] / size * gains[0] / price
-        if layout.moves:
-            if unit_values is not None and unit_values.moves is not None:
+        if i in choices:
+            others = move.before in first[: i + 1]  # of the first of a mode, these are zero
+            if unit_values is not None and unit_values.moves is not None and others:
                 table = unit_values.moves[i]
                 flat, position = (
                     table.reshape((-1, table.shape[-1])),

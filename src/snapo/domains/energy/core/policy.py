@@ -21,7 +21,7 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
 class UnitValuePolicy(Policy):
-    """The action is a share of each volume, and a weight of each move."""
+    """The action is a share of each volume, and a weight of each move that has others."""
 
     network: Network
     form: tuple = eqx.field(static=True)
@@ -50,14 +50,15 @@ class UnitValuePolicy(Policy):
         units, base = self.corrected(gains, observation[self.head :])
         parts = [[smooth.share(unit[k], unit[k + 1]) for k in range(POINTS - 1)] for unit in units]
         shares = [sum(part) / (POINTS - 1) for part in parts]
-        if not layout.moves:
+        if not layout.choices:
             return jnp.stack(shares)
-        scores = [base[m] for m in range(len(layout.moves))]
-        for i, (m, _) in enumerate(layout.pairs):
-            unit, width = units[i], gains.room[i] / (POINTS - 1)
-            for k, share in enumerate(parts[i]):
-                mean = unit[k] + share * (unit[k + 1] - unit[k]) / 2
-                scores[m] = scores[m] + width * share * mean
+        scores = [base[k] for k in range(len(layout.choices))]
+        gained = [
+            _gained(*x, gains.room[i] / (POINTS - 1)) for i, x in enumerate(zip(units, parts))
+        ]
+        for k, m in enumerate(layout.choices):
+            for i in layout.places[m]:
+                scores[k] = scores[k] + gained[i]
         return jnp.concatenate([jnp.stack(shares), _weights(layout, jnp.stack(scores), smooth)])
 
     def corrected(self, gains: Head, seen: Array) -> tuple[list[Array], Array]:
@@ -72,13 +73,13 @@ class UnitValuePolicy(Policy):
             bend = sum((effects[flow, j] * bends[j] for j in range(count)), jnp.zeros(()))
             units.append(gains.units[i] + more + bend * gains.room[i] * along)
         base = gains.base
-        if layout.moves:
+        if layout.choices:
             mode_values = jnp.concatenate([jnp.zeros(1), modes[: len(layout.modes) - 1]])
             shift = [
-                mode_values[move.after] + sum((changes[m, j] * levels[j] for j in range(count)),
-                                         jnp.zeros(()))
-                for m, move in enumerate(layout.moves)
-            ]  # fmt: skip
+                mode_values[layout.moves[m].after]
+                + sum((changes[m, j] * levels[j] for j in range(count)), jnp.zeros(()))
+                for m in layout.choices
+            ]
             base = base + jnp.stack(shift)
         return units, base
 
@@ -92,14 +93,18 @@ class UnitValuePolicy(Policy):
         return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
 
 
+def _gained(unit: Array, shares: list[Array], width: Array) -> Array:
+    """The gain of the free volume, of which each of the segments of a width takes its share."""
+    return sum(
+        (width * share * (unit[k] + share * (unit[k + 1] - unit[k]) / 2)
+         for k, share in enumerate(shares)),
+        jnp.zeros(()),
+    )  # fmt: skip
+
+
 def _weights(layout: ContractLayout, scores: Array, smooth) -> Array:
-    """[moves] the weights of the moves of each mode."""
-    result = jnp.zeros(len(layout.moves))
-    before = np.array([move.before for move in layout.moves])
-    for mode in range(len(layout.modes)):
-        places = np.flatnonzero(before == mode)
-        if len(places) == 1:
-            result = result.at[places[0]].set(1.0)
-        elif len(places):
-            result = result.at[places].set(smooth.weights(scores[places]))
-    return result
+    """[choices] the weights of the moves of each mode in which there are several."""
+    before = np.array([layout.moves[m].before for m in layout.choices])
+    groups = [np.flatnonzero(before == mode) for mode in np.unique(before)]
+    weights = jnp.concatenate([smooth.weights(scores[group]) for group in groups])
+    return weights[np.argsort(np.concatenate(groups))]

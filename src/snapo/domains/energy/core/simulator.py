@@ -1,7 +1,7 @@
 """One path of any contract: prices, feasible volumes, cash.
 
 The action has a share for each volume that may flow (`ContractLayout.pairs`), of what is feasible
-beyond the forced volume, and, where there is a choice of moves, a weight for each move. In
+beyond the forced volume, and, where there is a choice of moves, a weight for each of these. In
 training moves may be mixed: levels, modes and cash are then means over them.
 """
 
@@ -23,10 +23,9 @@ from snapo.problem.smooth import Exact
 
 from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
-from ...gas_storage.prices.index import IndexedPrices
-from ...gas_storage.prices.process import PricedSimulator, PriceProcess, use
+from ...gas_storage.prices.process import PricedSimulator, PriceProcess, TwoPrices, use
 from .contract import ContractLayout, EnergyContract, StepPrices, level_money
-from .feasibility import charged, intervals, volumes
+from .feasibility import charged, intervals, volumes_by_move
 from .observation import observation
 from .schedule import Constants, State, Step
 from .tables import Surprises, UnitValueTable, at_end, of_step
@@ -80,7 +79,7 @@ class EnergySimulator(PricedSimulator):
             layout=layout,
             first=int(case.first_step),
             action=Box(  # pyright: ignore[reportCallIssue]
-                0.0, 1.0, len(layout.pairs) + len(layout.moves)
+                0.0, 1.0, len(layout.pairs) + len(layout.choices)
             ),
         )
         return made.scaled({x.name: x.values for x in case.numbers()})
@@ -158,18 +157,16 @@ class EnergySimulator(PricedSimulator):
         spot = self.process.level(constants.price, now.price, state.price)
         if not self.layout.indexed:
             return StepPrices(spot)
-        assert isinstance(self.process, IndexedPrices)
+        assert isinstance(self.process, TwoPrices)
         return StepPrices(spot, self.process.index(constants.price, now.price, state.price))
 
     def open_moves(self, now: Step, state: State, scale: Any) -> Float[Array, " moves"]:
         """1 for each move to levels from which the contract can be met, else 0."""
-        if len(self.layout.every_move) == 1:
-            return jnp.ones(1)
+        if len(self.layout.every_move) == 1 or not self.layout.levels:
+            return jnp.ones(len(self.layout.every_move))
         near, result = NEAR * scale, []
-        for i, move in enumerate(self.layout.every_move):
-            room = (
-                volumes(self.layout, i, now, state.levels, Exact(), scale) if move.flows else None
-            )
+        spaces = volumes_by_move(self.layout, now, state.levels, Exact(), scale)
+        for move, room in zip(self.layout.every_move, spaces):
             after = state.levels + jnp.asarray(move.changes)
             for k, flow in enumerate(move.flows):
                 assert room is not None
@@ -192,30 +189,29 @@ class EnergySimulator(PricedSimulator):
     def step(self, constants: Constants, now: Step, state: State, action, noise, smooth):
         layout, scale = self.layout, constants.volume_scale
         prices, terms = self.prices(constants, now, state), now.terms
-        chosen = self._weights(constants, now, state, action)
+        weights = self._weights(constants, now, state, action)
         levels = jnp.zeros_like(state.levels)
-        mode = jnp.zeros_like(state.mode)
         cash, flows = jnp.zeros(()), [jnp.zeros(()) for _ in layout.flows]
-        place = 0
 
         def positive(x):
             return smooth.positive_part(x, scale)
 
-        for i, move in enumerate(layout.every_move):
-            after, earned = state.levels + jnp.asarray(move.changes), terms.fixed[i]
-            if move.flows:
-                room = volumes(layout, i, now, state.levels, smooth, scale)
+        places = layout.places
+        spaces = volumes_by_move(layout, now, state.levels, smooth, scale)
+        for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
+            after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
+            if room is not None:
                 for k, flow in enumerate(move.flows):
-                    volume = room.forced[k] + action[place] * (room.most[k] - room.forced[k])
-                    place += 1
+                    share = action[places[i][k]]
+                    volume = room.forced[k] + share * (room.most[k] - room.forced[k])
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
                     earned = earned + volume * prices.unit(terms, flow)
-                    flows[flow] = flows[flow] + chosen[i] * volume
+                    flows[flow] = flows[flow] + weights[i] * volume
             if terms.of_levels is not None:
                 earned = earned + level_money(terms.of_levels.after, after, positive)
-            levels = levels + chosen[i] * after
-            mode = mode.at[move.after].add(chosen[i])
-            cash = cash + chosen[i] * earned
+            levels = levels + weights[i] * after
+            cash = cash + weights[i] * earned
+        mode = self._modes(weights)
         owed, settled = terms.owed, jnp.where(terms.restarts, 0.0, levels)
         if terms.of_levels is not None:
             cash = cash - level_money(terms.of_levels.before, state.levels, positive)
@@ -236,6 +232,9 @@ class EnergySimulator(PricedSimulator):
         )
         outputs = {"cash_flow": cash - lost, "shortfall": lost}
         outputs |= {flow.name: volume for flow, volume in zip(layout.flows, flows)}
+        for name in layout.reported:
+            made = [weights[i] for i, move in enumerate(layout.moves) if move.name == name]
+            outputs[name] = sum(made, jnp.zeros(()))
         if now.surprise is not None:
             moved = self.process.gaussian(state.price)
             outputs["value_surprise"] = of_step(now.surprise, moved, state, after)
@@ -248,16 +247,26 @@ class EnergySimulator(PricedSimulator):
         if len(layout.every_move) == 1:
             return jnp.ones(1)
         free = self.open_moves(now, state, constants.volume_scale)
-        asked = action[len(layout.pairs) :] * free
+        choices, count = layout.choices, len(layout.choices)
+        weights = jnp.append(action[len(layout.pairs) :], 1.0)  # of a move without others
+        every = [choices.index(m) if m in choices else count for m in range(len(layout.moves))]
+        weights = weights[np.array(every)] * free
         before = np.array([move.before for move in layout.every_move])
+        order = np.argsort(before, kind="stable")
         result = []
         for mode in range(len(layout.modes)):
-            wanted, possible = (jnp.where(before == mode, x, 0.0) for x in (asked, free))
+            places = order[before[order] == mode]
+            wanted, possible = weights[places], free[places]
             # A policy that wants only closed moves gets the open ones.
             wanted = jnp.where(jnp.sum(wanted) > 0, wanted, possible)
             total = jnp.sum(wanted)
             result.append(state.mode[mode] * wanted / jnp.where(total > 0, total, 1.0))
-        return jnp.sum(jnp.stack(result), axis=0)
+        return jnp.concatenate(result)[np.argsort(order)]
+
+    def _modes(self, weights: Array) -> Array:
+        """[modes] the weight of each mode after moves of these weights."""
+        after = np.array([move.after for move in self.layout.every_move])
+        return jnp.stack([jnp.sum(weights[after == k]) for k in range(len(self.layout.modes))])
 
     def terminal(self, constants: Constants, state: State, smooth):
         if constants.first_value is None:

@@ -66,7 +66,7 @@ def fit(
         prices = StepPrices(
             available.spot(t, schedule.steps.forward[t]), _index(available, factors, t)
         )
-        value = best(step, layout, prices.units(terms, t), terms.fixed[t], after)
+        value = best(step, layout, prices.units(terms, t), prices.moves(terms, t), after)
         flat = np.where(np.isfinite(value), value, 0.0).reshape(-1, value.shape[2])
         coefficients[t][:] = available.fitted(t, flat).reshape(*value.shape[:2], size)
     return FittedContract(basis, grid, coefficients, float(coefficients[0][0, 0] @ basis.first))
@@ -99,7 +99,7 @@ def unit_value_table(layout: ContractLayout, fitted: FittedContract) -> UnitValu
         after = _after(layout, fitted, t)
         key = tuple(x.tobytes() for x in (low, spacing, *step.after))
         if key not in cache:
-            rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
+            rows = low + spacing * _numbers(counts)
             cache[key] = _step_weights(layout, step, rows, spacing)
         weights = cache[key]
         local = [
@@ -157,6 +157,13 @@ def _rows(step: StepGrid, counts) -> tuple[np.ndarray, np.ndarray]:
         if low[i] + (count - 1) * spacing[i] < nodes[-1] - 1e-6 * spacing[i]:
             low[i], spacing[i] = nodes[0], np.ptp(nodes) / (count - 1)
     return low, spacing
+
+
+def _numbers(counts: tuple[int, ...]) -> np.ndarray:
+    """[rows, levels] the numbers of all rows: one row without levels."""
+    if not counts:
+        return np.zeros((1, 0))
+    return np.indices(counts).reshape(len(counts), -1).T
 
 
 def _lattice(nodes: np.ndarray) -> tuple[float, float]:
@@ -241,7 +248,7 @@ def surprises(layout: ContractLayout, fitted: FittedContract) -> Surprises:
         nodes = grid.nodes[t]
         low = np.array([x[0] for x in nodes])
         spacing = np.array([np.ptp(x) / (count - 1) for x in nodes]) if nodes else np.zeros(0)
-        rows = low + spacing * np.indices(counts).reshape(len(counts), -1).T
+        rows = low + spacing * _numbers(counts)
         plain = fitted.coefficients[t] @ available.plain(t)
         key = tuple(x.tobytes() for x in nodes)
         if key not in cache:

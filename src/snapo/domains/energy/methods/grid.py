@@ -102,8 +102,8 @@ def best(
 ) -> np.ndarray:
     """[modes, nodes, columns] the value of the best move and volume from each node.
 
-    `cash` [flows, columns]: earnings of a unit; `fixed` [moves]; `after` [modes, nodes after,
-    columns]. Columns are nodes of price factors, or paths.
+    `cash` [flows, columns]: earnings of a unit; `fixed` [moves] or [moves, columns];
+    `after` [modes, nodes after, columns]. Columns are nodes of price factors, or paths.
     """
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]

@@ -90,9 +90,10 @@ class EnergyRelaxation:
         value = np.zeros((count, self.grid.size(horizon), spots.shape[1]))
         for t in reversed(range(horizon + 1)):
             if t < horizon:
-                cash = StepPrices(spots[t], None if index is None else index[t]).units(terms, t)
+                prices = StepPrices(spots[t], None if index is None else index[t])
+                cash, fixed = prices.units(terms, t), prices.moves(terms, t)
                 after = arrived(self.grid.steps[t], value)
-                value = best(self.grid.steps[t], self.layout, cash, terms.fixed[t], after)
+                value = best(self.grid.steps[t], self.layout, cash, fixed, after)
             if innovations is not None and self.fitted is not None:
                 table = self.fitted.coefficients[t]
                 value = value - product(table.reshape(-1, table.shape[2]), innovations[t]).reshape(

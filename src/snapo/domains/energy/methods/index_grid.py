@@ -16,6 +16,7 @@ from ...gas_storage.prices.process import GaussianFactors
 from ...gas_storage.references.marginal import (
     SLOW_REACH,
     FactorGrid,
+    Transition,
     factor_grid,
     gauss_hermite,
     spline_weights,
@@ -111,6 +112,59 @@ class IndexGrid:
     def _fast(self, into: int, points: np.ndarray) -> np.ndarray:
         deviation = self.of.shock[into, 0, 0]
         return transition_weights(self.fast.fast, self.of.decay[into, 0] * points, deviation)
+
+
+class PairTransition(NamedTuple):
+    """A `Transition` of two factors in small products, which OpenBLAS computes on one thread."""
+
+    of: Transition
+
+    def expect(self, value: np.ndarray) -> np.ndarray:
+        """Conditional expectation: [n, second to x first to] -> [n, second from x first from]."""
+        count, total = len(value), 0.0
+        for slow, fast in self.of.terms:
+            mean = product(fast, value.reshape(-1, fast.shape[1]).T)
+            mean = mean.reshape(len(fast), count, -1).transpose(2, 1, 0)
+            total = total + product(slow, mean.reshape(slow.shape[1], -1))
+        every = np.reshape(total, (-1, count, len(self.of.terms[0][1])))
+        return every.transpose(1, 0, 2).reshape(count, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class PairGrid:
+    """Nodes of two correlated factors, that of the spot price and that of a second commodity.
+
+    Columns run over those of the second x those of the spot price.
+    """
+
+    of: GaussianFactors
+    both: FactorGrid
+
+    @classmethod
+    def made(cls, of: GaussianFactors, spacing: float, slow: int) -> "PairGrid":
+        """`spacing` of the spot price's, in deviations of the shock of a step; `slow`: how many of
+        the second."""
+        return cls(of, factor_grid(of._replace(index=None), (0, 1), spacing, slow))
+
+    def columns(self, t: int) -> int:
+        """How many there are."""
+        return self.both.columns
+
+    def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
+        """[columns] spot prices of mean `forward`."""
+        return self.both.spot(t, forward)
+
+    def index(self, t: int) -> np.ndarray:
+        """[columns] prices of the second commodity."""
+        return np.repeat(self.of.index.price(self.of, t, self.both.slow), len(self.both.fast))
+
+    def after(self, t: int) -> PairTransition:
+        """From a date to the next."""
+        return PairTransition(self.both.after(t))
+
+    def start(self) -> PairTransition:
+        """From the valuation date, where both factors are 0, to the first date."""
+        return PairTransition(self.both.start())
 
 
 def _read(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -12,9 +12,10 @@ from ...gas_storage.references.lattice import SLOW, Refined, coordinates, on_fin
 from ...gas_storage.references.marginal import FactorGrid, factor_grid
 from ..core.contract import ContractLayout, StepPrices
 from .grid import ContractGrid, arrived, best, grid_of
-from .index_grid import IndexGrid
+from .index_grid import IndexGrid, PairGrid
 
 ENOUGH = 1e-5  # of the value: a grid is fine enough when half its spacing moves the value by less
+PAIR = 33, 5e-5  # nodes of a second commodity, and the same share: its first grid is finer
 SPACINGS = {1: 0.3, 2: 0.3}  # of the fast factor's nodes, in deviations of the shock of a step
 
 
@@ -45,18 +46,18 @@ def lattice(
     prices = None if factors is None else _factor_grid(factors, finer, slow)
     columns = 1
     if prices is not None:
-        columns = prices.columns(horizon) if isinstance(prices, IndexGrid) else prices.columns
+        columns = prices.columns if isinstance(prices, FactorGrid) else prices.columns(horizon)
     value = np.zeros((len(layout.modes), grid.size(horizon), columns))
     expected = schedule.steps.price.index.expected() if layout.indexed else None
     for t in reversed(range(horizon)):
         now = StepPrices(schedule.steps.forward[t, None], None if expected is None else expected[t])
         if prices is not None:
-            index = prices.index(t) if isinstance(prices, IndexGrid) else None
+            index = None if isinstance(prices, FactorGrid) else prices.index(t)
             now = StepPrices(prices.spot(t, now.spot), index)
             flat = value.reshape(-1, value.shape[2])
             value = prices.after(t).expect(flat).reshape(*value.shape[:2], -1)
         after = arrived(grid.steps[t], value)
-        value = best(grid.steps[t], layout, now.units(terms, t), terms.fixed[t], after)
+        value = best(grid.steps[t], layout, now.units(terms, t), now.moves(terms, t), after)
     today = value[0] if prices is None else prices.start().expect(value[0])
     return Lattice(float(today[0, 0]), grid)
 
@@ -69,7 +70,11 @@ def selected_factors(factors: GaussianFactors) -> tuple[int, ...]:
     return tuple(int(i) for i in speed if moves[i]) or (int(speed[0]),)
 
 
-def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid | IndexGrid:
+def _factor_grid(
+    factors: GaussianFactors, finer: int, slow: int
+) -> FactorGrid | IndexGrid | PairGrid:
+    if factors.index is not None and not factors.index.renewed:
+        return PairGrid.made(factors, SPACINGS[2] / finer, slow)
     if factors.index is not None:
         return IndexGrid.made(factors, SPACINGS[2] / finer, slow)
     selected = selected_factors(factors)
@@ -80,8 +85,11 @@ def _factor_grid(factors: GaussianFactors, finer: int, slow: int) -> FactorGrid 
 
 
 def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> Refined:
-    """The value, each of its grids halved until that moves it by less than 0.001 %."""
-    of_levels = partial(lattice, layout, schedule, factors)
+    """The value, each of its grids halved until that moves it by less than 0.001 %, or 0.005 % with
+    two commodities."""
+    index = None if factors is None else factors.index
+    slow, enough = (SLOW, ENOUGH) if index is None or index.renewed else PAIR
+    of_levels = partial(lattice, layout, schedule, factors, slow=slow)
     first = of_levels()
     if len(layout.levels) > 2 and not first.grid.exact:
         raise ValueError("there is no lattice of three levels without a practical common measure")
@@ -92,8 +100,8 @@ def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | No
     if factors is not None:
         finer.append(lambda n: of_prices(finer=n))
         if factors.index is not None or coordinates(factors, selected_factors(factors)) > 1:
-            finer.append(lambda n: of_prices(slow=(SLOW - 1) * n + 1))
-    results = [on_finer_grids(first.value, partial(_value, side), ENOUGH) for side in finer]
+            finer.append(lambda n: of_prices(slow=(slow - 1) * n + 1))
+    results = [on_finer_grids(first.value, partial(_value, side), enough) for side in finer]
     moved = sum(result.value - first.value for result in results)
     return Refined(first.value + moved, sum(result.error for result in results))
 

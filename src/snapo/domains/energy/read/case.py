@@ -28,6 +28,7 @@ from snapo.problem.inputs import Input
 from ...gas_storage.contract.records import GasMarket
 from ...gas_storage.ladder.products import FORMATS as PRODUCTS
 from ...gas_storage.ladder.products import TradedProducts, products_of
+from ...gas_storage.prices.factors import OneFactorTable
 from ...gas_storage.prices.process import Delivery, PriceProcess
 from ...gas_storage.prices.registry import check_curve, kinds, read_prices
 from ...gas_storage.read.case import read_market
@@ -40,6 +41,15 @@ from ..contracts.battery import (
     read_battery,
 )
 from ..contracts.park_and_loan import ParkAndLoanTable, WindowTable, read_park_and_loan
+from ..contracts.plant_tables import (
+    BeforeTable,
+    EmissionTable,
+    FuelTable,
+    PowerPlantTable,
+    PowerTable,
+    StartTable,
+    read_plant,
+)
 from ..contracts.swing_tables import (
     AnnualTable,
     CarryTable,
@@ -51,12 +61,20 @@ from ..contracts.swing_tables import (
 )
 from ..core.contract import EnergyContract
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
+from .pair import (
+    GasMarketTable,
+    PairMarketTable,
+    PairModelTable,
+    PowerMarketTable,
+    read_pair_market,
+    read_pair_model,
+)
 
 
 class EnergyTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["swing", "battery", "park-and-loan"]
+    kind: Literal["swing", "battery", "park-and-loan", "plant"]
     title: Title = Field("", description=TITLE)
     contract: dict = Field(description="the table [contract]")
     market: dict = Field(description="the table [market]")
@@ -71,7 +89,8 @@ class EnergyTable(CaseTable):
 class ContractKind(NamedTuple):
     """What a kind of contract brings: its table, its reader, tables within it, a title.
 
-    `hourly`: whether its steps are hours of the local calendar, not days.
+    `hourly`: whether its steps are hours of the local calendar, not days; `pair`: whether its cash
+    depends on two commodities.
     """
 
     table: type[CaseTable]
@@ -79,10 +98,13 @@ class ContractKind(NamedTuple):
     title: str
     inner: Mapping[str, type[CaseTable]]
     hourly: bool = False
+    pair: bool = False
 
     @property
     def market(self) -> type[CaseTable]:
         """The format of its `[market]`."""
+        if self.pair:
+            return PairMarketTable
         return HourlyMarketTable if self.hourly else MarketTable
 
 
@@ -113,6 +135,20 @@ KINDS: dict[str, ContractKind] = {
         read_park_and_loan,
         "Park and loan",
         {"deliver_window": WindowTable, "take_window": WindowTable},
+    ),
+    "plant": ContractKind(
+        PowerPlantTable,
+        read_plant,
+        "Power plant",
+        {
+            "power": PowerTable,
+            "fuel": FuelTable,
+            "emission": EmissionTable,
+            "starts[]": StartTable,
+            "before": BeforeTable,
+        },
+        hourly=True,
+        pair=True,
     ),
 }
 
@@ -173,9 +209,13 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     valuation, where = market_table.valuation_date, TableContext(file, "contract", notes)
     section, unit = TableContext(file, "market", notes), f"{table.currency}/{table.volume_unit}"
     delivery: Any
+    second = None
     if kind.hourly:
         hours = hours_of(where, table, valuation)
-        market = read_hourly(section, market_table, hours, unit)
+        if kind.pair:
+            market, second = read_pair_market(section, market_table, hours, unit)
+        else:
+            market = read_hourly(section, market_table, hours, unit)
         days, delivery = hours.days, replace(hours, curve=market.forward_curve)
         time = np.array(hours.ahead[:-1]) / HOURS
     else:
@@ -186,12 +226,16 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         time = np.array([(date - valuation).days for date in days]) / 365.0
     contract: EnergyContract = kind.read(where, table, days)
     section = TableContext(file, "model", notes)
-    if kind.hourly and top.model.get("kind") not in BY_HOUR:
-        allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
-        raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
-    model = read_prices(section, top.model, delivery)
-    check_curve(_curve_file(market_table), model, delivery)
-    model = contract.priced(where, model, delivery)
+    if second is None:
+        if kind.hourly and top.model.get("kind") not in BY_HOUR:
+            allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
+            raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
+        model = read_prices(section, top.model, delivery)
+        check_curve(_curve_file(market_table), model, delivery)
+        model = contract.priced(where, model, delivery)
+    else:
+        table_of_both = parse(PairModelTable, top.model, name, "model", notes)
+        model = read_pair_model(section, table_of_both, delivery, second)
     if kind.hourly and top.products is not None:
         message = "products trade by the day; an hourly contract has none"
         raise CaseError(name, "products", None, message)
@@ -241,13 +285,27 @@ def formats(kind: str) -> Formats:
         "contract": this.table,
         **inner,
         "market": this.market,
-        "model": [process.table for process in kinds().values()],
+        **(PAIR if this.pair else {"model": [process.table for process in kinds().values()]}),
         **({} if this.hourly else PRODUCTS),
         "objective": ObjectiveTable,
         "training": TrainingTable,
         "evaluation": EvaluationTable,
         "report": ReportTable,
     }
+
+
+PAIR: Formats = {
+    "market.power": PowerMarketTable,
+    "market.gas": GasMarketTable,
+    "model": PairModelTable,
+    "model.power": OneFactorTable,
+    "model.gas": OneFactorTable,
+}
+
+
+def plant_formats() -> Formats:
+    """The tables of a power plant."""
+    return formats("plant")
 
 
 def swing_formats() -> Formats:

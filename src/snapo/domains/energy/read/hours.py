@@ -9,7 +9,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 from pydantic import Field
 
-from snapo.case.csv import FileReference, read_rows
+from snapo.case.csv import FileReference, read_rows, rising_dates
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext
@@ -113,16 +113,23 @@ def read_hourly(
     section: TableContext, table: HourlyMarketTable, hours: Hours, unit: str
 ) -> GasMarket:
     """Prices by the hour, and rates by the day."""
-    curve, rate = _curve(section, table.forward_curve, hours, unit), table.interest_rate
+    return hourly_market(hourly_curve(section, table.forward_curve, hours, unit), table, hours)
+
+
+def hourly_market(curve: CaseInput, table: Any, hours: Hours) -> GasMarket:
+    """This curve, with the rates of a table `[market]` by the day."""
+    rate = table.interest_rate
     day = np.array([(date - table.valuation_date).days for date in hours.days], np.int64)
     starts = rate.starts
     nodes = np.zeros(1, np.int64) if starts is None else starts - table.valuation_date.toordinal()
     return GasMarket(curve, replace(rate, index=np.arange(len(rate.values))), nodes, day)
 
 
-def _curve(section: TableContext, name: str, hours: Hours, unit: str) -> CaseInput:
+def hourly_curve(
+    section: TableContext, file: str, hours: Hours, unit: str, name: str = "forward_curve"
+) -> CaseInput:
     """The price of each hour, by its local time; an hour that comes twice has two rows in order."""
-    rows = read_rows(FileReference(section, "forward_curve", name), FIELDS)
+    rows = read_rows(FileReference(section, "forward_curve", file), FIELDS)
     known: dict[str, list] = {}
     for row in rows:
         text = row.cells["time"].strip().replace(" ", "T")[:16]
@@ -141,13 +148,31 @@ def _curve(section: TableContext, name: str, hours: Hours, unit: str) -> CaseInp
                 f"there is no price for this hour; one is needed for each from {hours.local[0]} "
                 f"to {hours.local[-1]}"
             )
-            raise CaseError(name, label, None, message)
+            raise CaseError(file, label, None, message)
         found.append(known[label][place])
-    return _input(found, hours.local, unit)
+    return _input(name, found, hours.local, unit, "hour")
 
 
-def _input(rows: Sequence[Any], labels: Sequence[str], unit: str) -> CaseInput:
-    forward = replace(FORWARD, unit=unit, meaning="price today for delivery in the hour")
+def dated_curve(
+    section: TableContext, file: str, hours: Hours, unit: str, name: str = "forward_curve"
+) -> CaseInput:
+    """The price of each day, for all of its hours; index [T]."""
+    rows = read_rows(FileReference(section, "forward_curve", file), ("date", "price"))
+    by_day = dict(zip(rising_dates(rows, "date"), rows))
+    dates = sorted(set(hours.days))
+    for day in dates:
+        if day not in by_day:
+            message = f"there is no price for this day; one is needed for each from {dates[0]} to "
+            raise CaseError(file, day.isoformat(), None, f"{message}{dates[-1]}")
+    labels = [day.isoformat() for day in dates]
+    curve = _input(name, [by_day[day] for day in dates], labels, unit, "day")
+    return replace(curve, index=np.array([dates.index(day) for day in hours.days]))
+
+
+def _input(
+    name: str, rows: Sequence[Any], labels: Sequence[str], unit: str, period: str
+) -> CaseInput:
+    forward = replace(FORWARD, unit=unit, meaning=f"price today for delivery in the {period}")
     values = [FORWARD.cell(row) for row in rows]
     cells = tuple(row.position("price") for row in rows)
-    return forward.input("forward_curve", values, labels, positions=cells)
+    return forward.input(name, values, labels, positions=cells)

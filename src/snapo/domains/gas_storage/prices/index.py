@@ -25,7 +25,7 @@ from snapo.problem.process import integral
 from snapo.problem.simulator import Schedule
 
 from .factors import FactorTable, GivenFactors
-from .process import YEAR, Delivery, GaussianFactors, PriceProcess, use
+from .process import YEAR, Delivery, GaussianFactors, PriceProcess, TwoPrices, use
 
 ONE_FACTOR = ("one-factor", "one-factor-normal", "one-factor-shifted")  # kinds with an index
 
@@ -55,6 +55,7 @@ class PriceIndex(NamedTuple):
 
     rows: IndexRows
     carry: np.ndarray
+    renewed = True
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
         """[n] the index on date t where g has these values [n]."""
@@ -134,7 +135,7 @@ class IndexedState(NamedTuple):
     at_fixing: Array
 
 
-class IndexedPrices(PriceProcess):
+class IndexedPrices(TwoPrices):
     """A spot price of one factor, and the month-ahead index; see the top of this file.
 
     - `spot`: the process of the spot price; `months`: of the index.

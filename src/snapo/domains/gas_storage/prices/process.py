@@ -239,6 +239,14 @@ class PriceProcess(Process):
         return None
 
 
+class TwoPrices(PriceProcess):
+    """A spot price, and a second price that a contract's cash depends on."""
+
+    @abc.abstractmethod
+    def index(self, constants, now, state) -> Float[Array, ""]:
+        """The second price of the date, which `now`, a row, has in its `index`."""
+
+
 class PricedSimulator(Simulator):
     """A simulator whose only noise is that of the prices of its `process`."""
 

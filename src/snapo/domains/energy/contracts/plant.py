@@ -1,0 +1,128 @@
+"""Power plant: fuel is burnt for power by the hour; starts, hot and cold, and minimum times.
+
+    earnings = sum over hours on of discount x (q S - (idle + rate q) (G + e c) - o q)
+               - sum over starts of discount x (money + fuel (G + e c))
+
+S is the price of power, G that of the fuel, c that of emissions, e of which a unit of fuel needs; q
+is the power of an hour on, between two limits. A start is of the last class whose hours off have
+passed. Modes are the hours off so far, up to those of the last class, and the hours on so far, up
+to `min_up`.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from snapo.case.given import CaseInput
+
+from ...gas_storage.prices.process import use
+from ..core.contract import (
+    ContractLayout,
+    ContractMove,
+    EnergyContract,
+    EnergyFlow,
+    Level,
+    StepTerms,
+    Terms,
+)
+
+POWER = 0  # the flow
+
+
+class PlantContract(EnergyContract):
+    """The terms of a plant.
+
+    - `min_power`, `max_power`: MW on. `idle`, `rate`: fuel of an hour on, and for a MWh of power.
+    - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price,
+      and other money for each MWh.
+    - `start_money`, `start_fuel` [classes]: of a start; None where starts are free.
+    - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
+      is on.
+    - `start_limit`: how many starts there may be; 0 without a limit.
+    """
+
+    min_power: CaseInput
+    max_power: CaseInput
+    idle: CaseInput
+    rate: CaseInput
+    per_fuel: CaseInput
+    emission_price: CaseInput
+    other_cost: CaseInput
+    start_money: CaseInput | None
+    start_fuel: CaseInput | None
+    layout: ContractLayout = eqx.field(static=True)
+    classes: tuple[int, ...] = eqx.field(static=True)
+    runs: tuple[bool, ...] = eqx.field(static=True)
+    start_limit: int = eqx.field(static=True)
+
+    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
+        count, counted = len(paid), len(self.layout.levels)
+        emissions = use(inputs, self.per_fuel) * use(inputs, self.emission_price)
+        rate = use(inputs, self.rate)
+        running = jnp.asarray(self.runs, float)
+        fuel, money = use(inputs, self.idle) * running, jnp.zeros(len(self.classes))
+        if self.start_money is not None and self.start_fuel is not None:
+            starts, none = np.array(self.classes) >= 0, np.maximum(self.classes, 0)
+            fuel = fuel + starts * use(inputs, self.start_fuel)[none]
+            money = money + starts * use(inputs, self.start_money)[none]
+        cost = rate * emissions + use(inputs, self.other_cost)
+        fixed = -paid[:, None] * (money + fuel * emissions[:, None])
+        none = jnp.zeros((count, counted))
+        steps = StepTerms(
+            jnp.full((count, 1), 1.0) * use(inputs, self.min_power),
+            jnp.full((count, 1), 1.0) * use(inputs, self.max_power),
+            paid[:, None],
+            -(cost * paid)[:, None],
+            none,
+            none + self.start_limit,
+            none,
+            none,
+            jnp.zeros((count, counted), bool),
+            fixed,
+            index=-(rate * paid)[:, None],
+            fixed_index=-paid[:, None] * fuel,
+        )
+        return Terms(jnp.zeros(counted), steps)
+
+
+def layout_of(
+    min_up: int, min_down: int, off: tuple[int, ...], first: tuple[bool, int], counted: bool
+) -> tuple[ContractLayout, tuple[int, ...], tuple[bool, ...]]:
+    """Modes and moves, the class of each move that is a start (else -1), and whether it is on.
+
+    - `off`: the hours off from which each class of starts holds; `counted`: whether starts are.
+    - `first`: whether the plant is on before the first hour, and for how many hours.
+    """
+    longest = max(min_down, *off, 1)
+    names = [f"on {j}" for j in range(1, min_up + 1)] + [f"off {k}" for k in range(1, longest + 1)]
+    on, hours = first
+    begins = f"on {min(hours, min_up)}" if on else f"off {min(hours, longest)}"
+    names = [begins, *(name for name in names if name != begins)]
+    where = names.index
+    none, one = (0.0,) * counted, (1.0,) * counted
+    rows: list[tuple[ContractMove, int, bool]] = []
+
+    def add(name: str, before: str, after: str, start: int, runs: bool) -> None:
+        changes = one if name == "start" else none
+        flows = (POWER,) if runs else ()
+        move = ContractMove(name, where(before), where(after), flows, changes)
+        rows.append((move, start, runs))
+
+    for k in range(1, longest + 1):
+        add("stay off", f"off {k}", f"off {min(k + 1, longest)}", -1, False)
+        if k >= min_down:
+            add("start", f"off {k}", "on 1", int(np.searchsorted(off, k, side="right")) - 1, True)
+    for j in range(1, min_up + 1):
+        if j == min_up:
+            add("stop", f"on {j}", "off 1", -1, False)
+        add("run", f"on {j}", f"on {min(j + 1, min_up)}", -1, True)
+    levels = (Level("starts", "starts"),) if counted else ()
+    power = EnergyFlow("power", "MW", (0.0,) * counted)
+    every, classes, runs = zip(*rows)
+    layout = ContractLayout(
+        levels, (power,), tuple(names), every, indexed=True, reported=("start",)
+    )
+    return layout, classes, runs

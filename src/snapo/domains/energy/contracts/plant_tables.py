@@ -1,0 +1,150 @@
+"""The table `[contract]` of a power plant, and its reading; see `plant.py`."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+from pydantic import Field
+
+from snapo.case.given import CaseInput
+from snapo.case.quantity import ANY, NOT_NEGATIVE, POSITIVE, Quantity, stacked
+from snapo.case.table import CaseTable, TableContext, parse
+
+from ...gas_storage.read.tables import FileName
+from .plant import PlantContract, layout_of
+
+GROUP, COST = "contract", "cost"
+LONGEST = 72  # modes: hours off until the last class of starts, and least hours on
+POWER = Quantity("MW", NOT_NEGATIVE, GROUP, move=1.0)
+FUEL = Quantity("MWh", NOT_NEGATIVE, GROUP, move=1.0)
+RATE = Quantity("1", POSITIVE, GROUP, move=0.01)
+MONEY = Quantity("{currency}", NOT_NEGATIVE, COST, move=100.0)
+BY_MWH = Quantity("{currency}/MWh", ANY, COST, move=0.1, by="date")
+HOURS = f"a whole number of hours, 1 to {LONGEST}"
+STARTS = "a list like [{ off = 3, money = 2500.0, fuel = 60.0 }]"
+
+
+class PowerTable(CaseTable):
+    """{ market = "power", min = 50.0, max = 110.0 }: MW of an hour on."""
+
+    market: Literal["power"] = Field("power", description='"power"')
+    min: CaseInput = POWER("least of an hour on", 0.0, name="power_min")
+    max: CaseInput = POWER("most of an hour on", range=POSITIVE, name="power_max")
+
+
+class FuelTable(CaseTable):
+    """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: MWh of fuel burnt."""
+
+    market: Literal["gas"] = Field("gas", description='"gas"')
+    idle: CaseInput = FUEL("burnt in each hour on", 0.0, name="fuel_idle")
+    per_mwh: CaseInput = RATE("fuel for each MWh of power", name="fuel_per_mwh")
+
+
+class EmissionTable(CaseTable):
+    """{ per_fuel = 1.0, price = 14.0 }: certificates for each MWh of fuel, and their price."""
+
+    per_fuel: CaseInput = Quantity("1", NOT_NEGATIVE, GROUP, move=0.01)(
+        "certificates for each MWh of fuel", 1.0, name="emission_per_fuel"
+    )
+    price: CaseInput = replace(BY_MWH, unit="{currency}", range=NOT_NEGATIVE)(
+        "price of a certificate", name="emission_price"
+    )
+
+
+class StartTable(CaseTable):
+    """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after so many hours off."""
+
+    off: int = Field(ge=1, le=LONGEST, description=HOURS)
+    money: CaseInput = MONEY("paid for a start", 0.0, name="start_money")
+    fuel: CaseInput = FUEL("burnt by a start", 0.0, name="start_fuel")
+
+
+class BeforeTable(CaseTable):
+    """{ off = 12 } or { on = 6 }: hours off, or on, before the first hour."""
+
+    off: int | None = Field(
+        None, ge=1, le=100_000, description="a whole number of hours, 1 or more"
+    )
+    on: int | None = Field(None, ge=1, le=100_000, description="a whole number of hours, 1 or more")
+
+
+class PowerPlantTable(CaseTable):
+    """`[contract]` of kind "plant"."""
+
+    volume_unit: FileName = Field("MWh", description='"MWh"', pattern="^MWh$")
+    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    start: Any = Field(description="a date or a time of the hour, 2026-05-01T00:00:00")
+    end: Any = Field(description="a date or a time of the hour, 2026-05-01T00:00:00")
+    time_zone: FileName = Field("UTC", description='a name such as "Europe/Berlin"')
+    power: dict = Field(description='a table like { market = "power", min = 50.0, max = 110.0 }')
+    fuel: dict = Field(description='a table like { market = "gas", idle = 45.0, per_mwh = 1.6 }')
+    emission: dict | None = Field(None, description="a table like { per_fuel = 0.2, price = 70.0 }")
+    other_cost: CaseInput = BY_MWH("other money for each MWh of power", 0.0)
+    starts: list[Any] = Field([], description=STARTS)
+    min_up: int = Field(1, ge=1, le=LONGEST, description=HOURS)
+    min_down: int = Field(1, ge=1, le=LONGEST, description=HOURS)
+    most_starts: int | None = Field(None, ge=1, description="a whole number of starts, 1 or more")
+    before: dict | None = Field(None, description="a table like { off = 12 } or { on = 6 }")
+
+
+def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any]) -> PlantContract:
+    """The contract; `days`: the local date of each hour."""
+    power = where.nested(PowerTable, table.power, "power")
+    fuel = where.nested(FuelTable, table.fuel, "fuel")
+    emission = where.nested(
+        EmissionTable, {"price": 0.0} if table.emission is None else table.emission, "emission"
+    )
+    low, high = (float(x.values[0]) for x in (power.min, power.max))
+    if low > high:
+        raise where.error("power.min", low, f"allowed is at most power.max, {high:g}")
+    starts, before = _starts(where, table), where.nested(BeforeTable, table.before or {}, "before")
+    if before.on is not None and before.off is not None:
+        raise where.error("before", table.before, "allowed is `off` or `on`, not both")
+    first = (False, before.off or LONGEST) if before.on is None else (True, before.on)
+    # A limit that no plant of these minimum times can reach is none.
+    possible = -(-(len(days) + table.min_down) // (table.min_up + table.min_down))
+    limited = table.most_starts is not None and table.most_starts < possible
+    off = tuple(start.off for start in starts)
+    layout, classes, runs = layout_of(table.min_up, table.min_down, off, first, limited)
+    return PlantContract(  # pyright: ignore[reportCallIssue]
+        power.min,
+        power.max,
+        fuel.idle,
+        fuel.per_mwh,
+        emission.per_fuel,
+        replace(emission.price, unit=table.currency).on(days, where.notes),
+        table.other_cost.on(days, where.notes),
+        _by_class("start_money", starts, [replace(x.money, unit=table.currency) for x in starts]),
+        _by_class("start_fuel", starts, [x.fuel for x in starts]),
+        layout=layout,  # pyright: ignore[reportCallIssue]
+        classes=classes,
+        runs=runs,
+        start_limit=(table.most_starts or 0) if limited else 0,
+    )
+
+
+def _by_class(
+    name: str, starts: Sequence[StartTable], numbers: Sequence[CaseInput]
+) -> CaseInput | None:
+    """The numbers of all classes, index [classes]; None without classes."""
+    if not starts:
+        return None
+    labels = tuple(f"{start.off} hours off" for start in starts)
+    return replace(stacked(name, numbers), labels=labels)
+
+
+def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
+    """The classes of starts, by rising hours off; the first is that of the earliest start."""
+    starts = [
+        parse(StartTable, entry, str(where.file), f"{where.name}.starts.{i + 1}", where.notes,
+              (*where.keys, "starts", i))
+        for i, entry in enumerate(table.starts)
+    ]  # fmt: skip
+    for i, start in enumerate(starts):
+        if not i and start.off > table.min_down:
+            message = f"allowed is at most min_down = {table.min_down}: all starts have a class"
+            raise where.error("starts.1.off", start.off, message)
+        if i and start.off <= starts[i - 1].off:
+            message = f"allowed is more than that of the class before, {starts[i - 1].off}"
+            raise where.error(f"starts.{i + 1}.off", start.off, message)
+    return starts
