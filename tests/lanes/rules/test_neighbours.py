@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from snapo.lanes.machine.pipeline import host
+from snapo.lanes.program.flatten import flatten
+from snapo.lanes.program.sweeps import plan
 
 from ..compiled import run, text
 
@@ -63,3 +65,22 @@ def test_rows_out_of_range_are_filled_as_by_xla():
     inside = (rows >= 0) & (rows < ROWS)
     known = numbers[np.clip(rows, 0, ROWS - 1).astype(int)]
     np.testing.assert_array_equal(result, np.where(inside[:, None], known, -1.0))
+
+
+def stored(function, *shapes) -> list[tuple[int, ...]]:
+    """Shapes on the tape, where the last argument is a cotangent."""
+    closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(s, "float32") for s in shapes))
+    program = flatten(closed, [True] * len(shapes))
+    division = plan(program, program.inputs[-1:], [], program.outputs, set())
+    return [value.shape for value in division.tape]
+
+
+def test_the_reverse_sweep_reads_a_shared_table_again_and_no_other():
+    numbers = jnp.asarray(table(16, "float32"))
+
+    def read(array, row):
+        return jax.lax.dynamic_slice(array, (row[0].astype(jnp.int32), 0), (1, 16))
+
+    assert stored(lambda row, back: back * read(numbers, row), (1,), (1, 16)) == [(1,)]
+    own = stored(lambda array, row, back: back * read(array, row), (ROWS, 16), (1,), (1, 16))
+    assert own == [(1, 16)]  # a row, and not the whole array of every path

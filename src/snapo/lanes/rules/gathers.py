@@ -8,7 +8,8 @@ from ..emit.code import Code
 from ..emit.module import Ref
 from ..emit.values import EmittedValues
 from ..program.program import Op, ProgramValue
-from .positions import clamped, limit, plus, read_run, window_start
+from .positions import clamped, limit, plus, read, window_start
+from .table_rows import copy_rows, together
 
 
 def _dynamic_slice(values: EmittedValues, op: Op) -> None:
@@ -17,8 +18,15 @@ def _dynamic_slice(values: EmittedValues, op: Op) -> None:
     limit(op, out)
     window = op.params["slice_sizes"]
     first = [clamped(values, s, n - w) for s, n, w in zip(starts, x.shape, window)]
-    along = len(x.shape) - 1 if x.shape else None
-    _read_all(values, op, x, along, ((p, first, p, None) for p in _starts(out.shape, along)))
+
+    def moves(shape: tuple[int, ...]) -> Iterator:
+        return ((position, first, position, None) for position in np.ndindex(*shape))
+
+    moving = [d for d, start in enumerate(first) if isinstance(start, Ref)]
+    if together(values, x, out, moving):
+        _copy(values, x, out, moves)
+    else:
+        _read_all(values, op, x, moves(out.shape))
 
 
 def _gather(values: EmittedValues, op: Op) -> None:
@@ -35,12 +43,8 @@ def _gather(values: EmittedValues, op: Op) -> None:
     ]  # fmt: skip
     batch_dims = [d for d in range(len(out.shape)) if d not in numbers.offset_dims]
 
-    # Neighbours of the array are neighbours of the result along this axis.
-    inner = x.shape and window_dims[-1:] == [len(x.shape) - 1]
-    along = numbers.offset_dims[-1] if inner else None
-
-    def moves() -> Iterator:
-        for position in _starts(out.shape, along):
+    def moves(shape: tuple[int, ...]) -> Iterator:
+        for position in np.ndindex(*shape):
             batch = tuple(position[d] for d in batch_dims)
             window = [0] * len(x.shape)
             for d, o in zip(window_dims, numbers.offset_dims):
@@ -52,31 +56,33 @@ def _gather(values: EmittedValues, op: Op) -> None:
                 first[d] = batch[b]
             yield position, first, window, valid
 
-    _read_all(values, op, x, along, moves(), fill)
+    # Neighbours of the result are neighbours in the array.
+    inner = window_dims[-1:] == [len(x.shape) - 1] and batch_dims[-1:] != [len(out.shape) - 1]
+    moving = [d for d in numbers.start_index_map if x.shape[d] > sizes[d]]
+    if inner and "FILL" not in mode and together(values, x, out, moving):
+        _copy(values, x, out, moves)
+    else:
+        _read_all(values, op, x, moves(out.shape), fill)
 
 
-def _starts(shape: tuple[int, ...], along: int | None) -> Iterator[tuple[int, ...]]:
-    """The first position of every run along an axis; all positions where there is none."""
-    return np.ndindex(*(1 if d == along else size for d, size in enumerate(shape)))
+def _copy(values: EmittedValues, x: ProgramValue, out: ProgramValue, moves) -> None:
+    """Copies the result row by row; `moves`: for all positions of a shape, what is read there."""
+    code, table, target = values.code, values.in_memory(x), values.target(out)
+    for position, first, window, _ in moves((*out.shape[:-1], 1)):
+        start = [plus(code, s, w) for s, w in zip(first, window)]
+        copy_rows(code, table, start, out.shape[-1], target.address(code, position))
+    values.bind(out, target)
 
 
-def _read_all(
-    values: EmittedValues, op: Op, x: ProgramValue, along: int | None, moves, fill=None
-) -> None:
+def _read_all(values: EmittedValues, op: Op, x: ProgramValue, moves, fill=None) -> None:
     out, code = op.outputs[0], values.code
     refs = np.empty(out.shape, object)
-    count = 1 if along is None else out.shape[along]
     for position, first, window, valid in moves:
         if valid is False:
-            run = [_filler(code, out, fill)] * count
-        else:
-            run = read_run(values, x, [plus(code, s, w) for s, w in zip(first, window)], count)
-            if valid is not None:
-                run = [code.select(valid, ref, _filler(code, out, fill)) for ref in run]
-        for k, ref in enumerate(run):
-            refs[position if along is None else (*position[:along], k, *position[along + 1 :])] = (
-                ref
-            )
+            refs[position] = _filler(code, out, fill)
+            continue
+        ref = read(values, x, [plus(code, s, w) for s, w in zip(first, window)])
+        refs[position] = ref if valid is None else code.select(valid, ref, _filler(code, out, fill))
     values.set(out, refs)
 
 

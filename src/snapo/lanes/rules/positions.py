@@ -1,11 +1,8 @@
 """Positions known only while running: their bounds, and the elements that lie there.
 
 A position known while compiling costs nothing. One that differs between paths becomes selections
-or rearrangements (`lookups`) of up to 16 candidates, else one masked gather over the lanes. Several
-neighbours are read together, path by path, and transposed: processors gather number by number.
+or rearrangements (`lookups`) of up to 16 candidates, else one masked gather over the lanes.
 """
-
-import math
 
 import numpy as np
 
@@ -75,8 +72,6 @@ def _permute_halves(code: Code, table: Ref, at: Ref) -> Ref:
     return code.recast(result, table.dtype, table.lanes)
 
 
-NEIGHBOURS = 4  # of fewer, each is gathered
-BLOCK = 16  # bytes of neighbours that are loaded at once: within these, numbers change places fast
 SELECTED = 16  # most candidates for which selections beat a gather
 LARGEST = 1024  # most elements read or written one by one
 
@@ -172,72 +167,6 @@ def read(values: EmittedValues, x: ProgramValue, position: list[Start]) -> Ref:
         candidates = [_element(values, x, position, moving, i) for i in range(count)]
         return lookup(code, flat, candidates) if count > 1 else candidates[0]
     return load(code, values.in_memory(x), position)
-
-
-def read_run(
-    values: EmittedValues, x: ProgramValue, position: list[Start], count: int
-) -> list[Ref]:
-    """`count` neighbours along the last axis, from a position on."""
-    code, location = values.code, values.get(x)
-    if isinstance(location, ArrayPlace) and _read_together(x, location, position, count):
-        return _together(code, location, position, count)
-    if count == 1:
-        return [read(values, x, position)]
-    *front, last = position
-    return [read(values, x, [*front, plus(code, last, k)]) for k in range(count)]
-
-
-def _read_together(x: ProgramValue, location: ArrayPlace, position, count: int) -> bool:
-    """Whether all paths read rows of one array in memory, too many of them to select from."""
-    moving = [d for d, p in enumerate(position) if isinstance(p, Ref)]
-    candidates = math.prod(x.shape[d] for d in moving)
-    in_rows = location.lanes == 1 and location.strides[-1:] == (1,) and x.dtype != np.bool_
-    return count >= NEIGHBOURS and candidates > SELECTED and in_rows
-
-
-def _together(code: Code, location: ArrayPlace, position, count: int) -> list[Ref]:
-    """The same from memory that all paths share: one vector of each path at a time."""
-    pointers, lanes, uniform = addresses(code, location, position)
-    unit, dtype, invariant = location.unit, location.dtype, location.invariant
-    if uniform:
-        places = [code.pointer(pointers, k * unit) for k in range(count)]
-        return [code.load(place, dtype, 1, invariant) for place in places]
-    width = min(BLOCK // unit, lanes)
-    rows = [
-        code.raw(f"extractelement <{lanes} x ptr> {pointers}, i64 {lane}", "p")
-        for lane in range(lanes)
-    ]
-    result: dict[int, Ref] = {}
-    for first in (*range(0, count - width, width), count - width):
-        blocks = [
-            code.load(code.pointer(row, first * unit), dtype, width, invariant, unit)
-            for row in rows
-        ]
-        columns = transposed(code, [code.join(blocks[k::width]) for k in range(width)])
-        result |= {first + k: column for k, column in enumerate(columns)}
-    return [result[k] for k in range(count)]
-
-
-def transposed(code: Code, rows: list[Ref]) -> list[Ref]:
-    """Vectors of blocks, each block with as many numbers as there are vectors, a power of two:
-    every block of them transposed.
-
-    Each round interleaves every vector with the one half of them further on. Of the bits of a
-    number's place, row before column, this moves the first to the end.
-    """
-    width, lanes = len(rows), rows[0].lanes
-    masks = [
-        ", ".join(
-            f"i32 {block + k}, i32 {block + k + lanes}"
-            for block in range(0, lanes, width)
-            for k in range(first, first + width // 2)
-        )
-        for first in (0, width // 2)
-    ]
-    for _ in range(width.bit_length() - 1):
-        pairs = zip(rows[: width // 2], rows[width // 2 :])
-        rows = [code.shuffle(a, b, mask) for a, b in pairs for mask in masks]
-    return rows
 
 
 def flat_index(code: Code, shape, position, moving) -> tuple[Ref, int]:
