@@ -18,6 +18,17 @@ def table(columns: int, dtype: str) -> np.ndarray:
     return np.random.default_rng(columns).standard_normal((ROWS, columns)).astype(dtype)
 
 
+def test_short_numbers_are_read_one_by_one():
+    numbers = (100 * table(5, "float32")).astype(np.int16)
+    rows = np.arange(host().lanes("float32")) % ROWS
+
+    def function(row):
+        return jnp.asarray(numbers)[row[0].astype(int)].astype("float32")
+
+    (result,) = run(function, rows[:, None].astype(np.float32))
+    np.testing.assert_array_equal(result, numbers[rows])
+
+
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("columns", [3, 4, 7, 16])
 def test_a_row_of_every_path_is_copied_exactly(columns, dtype):

@@ -114,7 +114,7 @@ class FollowsBoth(Follows):
         return state, {"reward": 5.0 - far**2 + 0.1 * noise[0]}
 
 
-def test_what_is_rebuilt_in_a_thread_gives_the_same_bits_as_one_after_the_other():
+def test_problems_rebuilt_in_a_thread_give_the_same_bits_as_one_after_the_other():
     threads = []
 
     def rebuilt(problem):

@@ -78,8 +78,8 @@ def dependents(program: Program, sources: list[ProgramValue]) -> set[ProgramValu
 
 
 def stored(op: Op) -> bool:
-    """Whether the reverse sweep reads a result from the tape. What all paths read in one table is
-    read again: the table is in the cache, and a long tape is not."""
+    """Whether the reverse sweep reads a result from the tape. A table that all paths share is read
+    again: it is in the cache, and a long tape is not."""
     return costly(op) and (op.name not in READS or op.inputs[0].path)
 
 

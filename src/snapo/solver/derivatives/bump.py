@@ -212,9 +212,8 @@ class _Bumper:
         """Every input moved by itself, on few paths.
 
         Objects built from the inputs are first held fixed, which is fast: if that shows no
-        reaction, rebuilt ones, at a near-optimal policy, have none to first order either. What has
-        to be rebuilt is rebuilt in a thread, while other inputs are valued; one at a time, as it
-        may be large.
+        reaction, rebuilt ones, at a near-optimal policy, have none to first order either. Problems
+        are rebuilt in a thread, while other inputs are valued; one at a time, as they may be large.
         """
         problem, table = self.problem, {}
         waiting: list[tuple[str, Future[Problem]]] = []
@@ -231,8 +230,8 @@ class _Bumper:
                 table[name] = still = self._moved(name, by, held[name], self.few, fixed)
                 if fixed is None or self._without_reaction(still):
                     continue
-                moved = {name: problem.inputs_by_name[name].value + by}
-                waiting.append((name, pool.submit(copy_context().run, problem.at_values, moved)))
+                values = {name: problem.inputs_by_name[name].value + by}
+                waiting.append((name, pool.submit(copy_context().run, problem.at_values, values)))
                 if len(waiting) > 1:
                     value_first()
             while waiting:
@@ -242,7 +241,7 @@ class _Bumper:
         return table
 
     def _without_reaction(self, still: Reaction) -> bool:
-        """Whether an input shows none, on either side, beyond what may be neglected."""
+        """Whether an input shows none that matters, on either side."""
         negligible = NEGLIGIBLE * abs(self.value)
         return settled(still, COARSE, negligible) and not self._two_sided(still)
 
