@@ -193,10 +193,10 @@ def cases(folder: Path) -> dict[str, str]:
     return {
         **{
             name: f"{x['value']:,.2f} ± {half_width(x['standard_error']):.2f}"
-            for kind in ("swing", "battery")
+            for kind in ("swing", "battery", "park-and-loan")
             for name, x in (
-                (kind, result(kind)),
-                (f"{kind}_upper", result(kind)["bound"]["upper"]),
+                (kind.replace("-", "_"), result(kind)),
+                (f"{kind.replace('-', '_')}_upper", result(kind)["bound"]["upper"]),
             )
         },
         "inventory": f"{-stock['value']:.3f} ± {half_width(stock['standard_error']):.3f}",
@@ -236,7 +236,9 @@ def main(arguments: list[str]) -> None:
         record("demo", "make demo", demo(run))
         if found := exact(run):
             record("exact", "snapo solve demo --reference", found)
-        (FILE.parent / "storage.svg").write_text(readme_picture(run), encoding="utf-8")
+        value = figures()["exact"]["value"].replace(",", "")
+        picture = readme_picture(run, exact=float(value))
+        (FILE.parent / "storage.svg").write_text(picture, encoding="utf-8")
     elif arguments[:1] == ["cases"]:
         record("cases", "snapo new KIND; snapo solve KIND", cases(Path(arguments[1])))
     elif arguments == ["reservoir"]:

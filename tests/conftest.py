@@ -24,6 +24,7 @@ if LEVEL == "low":
 # own keys hold both too; a folder of its own can be removed when its version is gone.) All of it:
 # tests compile thousands of small programs, many of them several times in one run, and to read one
 # takes a tenth of the time.
+ROOT = Path(__file__).parent
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "snapo" / "tests"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE / f"jax-{version('jaxlib')}-{LEVEL}"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
@@ -42,17 +43,29 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
 
-def pytest_configure(config):
-    """The quick tests compile the native engine's code without LLVM's passes, in a quarter of the time.
+QUICK = pipeline.Pipeline(speed_level=0, code_level=0)
+FULL = pipeline.PIPELINE
+# Whose proofs do without LLVM's passes, which change rounding (`engine/native/test_runtime.py`):
+# wide simulators whose code takes longer to be made than to run. All others make the code that
+# users run.
+WIDE = ("domains/pension", "domains/pharma", "domains/control", "domains/inventory")
 
-    `make prove` makes the code that users run. All of it is made in the process of the tests.
-    """
+
+def pytest_configure(config):
+    """All of the native engine's code is made in the process of the tests."""
     disk.HERE = 10**6
     # Tracing makes many objects that are all still needed: to look for cycles among them after
     # every 700, as Python does, is a tenth of the processor time.
     gc.set_threshold(20_000, 20, 20)
-    if LEVEL == "low" and "not prove" in config.option.markexpr:
-        disk.PIPELINE = pipeline.PIPELINE = pipeline.Pipeline(speed_level=0, code_level=0)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Quick tests, and proofs of wide simulators, compile the native engine's code without LLVM's
+    passes, in a quarter of the time."""
+    proof = item.get_closest_marker("prove") or item.get_closest_marker("study")
+    wide = item.path.relative_to(ROOT).as_posix().startswith(WIDE) or "[pension" in item.name
+    disk.PIPELINE = pipeline.PIPELINE = QUICK if LEVEL == "low" and (wide or not proof) else FULL
 
 
 @pytest.fixture

@@ -51,6 +51,18 @@ MINIATURES = {
             ),
         ),
         Miniature(
+            "park-and-loan",
+            assignments=(
+                "contract.end=2026-07-13",
+                "contract.max_park=200",
+                "contract.max_loan=100",
+                "training.steps=4",
+                "evaluation.judge_paths=0",
+                "evaluation.paths=256",
+                *LITTLE,
+            ),
+        ),
+        Miniature(
             "pension",
             "small",
             (

@@ -6,10 +6,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import pytest
 
 from snapo.problem.code.version import path, text
 from snapo.problem.inputs import plain
 from snapo.problem.problem import Problem
+
+# How many pairs are compared: fifty find a form that leaves a rule out of it; the study takes all.
+PAIRS = pytest.mark.parametrize(
+    "enough",
+    [pytest.param(50, marks=pytest.mark.prove), pytest.param(200, marks=pytest.mark.study)],
+)
 
 
 def programs(problem: Problem):

@@ -118,7 +118,9 @@ DOMAINS = (control, energy, gas_storage, inventory, own, pension, pharma)
 
 def reports(module) -> list[Report]:
     names = [
-        name for name in vars(module) if name.endswith("DOMAIN") or name in ("SWING", "BATTERY")
+        name
+        for name in vars(module)
+        if name.endswith("DOMAIN") or name in ("SWING", "BATTERY", "PARK_AND_LOAN")
     ]
     return [getattr(module, name).report() for name in names]
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from snapo.problem.form import Use
     from snapo.problem.inputs import Input
 
-SHARED = ("bump", "move", "display_unit", "display_factor", "group", "meaning")
+SHARED = ("bump", "judge_bump", "move", "display_unit", "display_factor", "group", "meaning")
 
 
 class SheetCell(NamedTuple):
@@ -116,7 +116,8 @@ class CaseInput:
     - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
     - `index`: integers of any shape into `values`; unused numbers are not referred to.
     - `low`, `high`: the range of valid numbers; infinite where there is no limit.
-    - `bump`, `move`, `display_unit`, `display_factor`, `group`, `meaning`: as in `Input`.
+    - `bump`, `judge_bump`, `move`, `display_unit`, `display_factor`, `group`, `meaning`: as in
+      `Input`.
     - `positions`: [n] the position of each number in the files of the case; () where no reader
       recorded it.
     - `starts`: [n] day numbers from which the numbers hold, where they change with time.
@@ -129,6 +130,7 @@ class CaseInput:
     unit: str
     index: np.ndarray
     bump: float | None = None
+    judge_bump: float | None = None
     move: float | None = None
     display_unit: str = ""
     display_factor: float = 1.0

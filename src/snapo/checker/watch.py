@@ -272,16 +272,19 @@ class SamplePoints:
 def moments(
     simulator: Simulator, inputs: PyTree, runs: Sequence[CheckedRollout]
 ) -> Iterator[SamplePoints]:
-    """Every method at the inputs and at moments of the runs."""
+    """Every method at the inputs and at moments of the runs.
+
+    The points are NumPy's: with JAX's arrays, each selection would be compiled for each simulator.
+    """
     run, times = runs[0], _times(simulator.horizon)
     paths = min(PATHS, run.draws.size, max(2, POINTS // (len(runs) * len(times))))
     made = preparation(simulator, inputs)
-    alone = jax.tree.map(lambda x: jnp.asarray(x)[None], made.arguments)
+    alone = jax.tree.map(lambda x: np.asarray(x)[None], made.arguments)
     yield SamplePoints(made, alone, 1)
 
     smooth = Smooth(jnp.asarray(run.smooth.temperature, float))
     initial, observe, step, terminal = methods(simulator, run.schedule, smooth)
-    yield SamplePoints(initial, {"noise": jnp.asarray(run.draws.initial_noise[:paths])}, 1)
+    yield SamplePoints(initial, {"noise": np.asarray(run.draws.initial_noise)[:paths]}, 1)
 
     by_inputs = _tainted(made, run.schedule)
     recorded = {
@@ -289,7 +292,7 @@ def moments(
         "action": _joined([entry.actions for entry in runs], times, paths),
         "noise": _joined([value.draws.step_noise for value in runs], times, paths),
         "now": jax.tree.map(
-            lambda x: jnp.repeat(jnp.asarray(x)[times], len(runs) * paths, 0), run.schedule.steps
+            lambda x: np.repeat(np.asarray(x)[times], len(runs) * paths, 0), run.schedule.steps
         ),
     }
     yield SamplePoints(observe, {name: recorded[name] for name in ("now", "state")}, len(times))
@@ -299,7 +302,7 @@ def moments(
     last = np.arange((len(times) - 1) * len(runs) * paths, len(times) * len(runs) * paths)
     leaves, tree = jax.tree.flatten(step.arguments["state"])
     after = stepped.observe(stepped.some(last)).results
-    final_states = jax.tree.unflatten(tree, [jnp.asarray(after[k]) for k in range(len(leaves))])
+    final_states = jax.tree.unflatten(tree, [after[k] for k in range(len(leaves))])
     yield SamplePoints(terminal, {"state": final_states}, 1, by_inputs)
 
 
@@ -321,6 +324,6 @@ def _joined(trees: Sequence[Any], times: np.ndarray, paths: int) -> Any:
     def joined(*leaves):
         taken = np.concatenate([np.asarray(x)[times][:, :paths] for x in leaves], 1)
         steps, many, *rest = taken.shape  # without noise the last is 0
-        return jnp.asarray(taken.reshape(steps * many, *rest))
+        return taken.reshape(steps * many, *rest)
 
     return jax.tree.map(joined, *trees)

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from snapo.case.table import CaseTable, Formats
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-KINDS = ("gas-storage", "swing", "battery", "pension", "pharma", "inventory", "control", "own")
+KINDS = (
+    "gas-storage", "swing", "battery", "park-and-loan", "pension", "pharma", "inventory", "control",
+    "own",
+)  # fmt: skip
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:

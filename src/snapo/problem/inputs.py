@@ -32,6 +32,8 @@ class Input(eqx.Module):
     - `labels`: one per entry, in C order (dates, tenors, species); numbered by default.
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
       number (see `step`).
+    - `judge_bump`: the bump of every number with which its derivative is tested, the policy
+      reacting; by default 1 % of each. Specify it where values change on a grid of the input.
     - `move`: the amount by which reports and sliders move it, in `unit`; None: a relative move.
     - `display_unit`, `display_factor`: the preferred unit, and the number of these in one `unit`: a
       rate of 1/year is 10,000 bp. By default `unit` itself.
@@ -53,6 +55,7 @@ class Input(eqx.Module):
         static=True, default=(), converter=lambda x: tuple(map(str, x))
     )
     bump: float | None = eqx.field(static=True, default=None)
+    judge_bump: float | None = eqx.field(static=True, default=None)
     move: float | None = eqx.field(static=True, default=None)
     display_unit: str = eqx.field(static=True, default="")
     display_factor: float = eqx.field(static=True, default=1.0)

@@ -29,7 +29,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
-from .derivatives.bump import one_percent
+from .derivatives.bump import MOVE
 from .evaluate import simulate
 from .learning.progress import Record
 from .sensitivity import Sensitivities
@@ -134,7 +134,7 @@ class Figures:
                     f"+{values.move:g} {values.unit}",
                 )
             else:
-                by, text = one_percent(values), "+1 %"
+                by, text = MOVE * values.value, "+1 %"
             interval = sensitivities.along(name, by)
             if np.isfinite(interval.value):
                 bars.append((interval, f"{name} {text}".rstrip()))

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 from tests.compilations import compilations
-from tests.domains.same_form import same_programs
+from tests.domains.same_form import PAIRS, same_programs
 
 from snapo.case.load import load
 from snapo.domains.control import SIZES
@@ -54,9 +54,9 @@ def test_equal_forms_are_equal_programs():
     assert same_programs(map(drawn, range(64)), enough=16) >= 16
 
 
-@pytest.mark.prove
-def test_equal_forms_are_equal_programs_in_a_hundred_pairs():
-    assert same_programs(map(drawn, range(400)), enough=100) >= 100
+@PAIRS
+def test_equal_forms_are_equal_programs_in_many_pairs(enough):
+    assert same_programs(map(drawn, range(800)), enough) >= enough
 
 
 @pytest.mark.parametrize("size", SIZES)

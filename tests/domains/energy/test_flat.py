@@ -114,3 +114,18 @@ def test_a_run_of_a_swing_has_all_methods(tmp_path):
     assert all(row["undiscounted"] >= row["discounted"] >= 0 for row in rows)
     assert 20 < sum(row["undiscounted"] for row in rows) < 40  # the volume that is taken
     assert "Methods side by side" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.study
+def test_a_run_of_a_park_and_loan_has_all_methods(tmp_path):
+    small = ("contract.end=2026-09-01", "training.steps=2", "training.paths=32",
+             "evaluation.paths=256", "evaluation.sensitivity_paths=64", "evaluation.judge_paths=0")  # fmt: skip
+    case = tmp_path / "case"
+    commands.new("park-and-loan", case)
+    text = (case / "case.toml").read_text()
+    (case / "case.toml").write_text(f"{text}\n[products]\nmonths = {{ bid_offer = 0.1 }}\n")
+    commands.solve(CaseRequest(case, small), lambda _: None, out=tmp_path / "out", ladder=True)
+    methods = json.loads((tmp_path / "out" / "parts" / "methods.json").read_text())["methods"]
+    assert len(methods["methods"]) == 8 and not methods["missing"] and not methods["warnings"]
+    part = json.loads((tmp_path / "out" / "parts" / "deltas-by-product.json").read_text())
+    assert part["deltas_by_product"][0]["product"] == "day ahead"

@@ -284,7 +284,7 @@ def test_no_file_of_the_core_names_a_contract():
     for folder in ("core", "methods", "chapters"):
         for file in (HOME / folder).glob("*.py"):
             text = file.read_text().lower()
-            for name in ("swing", "battery", "plant", "strike", "discharge"):
+            for name in ("swing", "battery", "plant", "strike", "discharge", "park", "loan"):
                 assert name not in text, f"{file.name} names {name}"
 
 

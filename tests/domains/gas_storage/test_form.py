@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.compilations import compilations
 from tests.domains.gas_storage.storage_cases import CASES, read
-from tests.domains.same_form import same_programs
+from tests.domains.same_form import PAIRS, same_programs
 
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
@@ -120,10 +120,10 @@ def test_a_simulator_has_arrays_alone(kind, tmp_path):
     assert not hasattr(problem.simulator, "case")
 
 
-@pytest.mark.prove
-def test_equal_forms_are_equal_programs_in_two_hundred_pairs(tmp_path):
+@PAIRS
+def test_equal_forms_are_equal_programs(enough, tmp_path):
     problems = (drawn(seed, tmp_path) for seed in range(400))
-    assert same_programs(problems, enough=200) >= 200
+    assert same_programs(problems, enough) >= enough
 
 
 def other(case: dict, folder) -> dict:

@@ -8,7 +8,7 @@ import pytest
 from tests.compilations import compilations
 from tests.domains.inventory.inventory_cases import case
 from tests.domains.inventory.network_cases import network
-from tests.domains.same_form import same_programs
+from tests.domains.same_form import PAIRS, same_programs
 
 from snapo.domains.inventory.setup import make_setup, setup_at, simulator_of
 from snapo.engine.native.call import _runners
@@ -101,11 +101,11 @@ def test_equal_forms_are_equal_programs(kind, tmp_path):
     assert same_programs((MAKERS[kind](draw, tmp_path) for draw in draws), enough=3) >= 3
 
 
-@pytest.mark.prove
+@PAIRS
 @pytest.mark.parametrize("kind", MAKERS)
-def test_equal_forms_are_equal_programs_in_a_hundred_pairs(kind, tmp_path):
-    draws = (np.random.default_rng(seed) for seed in range(2000))
-    assert same_programs((MAKERS[kind](draw, tmp_path) for draw in draws), enough=100) >= 100
+def test_equal_forms_are_equal_programs_in_many_pairs(kind, enough, tmp_path):
+    draws = (np.random.default_rng(seed) for seed in range(4000))
+    assert same_programs((MAKERS[kind](draw, tmp_path) for draw in draws), enough) >= enough
 
 
 @pytest.mark.parametrize("kind", MAKERS)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.compilations import compilations
 from tests.domains.pension import market_cases, people_cases, pots_cases
-from tests.domains.same_form import same_programs
+from tests.domains.same_form import PAIRS, same_programs
 
 from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
@@ -100,11 +100,10 @@ def drawn(kind: str, seed: int) -> Problem:
     return Problem(simulator_of(case), pension_inputs(case), "funding_ratio")
 
 
-@pytest.mark.prove
+@PAIRS
 @pytest.mark.parametrize("kind", MAKERS)
-def test_equal_forms_are_equal_programs_in_two_hundred_pairs(kind):
-    """A hundred of each kind of fund."""
-    assert same_programs((drawn(kind, seed) for seed in range(2000)), enough=100) >= 100
+def test_equal_forms_are_equal_programs(kind, enough):
+    assert same_programs((drawn(kind, seed) for seed in range(4000)), enough) >= enough
 
 
 @pytest.mark.parametrize("kind", MAKERS)

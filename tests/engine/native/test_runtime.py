@@ -16,7 +16,8 @@ from tests.engine.native.problems import Store, Tanh, difference
 
 from snapo.engine import Xla
 from snapo.engine.native import Native, explain, runtime
-from snapo.lanes.machine import threads
+from snapo.engine.native.call import forget_kernels
+from snapo.lanes.machine import disk, pipeline, threads
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 
@@ -40,6 +41,19 @@ def test_segments_of_the_horizon_change_nothing_but_rounding(monkeypatch):
     whole = call(Native())
     monkeypatch.setattr(runtime, "TAPE", 1)  # one step at a time
     assert difference(whole, call(Native())) < 1e-6
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_passes_of_llvm_change_nothing_but_rounding(precision, monkeypatch):
+    """So that some proofs may do without them (`tests/conftest.py`)."""
+    results = []
+    for level in (0, 2):
+        chosen = pipeline.Pipeline(speed_level=level, code_level=level)
+        for module in (pipeline, disk):
+            monkeypatch.setattr(module, "PIPELINE", chosen)
+        forget_kernels()
+        results.append(call(Native(precision)))
+    assert difference(*results) < (1e-6 if precision == "float32" else 1e-14)
 
 
 def test_two_engines_in_two_threads():

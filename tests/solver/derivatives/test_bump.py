@@ -11,7 +11,14 @@ import pytest
 import snapo
 from snapo.engine import Xla
 from snapo.problem.scenarios import Sources
-from snapo.solver.derivatives.bump import WIDE, Reaction, _Bumper, opposite, reactions
+from snapo.solver.derivatives.bump import (
+    WIDE,
+    Reaction,
+    _Bumper,
+    one_percent,
+    opposite,
+    reactions,
+)
 from snapo.solver.statistics import Estimate
 
 ENGINE = Xla("float64")
@@ -147,3 +154,8 @@ def test_a_failure_while_a_table_is_rebuilt_is_raised():
     held = {"target": Estimate(np.zeros(32))}
     with pytest.raises(ArithmeticError, match="no table"):
         reactions(problem, Reads(), 256, held, rollouts=0, engine=ENGINE)
+
+
+def test_an_input_may_state_its_bump():
+    assert one_percent(snapo.Input([4.0, 5.0])).tolist() == [0.04, 0.05]
+    assert one_percent(snapo.Input([4.0, 5.0], judge_bump=0.2)).tolist() == [0.2, 0.2]

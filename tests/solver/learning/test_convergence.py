@@ -257,7 +257,7 @@ def test_a_put_that_stops_at_once_is_constant_and_is_told_what_to_try():
     assert solution.convergence == "constant"
     said = " ".join(solution.notes)
     assert "A constant decision (0, 1) does as well" in said
-    assert "snapo.Stop" in said and "starts=4" in said
+    assert "snapo.Stop" in said and "starts = 4" in said
 
 
 def test_a_decision_of_several_that_never_changes_is_found_by_name():

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import Exact
 
 from .plants.linear import LinearQuadratic
@@ -81,11 +82,14 @@ def linearised(plant: Plant, p: PlantValues, w: PlantValues) -> Linearised:
         def last(x):
             return sum(plant.final_cost(w, p, back(origin + x)).values(), jnp.zeros(()))
 
-        zero = jnp.zeros_like(origin), jnp.zeros_like(rest)
-        A, B = jax.jacobian(move, (0, 1))(*zero)
-        (Q, N), (_, R) = jax.hessian(cost, (0, 1))(*zero)
-        result = (A, B, Q / 2, R / 2, N / 2, jax.hessian(last)(zero[0]) / 2)
-        return Linearised(*(np.asarray(item) for item in result))
+        @compiled_sooner
+        def derivatives(x, u):
+            return jax.jacobian(move, (0, 1))(x, u), jax.hessian(cost, (0, 1))(x, u)
+
+        zero = np.zeros(origin.shape), np.zeros(rest.shape)
+        (A, B), ((Q, N), (_, R)) = jax.tree.map(np.asarray, derivatives(*zero))
+        end = np.asarray(compiled_sooner(jax.hessian(last))(zero[0]))
+        return Linearised(A, B, Q / 2, R / 2, N / 2, end / 2)
 
 
 def estimation_cost(

@@ -16,3 +16,10 @@ BATTERY = Kind(
     {"week": "template_battery"},
     tables="read.case:battery_formats",
 )
+PARK_AND_LOAN = Kind(
+    "park-and-loan",
+    "a park and loan at a pipeline or hub: gas delivered and taken back, or taken and returned",
+    __name__,
+    {"winter": "template_park_and_loan"},
+    tables="read.case:park_and_loan_formats",
+)

@@ -1,22 +1,22 @@
 """A case made ready to solve: the problem with its fitted value, its policy and its engines."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.objective import make_objective
 from snapo.engine import EngineName
 from snapo.problem.problem import Problem
+from snapo.problem.quickly import compiled_sooner
 from snapo.problem.simulator import Schedule
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
 from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
-from ..gas_storage.prices.process import GaussianFactors
+from ..gas_storage.prices.process import GaussianFactors, PriceProcess
 from .core.policy import UnitValuePolicy
 from .core.simulator import EnergySimulator, simulator_of
 from .methods.fitted import FittedContract, fit, surprises, unit_value_table
@@ -113,8 +113,13 @@ def fitted_value(problem: Problem, apart: np.ndarray | None = None) -> FactorFit
 def price_schedule(problem: Problem) -> Schedule:
     """The schedule of the price process, T + 1 rows of NumPy."""
     with jax.enable_x64(True):
-        inputs = {name: jnp.asarray(x.value) for name, x in problem.inputs_by_name.items()}
-        return jax.tree.map(np.asarray, simulator_of(problem).process.prepare(inputs))
+        inputs = {name: np.asarray(x.value) for name, x in problem.inputs_by_name.items()}
+        return jax.tree.map(np.asarray, _prepare(simulator_of(problem).process, inputs))
+
+
+@compiled_sooner
+def _prepare(process: PriceProcess, inputs: dict[str, Any]) -> Schedule:
+    return process.prepare(inputs)
 
 
 def factors_of(problem: Problem) -> GaussianFactors | None:

@@ -34,7 +34,7 @@ from .chapters.quotes import QUOTE_DELTAS
 from .chapters.risk import risk, sliders
 from .chapters.run import StorageRun
 from .chapters.today import FirstDecision, ladder
-from .chapters.value import VALUES, cash_flow, ladder_bars
+from .chapters.value import VALUES, ContractValue, cash_flow, ladder_bars
 
 TONES = {"inject": "inject", "withdraw": "withdraw", "hold": "main"}
 
@@ -173,8 +173,11 @@ def _about(run: StorageRun) -> list[tuple[str, str]]:
 REPORT = Report("Gas storage", StorageRun, _about, SECTIONS, MENU)
 
 
-def readme_picture(folder: Path) -> str:
+def readme_picture(folder: Path, exact: float | None = None) -> str:
     """A separate picture of a result as SVG text: value ladder and monthly deltas.
+
+    `exact`: the contract's value by dynamic programming from another run, for a run without
+    `--reference`.
 
     Raises `ValueError` where the run has only one or none of them.
     """
@@ -187,9 +190,13 @@ def readme_picture(folder: Path) -> str:
         or not any(np.isfinite(x.undiscounted) for x in months)
     ):
         raise ValueError("the run has no `value_ladder` or no `deltas_monthly`.")
+    ladder, name = values.value_of, "Dynamic programming"
+    if exact is not None and all(x.name != name for x in ladder):
+        below_bound = len(ladder) - (ladder[-1].name == "Upper bound")
+        ladder.insert(below_bound, ContractValue(name, exact))
 
     def paint(left, right):
-        charts.ladder(left, ladder_bars(run, values.value_of))
+        charts.ladder(left, ladder_bars(run, ladder))
         left.set_title("Value of the contract", **HEADING)
         month_painter(run, months)(right)
         right.set_title(f"Delta by delivery month, {run.volume}", **HEADING)

@@ -94,7 +94,10 @@ class Reaction(NamedTuple):
 
 
 def one_percent(values: Input) -> np.ndarray:
-    """The bump: 1 % of every number; where all are zero, of the input's `move`."""
+    """The bump: 1 % of every number, where the input states no other; where all are zero, of its
+    `move`."""
+    if values.judge_bump is not None:
+        return np.full(values.value.shape, values.judge_bump)
     if values.value.any():
         return MOVE * values.value
     return np.full(values.value.shape, MOVE * (values.move or 0.0))

@@ -46,8 +46,8 @@ SIGNIFICANT = 2.0  # standard errors of a gain
 OFFSET = 10  # times the total gain: a larger value has a part that no decision affects
 ENOUGH = 2048  # paths on which two rules are compared
 TRY_OTHERS = (
-    "try starts=4, features of mean 0 and deviation 1, wider starting states, or a higher "
-    "temperature_start"
+    "try several starts (starts = 4), features of mean 0 and deviation 1, wider starting states, "
+    "or a higher temperature_start"
 )
 
 

@@ -39,10 +39,10 @@ CAVEAT = (
     "To first order. The derivative is that of the best policy's value. Held: the exact simulator "
     "with the decisions held, which is that derivative where decisions are optimal, see the whole "
     "state and cause no jump. Through the policy: a bump of the exact simulator by one percent, "
-    "with the policy reacting, where it refutes the held one (at a level of 1 % for all inputs "
-    "together). Range: at a kink, between the derivatives for less and for more of the input. The "
-    "95 % interval adds two parts: the sampling error of finitely many paths, and the error of the "
-    "policy, which is near the best one. "
+    "or by the step of the input, with the policy reacting, where it refutes the held one (at a "
+    "level of 1 % for all inputs together). Range: at a kink, between the derivatives for less and "
+    "for more of the input. The 95 % interval adds two parts: the sampling error of finitely many "
+    "paths, and the error of the policy, which is near the best one. "
     "Drift: by how much the held derivative changed in the second half of training."
 )
 

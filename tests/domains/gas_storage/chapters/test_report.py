@@ -276,3 +276,12 @@ def test_the_picture_for_the_readme_stands_alone(tmp_path):
     folder.mkdir()
     with pytest.raises(ValueError, match="value_ladder"):
         readme_picture(folder)
+
+
+def test_the_picture_takes_the_value_of_another_run_by_dynamic_programming(tmp_path):
+    rungs = [{"name": name, "value": 78e3} for name in ("Trained policy", "Upper bound")]
+    folder = write_run(tmp_path, value_ladder=rungs)
+    assert "Dynamic programming" not in readme_picture(folder)
+    svg = readme_picture(folder, exact=78_386.0).replace("\N{NO-BREAK SPACE}", " ")
+    assert svg.index("Dynamic programming") < svg.index("Upper bound")
+    assert "EUR 78,386" in svg

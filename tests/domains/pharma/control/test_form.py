@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.compilations import compilations
 from tests.domains.pharma.pharma_cases import CASE, LOOP, TEMPLATE, small
-from tests.domains.same_form import same_programs
+from tests.domains.same_form import PAIRS, same_programs
 
 from snapo.case.given import CaseInput
 from snapo.domains.pharma.control.closed_loop import ClosedLoop, objective
@@ -90,9 +90,9 @@ def test_equal_forms_are_equal_programs():
     assert same_programs(map(drawn, range(30)), enough=2) >= 2
 
 
-@pytest.mark.prove
-def test_equal_forms_are_equal_programs_in_two_hundred_pairs():
-    assert same_programs(map(drawn, range(600)), enough=200) >= 200
+@PAIRS
+def test_equal_forms_are_equal_programs_in_many_pairs(enough):
+    assert same_programs(map(drawn, range(600)), enough) >= enough
 
 
 @pytest.mark.prove

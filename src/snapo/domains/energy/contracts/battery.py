@@ -8,6 +8,8 @@ of the whole term, may be limited.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil
 from typing import Any
 
 import equinox as eqx
@@ -23,7 +25,11 @@ from snapo.case.table import CaseTable, TableContext
 from ...gas_storage.prices.process import use
 from ...gas_storage.read.tables import FileName
 from ..core.contract import ContractLayout, EnergyContract, EnergyFlow, Level, StepTerms, Terms
+from ..methods.measure import common_measure
 
+NARROWEST, WIDEST = 0.01, 0.1  # of the energy: a wider bump would be no derivative
+MAX_TRIES = 100
+ROUND_OFF = 1e-9
 GROUP = "contract"
 ENERGY = Quantity("MWh", POSITIVE, GROUP, move=0.1, name="energy")
 POWER = Quantity("MW", POSITIVE, GROUP, move=0.1)
@@ -127,6 +133,30 @@ def layout_of(day: bool, term: bool) -> ContractLayout:
     )
 
 
+def bumps(
+    energy: float,
+    stored: float,
+    powers: tuple[ChargeTable, DischargeTable],
+    cycles: CyclesTable,
+) -> tuple[float | None, float | None]:
+    """Of energy and of cycles: the least that keep volumes, halfway too, on the common measure of
+    all, on whose multiples methods have their nodes; of at least 1 %. None where they are more than
+    `WIDEST`."""
+    into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
+    limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]
+    measure = common_measure(
+        [energy, stored, into[0] * into[1], out[0], *(energy * x for x in limits)]
+    )
+    if measure is None or 2 * measure > WIDEST * energy:
+        return None, None
+    first, last = (share * energy / (2 * measure) for share in (NARROWEST, WIDEST))
+    first = max(ceil(first - ROUND_OFF), 1)
+    for times in range(first, min(int(last + ROUND_OFF), first + MAX_TRIES) + 1):
+        if all(abs(x * times - round(x * times)) < ROUND_OFF for x in limits):
+            return 2 * measure * times, 2 * measure * first / energy
+    return None, 2 * measure * first / energy
+
+
 def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) -> BatteryContract:
     """The contract; `days`: the local date of each hour."""
     charge = where.nested(ChargeTable, table.charge, "charge")
@@ -135,17 +165,19 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
         raise where.error("stored", stored, f"allowed is at most energy, {energy:g}")
-    ends = [day != following for day, following in zip(days, [*days[1:], None])]
+    steps = bumps(energy, stored, (charge, discharge), cycles)
+    day, term = (x and replace(x, judge_bump=steps[1]) for x in (cycles.day, cycles.term))
+    ends = [one != following for one, following in zip(days, [*days[1:], None])]
     return BatteryContract(  # pyright: ignore[reportCallIssue]
-        table.energy,
+        replace(table.energy, judge_bump=steps[0]),
         table.stored,
         charge.power,
         charge.efficiency,
         discharge.power,
         discharge.efficiency,
         table.wear,
-        cycles.day,
-        cycles.term,
+        day,
+        term,
         np.array(ends, bool),
         layout=layout_of(  # pyright: ignore[reportCallIssue]
             cycles.day is not None, cycles.term is not None

@@ -6,15 +6,17 @@ a static `ContractLayout`. It may be in one of a few modes; on each step it make
 that begin in its mode, and each flow of that move takes a volume from an interval.
 
     levels after a step = levels + move.changes + effects[flow] volume
-    earnings of a step  = move's money + volume (price S + index I + money)
+    earnings of a step  = move's money + volume (price S + index I + money) + money of the levels
 
-S is the spot price, and I, of an indexed contract, the index of its prices.
+S is the spot price, and I, of an indexed contract, the index of its prices. Levels may be negative;
+their money is linear on each side of zero (`LevelMoney`).
 
 All money is a present value. Limits hold after each step; a level that `restarts` is then
 settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -123,6 +125,27 @@ class Promises(NamedTuple):
     minimum: Float[Array, "T promises modes"]
 
 
+class LevelMoney(NamedTuple):
+    """Money of the levels: a step earns `after` of those after its move, less `before` of those at
+    its start. The last axis has money for each unit below zero, and for each unit above it.
+
+    Equal numbers in both are money for a change: of each unit by which a level moves away from
+    zero in the step, and the opposite of each unit by which it returns.
+    """
+
+    before: Float[Array, "T levels 2"]
+    after: Float[Array, "T levels 2"]
+
+
+def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
+    """The money of levels, one entry or array for each, at a step's row [levels, 2] of `before` or
+    `after`."""
+    parts = [
+        rate[0] * positive(-level) + rate[1] * positive(level) for rate, level in zip(rates, levels)
+    ]
+    return sum(parts[1:], parts[0])
+
+
 class StepTerms(NamedTuple):
     """The numbers of every step: leaves [T, flows] or [T, levels].
 
@@ -131,7 +154,7 @@ class StepTerms(NamedTuple):
     - `low`, `high`: limits of the levels after the step.
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
-    - `fixed`: [T, moves] money of a move. `promises`, `bank`: None without any.
+    - `fixed`: [T, moves] money of a move. `promises`, `bank`, `of_levels`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -147,6 +170,7 @@ class StepTerms(NamedTuple):
     index: Float[Array, "T flows"] | None = None
     promises: Promises | None = None
     bank: Bank | None = None
+    of_levels: LevelMoney | None = None
 
 
 class StepPrices(NamedTuple):

@@ -25,7 +25,7 @@ from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
 from ...gas_storage.prices.index import IndexedPrices
 from ...gas_storage.prices.process import PricedSimulator, PriceProcess, use
-from .contract import ContractLayout, EnergyContract, StepPrices
+from .contract import ContractLayout, EnergyContract, StepPrices, level_money
 from .feasibility import charged, intervals, volumes
 from .observation import observation
 from .schedule import Constants, State, Step
@@ -197,6 +197,10 @@ class EnergySimulator(PricedSimulator):
         mode = jnp.zeros_like(state.mode)
         cash, flows = jnp.zeros(()), [jnp.zeros(()) for _ in layout.flows]
         place = 0
+
+        def positive(x):
+            return smooth.positive_part(x, scale)
+
         for i, move in enumerate(layout.every_move):
             after, earned = state.levels + jnp.asarray(move.changes), terms.fixed[i]
             if move.flows:
@@ -207,15 +211,15 @@ class EnergySimulator(PricedSimulator):
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
                     earned = earned + volume * prices.unit(terms, flow)
                     flows[flow] = flows[flow] + chosen[i] * volume
+            if terms.of_levels is not None:
+                earned = earned + level_money(terms.of_levels.after, after, positive)
             levels = levels + chosen[i] * after
             mode = mode.at[move.after].add(chosen[i])
             cash = cash + chosen[i] * earned
         owed, settled = terms.owed, jnp.where(terms.restarts, 0.0, levels)
+        if terms.of_levels is not None:
+            cash = cash - level_money(terms.of_levels.before, state.levels, positive)
         if terms.bank is not None:
-
-            def positive(x):
-                return smooth.positive_part(x, scale)
-
             used = [terms.bank.made_up(x[0], x[-1], positive) for x in (state.levels, levels)]
             cash = cash + terms.bank.refund * (used[1] - used[0])
             owed = owed.at[0].set(terms.bank.owed(levels[-1], positive))

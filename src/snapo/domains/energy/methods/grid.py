@@ -23,6 +23,7 @@ from .settling import Settling, balances, settling
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
 COARSE = {0: 1, 1: 401, 2: 2601, 3: 4913}  # where these are too many, by the number of levels
+MOVED = 1.5  # times as many for a moved contract, whose nodes are as far apart as before
 LONG = 2_000_000  # nodes of all steps of a coarse grid
 NEAR = 1e-9  # of the largest volume: nearer levels are one
 
@@ -117,7 +118,7 @@ def best(
             else:
                 reached = np.sum(weights * there[goals], axis=0) + earned
                 here[rows] = np.maximum(here[rows], reached)
-    return value if step.end.made_up is None else value - step.end.made_up[0][:, None]
+    return value if step.end.held is None else value - step.end.held[0][:, None]
 
 
 def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
@@ -137,6 +138,7 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     widest = [float(np.max(high - low)) for low, high in visited]
     coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
     least = np.zeros(count) if apart is None else apart
+    coarse *= MOVED if least.any() else 1
     if layout.banked:
         widths = banked_widths(visited, measures, least, LONG)
     else:
@@ -237,6 +239,8 @@ def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
         limits = np.array([low[t + 1], high[t + 1], terms.low[t, i], terms.high[t, i]])
         if restarts[t]:
             limits = np.append(limits, terms.owed[t, i])
+        if terms.of_levels is not None:  # whose money bends at zero
+            limits = np.append(limits, 0.0)
         after.append(_within(limits, low[t + 1], high[t + 1], near))
     first = np.array([start[i]])
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""The end of a step on a grid: levels restart, and a bank takes its new balance."""
+"""The end of a step on a grid: money of the levels, restarts, the new balance of a bank."""
 
 import math
 from functools import partial
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.contract import ContractLayout, StepTerms
+from ..core.contract import ContractLayout, StepTerms, level_money
 
 NEAR = 1e-6  # of a node's number: a balance this near to a node is on it
 positive = partial(np.maximum, 0.0)
@@ -18,13 +18,14 @@ class Settling(NamedTuple):
     - `arrive`: the number of the node of the next step for each node after; `lost`: the
       money that settling takes there.
     - `between`: a second such node, and its weight, where balances are between nodes.
-    - `made_up`: money for the units made up until the nodes before and after; None without a bank.
+    - `held`: money of the nodes before and after a step, which earns the second less the first:
+      that of the levels, and of the units made up so far; None without either.
     """
 
     arrive: np.ndarray
     lost: np.ndarray
     between: tuple[np.ndarray, np.ndarray] | None = None
-    made_up: tuple[np.ndarray, np.ndarray] | None = None
+    held: tuple[np.ndarray, np.ndarray] | None = None
 
     def settled(self, value: np.ndarray) -> np.ndarray:
         """[modes, nodes after, …] after settling, from [modes, nodes of the next step, …]."""
@@ -35,9 +36,9 @@ class Settling(NamedTuple):
 
     @property
     def money(self) -> np.ndarray | None:
-        """[nodes after] that settling and units made up earn; None where there is none."""
-        if self.made_up is not None:
-            return self.made_up[1] - self.lost
+        """[nodes after] that levels, settling and units made up earn; None where there is none."""
+        if self.held is not None:
+            return self.held[1] - self.lost
         return -self.lost if self.lost.any() else None
 
 
@@ -54,13 +55,10 @@ def settling(
         lost = (lost[:, None] + amount[None, :]).ravel()
     numbers = np.arange(math.prod(map(len, following)))
     shape = [len(x) for x in following]
-    if terms.bank is None:
-        return Settling(numbers.reshape(shape)[np.ix_(*arrivals)].ravel(), lost)
+    held = _held(terms, t, before, after)
+    if terms.bank is None or not terms.restarts[t, 0]:
+        return Settling(numbers.reshape(shape)[np.ix_(*arrivals)].ravel(), lost, None, held)
     bank = terms.bank.at(t)
-    used = [np.ravel(bank.made_up(*_mesh(x), positive)) * bank.refund for x in (before, after)]
-    made_up = used[0], used[1]
-    if not terms.restarts[t, 0]:
-        return Settling(numbers.reshape(shape)[np.ix_(*arrivals)].ravel(), lost, None, made_up)
     counted, balance = _mesh(after)
     missed = np.ravel(positive(bank.owed(balance, positive) - counted))
     goal = np.ravel(bank.settled(counted, balance, positive))
@@ -69,7 +67,22 @@ def settling(
     share = np.where(position - left > NEAR, position - left, 0.0)
     right = np.minimum(left + 1, len(following[1]) - 1)
     between = (right, share) if share.any() else None
-    return Settling(left, missed * terms.short[t, 0], between, made_up)
+    return Settling(left, missed * terms.short[t, 0], between, held)
+
+
+def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarray] | None:
+    """Money of the nodes before and after step t; None where levels have none."""
+    result = [np.zeros(1), np.zeros(1)]
+    if terms.bank is not None:
+        bank = terms.bank.at(t)
+        result = [bank.made_up(*_mesh(x), positive) * bank.refund for x in (before, after)]
+    if terms.of_levels is not None:
+        for k, (rates, nodes) in enumerate(zip(terms.of_levels, (before, after))):
+            levels = np.meshgrid(*nodes, indexing="ij", sparse=True)
+            result[k] = result[k] + level_money(rates[t], levels, positive)
+    if terms.bank is None and terms.of_levels is None:
+        return None
+    return np.ravel(result[0]), np.ravel(result[1])
 
 
 def balances(terms: StepTerms, start: float, low: np.ndarray, high: np.ndarray):

@@ -39,6 +39,7 @@ from ..contracts.battery import (
     DischargeTable,
     read_battery,
 )
+from ..contracts.park_and_loan import ParkAndLoanTable, WindowTable, read_park_and_loan
 from ..contracts.swing_tables import (
     AnnualTable,
     CarryTable,
@@ -55,7 +56,7 @@ from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 class EnergyTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["swing", "battery"]
+    kind: Literal["swing", "battery", "park-and-loan"]
     title: Title = Field("", description=TITLE)
     contract: dict = Field(description="the table [contract]")
     market: dict = Field(description="the table [market]")
@@ -106,6 +107,12 @@ KINDS: dict[str, ContractKind] = {
         "Battery",
         {"charge": ChargeTable, "discharge": DischargeTable, "cycles": CyclesTable},
         hourly=True,
+    ),
+    "park-and-loan": ContractKind(
+        ParkAndLoanTable,
+        read_park_and_loan,
+        "Park and loan",
+        {"deliver_window": WindowTable, "take_window": WindowTable},
     ),
 }
 
@@ -251,6 +258,11 @@ def swing_formats() -> Formats:
 def battery_formats() -> Formats:
     """The tables of a battery."""
     return formats("battery")
+
+
+def park_and_loan_formats() -> Formats:
+    """The tables of a park-and-loan contract."""
+    return formats("park-and-loan")
 
 
 def _curve_file(market: Any) -> str:

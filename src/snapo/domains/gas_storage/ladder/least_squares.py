@@ -43,8 +43,7 @@ def fitted_rule(
     value = np.broadcast_to(value, (len(links[-1].nodes), len(nothing)))
     coefficients = []
     for t in reversed(steps):
-        _, period, nodes, lost = links[t]
-        value = value if lost is None else value[:1] - lost[:, None]
+        period, nodes, value = links[t].period, links[t].nodes, links[t].later(value)
         functions = basis.functions(states[t : t + 1], t)[0]
         fit = _regressed(functions, value)
         before = np.empty((len(period.nodes), len(nothing)))
@@ -91,7 +90,8 @@ def followed(rule: LeastSquaresRule, states: np.ndarray, spots: np.ndarray) -> F
         q = best(period, limits, slope, peak, contract.every)[1][0]
         money = money + earned(period, slope, q) - limits.cost[0]
         level = limits.keep[0] + period.span * q
-        lost = contract.settled(t, level)
+        lost, held = contract.settled(t, level), contract.end_cost(t, t + 1, level)
+        money = money if held is None else money - held
         if lost is not None:
             money, level = money - lost, np.zeros_like(level)
         levels.append(level)

@@ -83,8 +83,12 @@ class FlatContract(Protocol):
         """Of q above zero, and below."""
         ...
 
-    def level_cost(self, first: int, after: int) -> float:
-        """Discounted cost of a unit of the level at the start of a period."""
+    def level_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray:
+        """Discounted cost of levels at the start of a period."""
+        ...
+
+    def end_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray | None:
+        """The same of levels at its end, before settling; None where there is none."""
         ...
 
     def discount(self, first: int, after: int) -> np.ndarray:
@@ -101,12 +105,19 @@ class FlatContract(Protocol):
 
 
 class Link(NamedTuple):
-    """A period of a plan: `nodes` after it; `lost`: the cost of settling there."""
+    """A period of a plan: `nodes` after it; `lost`: the cost of settling there, and `held` that of
+    ending there."""
 
     block: TradeBlock
     period: FlatPeriod
     nodes: np.ndarray
     lost: np.ndarray | None
+    held: np.ndarray | None = None
+
+    def later(self, value: np.ndarray) -> np.ndarray:
+        """The value at the nodes after the period, of that at the start of the next one."""
+        value = value if self.lost is None else value[:1] - self.lost[:, None]
+        return value if self.held is None else value - self.held[:, None]
 
 
 class Infeasible(ValueError):
@@ -155,10 +166,11 @@ class Chains:
             minimum,
             np.maximum(minimum, maximum),
             *contract.sides(first, after),
-            contract.level_cost(first, after) * before,
+            contract.level_cost(first, after, before),
             block.spread * float(np.sum(contract.discount(first, after))),
         )
-        return Link(block, period, nodes, contract.settled(after - 1, nodes))
+        held = contract.end_cost(first, after, nodes)
+        return Link(block, period, nodes, contract.settled(after - 1, nodes), held)
 
     def _nodes(self, low: float, high: float) -> np.ndarray:
         """Evenly spaced levels: on the measure of the volumes where these are few enough."""
@@ -227,8 +239,8 @@ def planned(
     start = links[0].block.first
     value = contract.final(links[-1].nodes[:, None], curve[-1])
     value, prices = np.broadcast_to(value, (len(links[-1].nodes), curve.shape[1])), []
-    for number, (block, period, nodes, lost) in reversed(list(enumerate(links))):
-        later = value if lost is None else value[:1] - lost[:, None]
+    for number, link in reversed(list(enumerate(links))):
+        block, period, nodes, later = link.block, link.period, link.nodes, link.later(value)
         forward = curve[block.first - start : block.after - start]
         slope = slopes(period, forward, position.held[block.first])
         peak = peaks(period, slope, later, nodes)
@@ -243,7 +255,7 @@ def exactly(contract: FlatContract, link: Link, levels: np.ndarray) -> Limits:
     period, nodes = link.period, link.nodes
     least, most = contract.limits(period.first, period.after, levels, nodes[0], nodes[-1])
     keep, _ = contract.growth(period.first, period.after)
-    cost = contract.level_cost(period.first, period.after) * levels
+    cost = contract.level_cost(period.first, period.after, levels)
     rows = keep * levels, least, np.maximum(least, most), cost
     return Limits(*(row[None] for row in rows))
 
@@ -280,6 +292,8 @@ def traded(
         if delivered:
             cost = np.where(q > 0, period.into.money, -period.out.money) * q
             money -= cost + limits.cost[0]
+            at_end = contract.end_cost(period.first, period.after, level)
+            money -= 0.0 if at_end is None else at_end
         if link.lost is not None:
             lost = contract.settled(block.after - 1, level)
             assert lost is not None

@@ -75,8 +75,12 @@ class FlatStore:
             Side(discount * out, float(out.mean()), float(paid_out - stored)),
         )
 
-    def level_cost(self, first: int, after: int) -> float:
-        return float(self._holding(slice(first, after)) @ self._stock(first, after).before[0])
+    def level_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray:
+        cost = float(self._holding(slice(first, after)) @ self._stock(first, after).before[0])
+        return cost * levels
+
+    def end_cost(self, first: int, after: int, levels: np.ndarray) -> None:
+        return None
 
     def discount(self, first: int, after: int) -> np.ndarray:
         return self.schedule.steps.gas_discount[first:after]

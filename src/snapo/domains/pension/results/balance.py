@@ -12,13 +12,14 @@ import numpy as np
 from jaxtyping import Array
 from scipy.optimize import toms748
 
+from snapo.problem.quickly import compiled_sooner
 from snapo.study.chapter import Floats, Number, floats
 
 from ..fund.collateral import slope, stressed
 from ..fund.swap_limits import notionals
 from ..market.assets.asset_class import log_prices
 from ..market.assets.swaps import swap_values
-from ..records.case import PensionCase
+from ..records.case import PensionCase, PensionModel
 from ..records.market import MarketCurve
 from .figures.reconcile import LiabilityFigures
 
@@ -101,15 +102,21 @@ def held_now(case: PensionCase) -> np.ndarray:
 
 
 def slopes(
-    curve: MarketCurve, inputs: dict[str, Any], value: Callable[[dict], Array]
+    value: Callable[[PensionModel, dict], Array],
+    case: PensionCase,
+    curve: MarketCurve,
+    inputs: dict[str, Any],
 ) -> np.ndarray:
     """[k, nodes]: d `value` [k] / d quote at a node of `curve`."""
-
-    def shifted(quotes):
-        return value(inputs | {curve.rate.name: quotes})
-
     with jax.enable_x64(True):
-        return np.asarray(jax.jacrev(shifted)(np.asarray(curve.rate.values)))
+        return np.asarray(
+            _slopes(value, case, inputs, curve.rate.name, np.asarray(curve.rate.values))
+        )
+
+
+@compiled_sooner
+def _slopes(value, case, inputs, name, quotes):
+    return jax.jacrev(lambda moved: value(case, inputs | {name: moved}))(quotes)
 
 
 def ladder(
@@ -146,7 +153,7 @@ def _ladder(
 ) -> CurveLadder:
     swaps = np.zeros(len(curve.tenor))
     if case.overlay is not None:
-        value = slopes(curve, values, lambda moved: swap_values(case, moved))
+        value = slopes(swap_values, case, curve, values)
         swaps = BASIS_POINT * notional @ value
     assets = _by_node(case, curve, values, np.ones(len(case.assets.classes)))
     labels = tuple(curve.rate.labels)
@@ -157,7 +164,7 @@ def _by_node(
     case: PensionCase, curve: MarketCurve, values: dict, counted: np.ndarray
 ) -> np.ndarray:
     """[nodes]: change of value for +1 bp of the classes that are `counted` [n]."""
-    held = slopes(curve, values, lambda moved: log_prices(case, moved))
+    held = slopes(log_prices, case, curve, values)
     return BASIS_POINT * (counted * held_now(case)) @ held
 
 
@@ -199,8 +206,7 @@ def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> He
     sign = -1.0 if owed.sum() < 0 else 1.0
 
     def missing(moves: np.ndarray) -> np.ndarray:
-        with jax.enable_x64(True):
-            return np.asarray(stressed(case, sign * BASIS_POINT * moves).gap(held, notional))
+        return np.asarray(stressed(case, sign * BASIS_POINT * moves).gap(held, notional))
 
     room = _first(missing) if owed.any() else None
     return Headroom(

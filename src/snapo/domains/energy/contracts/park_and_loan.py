@@ -1,0 +1,206 @@
+"""Park and loan: gas delivered to a pipeline or hub and taken back, or taken and returned later.
+
+    balance   B after = B + d - w,   -max_loan <= B <= max_park
+    earnings = sum over days of discount x ((w - d) S - fees)
+    fees     = initial x opened + completion x closed + park fee x B+ + loan fee x B-
+
+d is delivered to the operator and w taken from it on a day, with B+ = max(B, 0), parked, and
+B- = max(-B, 0), on loan, both after the day. Volumes that move the balance away from zero open,
+those that move it towards zero close: a delivery first repays a loan, and the rest is parked:
+
+    initial x opened + completion x closed = (initial + completion) / 2 x (d + w)
+                                             + (initial - completion) / 2 x change of |B|
+
+At the end the balance is zero, or the units left are cashed out. Sources of the terms: Natural Gas
+Pipeline Company of America, FERC Gas Tariff, Seventh Revised Volume No. 1, Rate Schedule LPS,
+section 6.1: an initial fee for each unit tendered for park or taken for loan, a balance fee on the
+balance at the end of each day, a completion fee for each unit that is returned. Colorado Interstate
+Gas Company, FERC Gas Tariff, First Revised Volume No. 1, sheet 159B, section 2.3(c): a quantity is
+balanced against the existing balance.
+"""
+
+import datetime
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+from pydantic import Field
+
+from snapo.case.given import CaseInput
+from snapo.case.quantity import ANY, NOT_NEGATIVE, Quantity
+from snapo.case.table import CaseTable, TableContext
+
+from ...gas_storage.prices.process import use
+from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
+from ..core.contract import (
+    ContractLayout,
+    EnergyContract,
+    EnergyFlow,
+    Level,
+    LevelMoney,
+    StepTerms,
+    Terms,
+)
+
+GROUP, UNIT = "contract", "{volume_unit}"
+LIMIT = Quantity(UNIT, NOT_NEGATIVE, GROUP, move=1.0, by="date", before=0.0)
+RATE = Quantity(f"{UNIT}/day", NOT_NEGATIVE, GROUP, move=1.0, by="date", before=0.0)
+BALANCE_FEE = Quantity(f"{PRICE}/day", NOT_NEGATIVE, "cost", move=0.001, by="date", before=0.0)
+FEE = Quantity(PRICE, NOT_NEGATIVE, "cost", move=0.01)
+CASH_OUT = Quantity(PRICE, NOT_NEGATIVE, "cash-out", move=0.1)
+
+
+class WindowTable(CaseTable):
+    """{ first = 2026-07-01, last = 2026-07-31 }: the days on which gas may flow."""
+
+    first: DateKey = Field(description=DATE)
+    last: DateKey = Field(description=DATE)
+
+
+class ParkAndLoanTable(CaseTable):
+    """`[contract]` of kind "park-and-loan"."""
+
+    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
+    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    start: DateKey = Field(description=DATE)
+    end: DateKey = Field(description=DATE)
+    max_park: CaseInput = LIMIT("most that is parked at the end of a day", 0.0)
+    max_loan: CaseInput = LIMIT("most that is on loan at the end of a day", 0.0)
+    max_deliver: CaseInput = RATE("most that is delivered a day, to park or to repay")
+    max_take: CaseInput = RATE("most that is taken a day, back or on loan")
+    deliver_window: dict | None = Field(
+        None, description="a table like { first = 2026-07-01, last = 2026-07-31 }"
+    )
+    take_window: dict | None = Field(
+        None, description="a table like { first = 2026-12-01, last = 2026-12-31 }"
+    )
+    balance: CaseInput = Quantity(UNIT, ANY, GROUP, move=1.0)(
+        "at the start: parked, or below zero on loan", 0.0
+    )
+    park_fee: CaseInput = BALANCE_FEE("for each unit parked at the end of a day", 0.0)
+    loan_fee: CaseInput = BALANCE_FEE("for each unit on loan at the end of a day", 0.0)
+    initial_fee: CaseInput = FEE("for each unit that opens a park or a loan", 0.0)
+    completion_fee: CaseInput = FEE("for each unit taken back or repaid", 0.0)
+    cash_out_park: CaseInput | None = CASH_OUT("received for a unit parked at the end", None)
+    cash_out_loan: CaseInput | None = CASH_OUT("paid for a unit on loan at the end", None)
+
+
+class ParkAndLoanContract(EnergyContract):
+    """The terms of a park and loan; see `ParkAndLoanTable`.
+
+    - `limits`: most parked and most on loan; `rates`: most delivered and most taken; `fees`: of a
+      unit parked and of one on loan, by day; each index [T].
+    - `turn`: initial and completion fee; `cash_out`: of a unit parked and on loan, None: no such
+      balance is left; index [].
+    - `open` [T, 2]: whether gas may be delivered, and taken, on a day.
+    """
+
+    limits: tuple[CaseInput, CaseInput]
+    rates: tuple[CaseInput, CaseInput]
+    fees: tuple[CaseInput, CaseInput]
+    turn: tuple[CaseInput, CaseInput]
+    balance: CaseInput
+    cash_out: tuple[CaseInput | None, CaseInput | None]
+    open: Bool[np.ndarray, "T 2"]
+    layout: ContractLayout = eqx.field(static=True)
+
+    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
+        count = len(self.open)
+        none = jnp.zeros((count, 1))
+        park, loan = (use(inputs, x) for x in self.limits)
+        initial, completion = (use(inputs, x) for x in self.turn)
+        fees = [use(inputs, x) * paid for x in self.fees]
+        turn = (initial - completion) / 2 * paid
+        rates, left = [-turn - fees[1], -turn - fees[0]], self.cash_out
+        low, high = -loan, park
+        if left[1] is None:
+            low = low.at[-1].set(0.0)
+        else:
+            rates[0] = rates[0].at[-1].add(-use(inputs, left[1]) * settled[-1])
+        if left[0] is None:
+            high = high.at[-1].set(0.0)
+        else:
+            rates[1] = rates[1].at[-1].add(use(inputs, left[0]) * settled[-1])
+        unit = -(initial + completion) / 2 * paid
+        steps = StepTerms(
+            jnp.zeros((count, 2)),
+            jnp.stack([use(inputs, x) for x in self.rates], axis=1) * self.open,
+            jnp.stack([-paid, paid], axis=1),
+            jnp.stack([unit, unit], axis=1),
+            low[:, None],
+            high[:, None],
+            none,
+            none,
+            none.astype(bool),
+            none,
+            of_levels=LevelMoney(
+                jnp.stack([-turn, -turn], axis=1)[:, None], jnp.stack(rates, axis=1)[:, None]
+            ),
+        )
+        return Terms(use(inputs, self.balance)[None], steps)
+
+
+def read_park_and_loan(
+    where: TableContext, table: ParkAndLoanTable, days: Sequence[datetime.date]
+) -> ParkAndLoanContract:
+    """The contract on its decision days."""
+    limits, rates, fees = (
+        tuple(x.on(days, where.notes) for x in pair)
+        for pair in (
+            (table.max_park, table.max_loan),
+            (table.max_deliver, table.max_take),
+            (table.park_fee, table.loan_fee),
+        )
+    )
+    park, loan = (float(x.used().max()) for x in limits)
+    if park <= 0 and loan <= 0:
+        raise where.error("max_park", park, "allowed is more than 0, of max_park or of max_loan")
+    balance = float(table.balance.values[0])
+    if not -loan <= balance <= park:
+        message = f"allowed is -max_loan to max_park, {-loan:g} to {park:g}"
+        raise where.error("balance", balance, message)
+    left = [None if x is None else float(x.values[0]) for x in (table.cash_out_park,
+                                                                 table.cash_out_loan)]  # fmt: skip
+    if left[0] is not None and left[1] is not None and left[0] > left[1]:
+        message = f"allowed is at most cash_out_loan, {left[1]:g}"
+        raise where.error("cash_out_park", left[0], message)
+    flows = [
+        EnergyFlow(name, f"{table.volume_unit}/day", (effect,))
+        for name, effect in (("deliver", 1.0), ("take", -1.0))
+    ]
+    opened = [
+        _within(where, key, window, days)
+        for key, window in (
+            ("deliver_window", table.deliver_window),
+            ("take_window", table.take_window),
+        )
+    ]
+    return ParkAndLoanContract(  # pyright: ignore[reportCallIssue]
+        limits,
+        rates,
+        fees,
+        (table.initial_fee, table.completion_fee),
+        table.balance,
+        (table.cash_out_park, table.cash_out_loan),
+        np.stack(opened, axis=1),
+        layout=ContractLayout(  # pyright: ignore[reportCallIssue]
+            (Level("balance", table.volume_unit),), tuple(flows)
+        ),
+    )
+
+
+def _within(where: TableContext, key: str, raw: dict | None, days: Sequence[datetime.date]):
+    """[T] whether a day is in the window of a key; all are without one."""
+    if raw is None:
+        return np.ones(len(days), bool)
+    window = where.nested(WindowTable, raw, key)
+    if window.last < window.first:
+        raise where.error(f"{key}.last", window.last, f"allowed is from {window.first} on")
+    inside = np.array([window.first <= day <= window.last for day in days], bool)
+    if not inside.any():
+        message = f"allowed is a day from {days[0]} to {days[-1]}, on which the contract decides"
+        raise where.error(f"{key}.first", window.first, message)
+    return inside
