@@ -1,5 +1,6 @@
 """Bumps of a problem whose simulator holds a table that was built from the inputs."""
 
+import threading
 from dataclasses import replace
 
 import jax
@@ -18,6 +19,7 @@ from snapo.solver.derivatives.bump import (
     opposite,
     reactions,
 )
+from snapo.solver.statistics import Estimate
 
 ENGINE = Xla("float64")
 
@@ -111,6 +113,47 @@ def test_an_input_without_effect_on_the_value_gets_no_wider_move(monkeypatch, va
     screened = moved(bumper, "rate", np.zeros(1), np.full(32, 1e-7), 4)
     bumper.refined("rate", np.ones(1), screened)
     assert taken[1:] == moves
+
+
+class FollowsBoth(Follows):
+    def step(self, constants, now, state, action, noise, smooth):
+        far = action[0] - constants["left"] ** 2 - constants["right"] ** 3
+        return state, {"reward": 5.0 - far**2 + 0.1 * noise[0]}
+
+
+def test_problems_rebuilt_in_a_thread_give_the_same_bits_as_one_after_the_other():
+    threads = []
+
+    def rebuilt(problem):
+        threads.append(threading.current_thread().name)
+        values = {name: item.value for name, item in problem.inputs_by_name.items()}
+        table = np.array([values["left"] ** 2 + values["right"] ** 3])
+        return replace(problem, simulator=replace(problem.simulator, table=table))
+
+    inputs = {"left": snapo.Input(2.0), "right": snapo.Input(1.5), "unused": snapo.Input(1.0)}
+    sources, mean = Sources.of(None, 0), snapo.Mean("reward")
+    simulator = FollowsBoth(np.zeros(1))
+    problem = rebuilt(snapo.Problem(simulator, inputs, mean, sources, rebuild=rebuilt))
+    held = {name: Estimate(np.zeros(32)) for name in inputs}
+    threads.clear()
+    found = reactions(problem, Reads(), 256, held, rollouts=0, engine=ENGINE)
+    assert list(found) == ["left", "right", "unused"]
+    assert len(threads) == 2 and all(name.startswith("rebuild") for name in threads)
+    bumper = _Bumper(problem, Reads(), 256, 32, None, None, ENGINE)
+    for name in ("left", "right"):
+        by = 0.01 * problem.inputs_by_name[name].value
+        alone = bumper._moved(name, by, np.zeros(32), bumper.few, mirrored=True)
+        np.testing.assert_array_equal(found[name].reaction, alone.reaction)
+
+
+def test_a_failure_while_a_table_is_rebuilt_is_raised():
+    def failing(problem):
+        raise ArithmeticError("no table")
+
+    problem = follows(failing)
+    held = {"target": Estimate(np.zeros(32))}
+    with pytest.raises(ArithmeticError, match="no table"):
+        reactions(problem, Reads(), 256, held, rollouts=0, engine=ENGINE)
 
 
 def test_an_input_may_state_its_bump():

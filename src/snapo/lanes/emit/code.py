@@ -107,6 +107,11 @@ class Code:
         text = f"shufflevector {x.type} {x.text}, {x.type} poison, <{lanes} x i32> <{mask}>"
         return Ref(self.raw(text), x.dtype, lanes)
 
+    def shuffle(self, a: Ref, b: Ref, mask: str) -> Ref:
+        """Lanes of two vectors, as many as each has; those of the second count on."""
+        text = f"shufflevector {a.type} {a.text}, {b.type} {b.text}, <{a.lanes} x i32> <{mask}>"
+        return Ref(self.raw(text), a.dtype, a.lanes)
+
     def same(self, *refs: Ref) -> list[Ref]:
         """Operands brought to a common number of lanes."""
         lanes = max(r.lanes for r in refs)
@@ -209,12 +214,14 @@ class Code:
             return base
         return self.raw(f"getelementptr i8, ptr {base}, i64 {offset}", "p")
 
-    def load(self, pointer: str, dtype, lanes: int, invariant: bool = False) -> Ref:
-        """Booleans lie in memory as bytes."""
+    def load(
+        self, pointer: str, dtype, lanes: int, invariant: bool = False, align: int | None = None
+    ) -> Ref:
+        """Booleans lie in memory as bytes. `align`: by default that of as many lanes."""
         dtype = name_of(dtype)
         selected = stored(dtype)
         ref = Ref("", selected, lanes)
-        align = min(64, np.dtype(selected).itemsize * lanes)
+        align = align or min(64, np.dtype(selected).itemsize * lanes)
         tail = ", !invariant.load !0" if invariant else ""
         ref = Ref(self.raw(f"load {ref.type}, ptr {pointer}, align {align}{tail}"), selected, lanes)
         return self.convert("trunc", ref, "bool") if dtype == "bool" else ref

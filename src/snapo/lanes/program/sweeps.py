@@ -11,6 +11,7 @@ EXPENSIVE = {
     "cosh", "asinh", "acosh", "atanh", "sort", "searchsorted", "cumsum", "cumprod", "cummax",
     "cummin", "gather", "dynamic_slice", "lgamma", "digamma",
 }  # fmt: skip
+READS = {"gather", "dynamic_slice"}
 REDUCTIONS = {"reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "argmax", "argmin"}
 
 
@@ -39,7 +40,8 @@ def plan(
 
     `primal` are the outputs of the forward sweep, `back` those of the reverse sweep, and
     `cotangents` the inputs that only the reverse sweep has. Dot products, curves and noise are
-    stored; cheap arithmetic is done again from stored values. `values` are stored in any case.
+    stored; cheap arithmetic and reads in shared tables are done again from stored values. `values`
+    are stored in any case.
     """
     maker = {v: op for op in program.ops for v in op.outputs}
     later = dependents(program, cotangents)
@@ -52,7 +54,7 @@ def plan(
             continue
         observed.add(v)
         op = maker.get(v)
-        if v not in later and v.path and (op is None or costly(op) or v in values):
+        if v not in later and v.path and (op is None or stored(op) or v in values):
             tape[v] = None
         elif op is not None:
             reverse.add(op)
@@ -73,6 +75,12 @@ def dependents(program: Program, sources: list[ProgramValue]) -> set[ProgramValu
         if any(v in outputs for v in op.inputs):
             outputs.update(op.outputs)
     return outputs
+
+
+def stored(op: Op) -> bool:
+    """Whether the reverse sweep reads a result from the tape. A table that all paths share is read
+    again: it is in the cache, and a long tape is not."""
+    return costly(op) and (op.name not in READS or op.inputs[0].path)
 
 
 def costly(op: Op) -> bool:

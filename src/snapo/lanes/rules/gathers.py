@@ -1,14 +1,98 @@
-"""Reading at positions known only while running: gather and dynamic slices."""
+"""Reading at positions known only while running: gather and dynamic slices.
 
-from collections.abc import Iterator
+Processors gather number by number. Neighbours in a table that all paths share are faster read path
+by path, and then transposed: one vector of lanes for each.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ..emit.code import Code
-from ..emit.module import Ref
+from ..emit.module import Module, Ref
+from ..emit.storage import ArrayPlace
 from ..emit.values import EmittedValues
 from ..program.program import Op, ProgramValue
-from .positions import clamped, limit, plus, read, window_start
+from .positions import SELECTED, Start, addresses, clamped, limit, plus, read, window_start
+
+NEIGHBOURS = 4  # of fewer, each is gathered
+BLOCK = 16  # bytes of neighbours that are loaded at once: within these, numbers change places fast
+
+
+def together(
+    values: EmittedValues, x: ProgramValue, out: ProgramValue, moving: Sequence[int]
+) -> bool:
+    """Whether `copy_rows` reads the rows of `out` in a table `x` that all paths share, with too
+    many positions along the axes `moving` to select from."""
+    table = values.get(x)
+    if not isinstance(table, ArrayPlace) or table.lanes > 1 or table.strides[-1:] != (1,):
+        return False
+    candidates = math.prod(x.shape[d] for d in moving)
+    wide = out.shape[-1:] >= (NEIGHBOURS,) and NEIGHBOURS * table.unit >= BLOCK
+    return out.path and wide and candidates > SELECTED
+
+
+def copy_rows(code: Code, table: ArrayPlace, position: list[Start], count: int, out: str) -> None:
+    """Copies `count` neighbours of every path to `out`, [count, lanes]."""
+    pointers, lanes, uniform = addresses(code, table, position)
+    if uniform:
+        for k in range(count):
+            number = code.load(code.pointer(pointers, k * table.unit), table.dtype, 1)
+            code.store(number, code.pointer(out, k * table.unit * code.lanes), code.lanes)
+        return
+    name = _function(code.module, table.dtype, count)
+    code.do(f"call void @{name}(<{lanes} x ptr> {pointers}, ptr {out})")
+
+
+def _function(module: Module, dtype: np.dtype, count: int) -> str:
+    """The function that does it. It is not inlined: a kernel has many of these reads."""
+    name = f"rows_{dtype.name}_{count}"
+    if not module.first(name):
+        return name
+    code, unit, lanes = Code(module.lanes, module), dtype.itemsize, module.lanes
+    width = min(BLOCK // unit, lanes)
+    rows = [
+        code.raw(f"extractelement <{lanes} x ptr> %rows, i64 {lane}", "p") for lane in range(lanes)
+    ]
+    with code.loop(-(-count // width)) as loop:
+        first = code.index(f"mul nsw i64 {loop.i}, {width}")
+        if count % width:  # the last block overlaps the one before
+            inside = code.index(f"icmp slt i64 {first}, {count - width}")
+            first = code.index(f"select i1 {inside}, i64 {first}, i64 {count - width}")
+        distance = code.index(f"mul nsw i64 {first}, {unit}")
+        blocks = [code.load(code.pointer(row, distance), dtype, width, align=unit) for row in rows]
+        columns = transposed(code, [code.join(blocks[k::width]) for k in range(width)])
+        target = code.pointer("%out", code.index(f"mul nsw i64 {first}, {unit * lanes}"))
+        for k, column in enumerate(columns):
+            code.store(column, code.pointer(target, k * unit * lanes), lanes)
+    code.do("ret void")
+    code.define(
+        f"define internal void @{name}(<{lanes} x ptr> %rows, ptr noalias %out) noinline nounwind"
+    )
+    return name
+
+
+def transposed(code: Code, rows: list[Ref]) -> list[Ref]:
+    """Vectors of blocks, each block with as many numbers as there are vectors, a power of two:
+    every block of them transposed.
+
+    Each round interleaves every vector with the one half of them further on. Of the bits of a
+    number's position, row before column, this moves the first to the end.
+    """
+    width, lanes = len(rows), rows[0].lanes
+    masks = [
+        ", ".join(
+            f"i32 {block + k}, i32 {block + k + lanes}"
+            for block in range(0, lanes, width)
+            for k in range(first, first + width // 2)
+        )
+        for first in (0, width // 2)
+    ]
+    for _ in range(width.bit_length() - 1):
+        pairs = zip(rows[: width // 2], rows[width // 2 :])
+        rows = [code.shuffle(a, b, mask) for a, b in pairs for mask in masks]
+    return rows
 
 
 def _dynamic_slice(values: EmittedValues, op: Op) -> None:
@@ -17,7 +101,15 @@ def _dynamic_slice(values: EmittedValues, op: Op) -> None:
     limit(op, out)
     window = op.params["slice_sizes"]
     first = [clamped(values, s, n - w) for s, n, w in zip(starts, x.shape, window)]
-    _read_all(values, op, x, ((p, first, p, None) for p in np.ndindex(*out.shape)))
+
+    def moves(shape: tuple[int, ...]) -> Iterator:
+        return ((position, first, position, None) for position in np.ndindex(*shape))
+
+    moving = [d for d, start in enumerate(first) if isinstance(start, Ref)]
+    if together(values, x, out, moving):
+        _copy(values, x, out, moves)
+    else:
+        _read_all(values, op, x, moves(out.shape))
 
 
 def _gather(values: EmittedValues, op: Op) -> None:
@@ -34,8 +126,8 @@ def _gather(values: EmittedValues, op: Op) -> None:
     ]  # fmt: skip
     batch_dims = [d for d in range(len(out.shape)) if d not in numbers.offset_dims]
 
-    def moves() -> Iterator:
-        for position in np.ndindex(*out.shape):
+    def moves(shape: tuple[int, ...]) -> Iterator:
+        for position in np.ndindex(*shape):
             batch = tuple(position[d] for d in batch_dims)
             window = [0] * len(x.shape)
             for d, o in zip(window_dims, numbers.offset_dims):
@@ -47,7 +139,22 @@ def _gather(values: EmittedValues, op: Op) -> None:
                 first[d] = batch[b]
             yield position, first, window, valid
 
-    _read_all(values, op, x, moves(), fill)
+    # Neighbours of the result are neighbours in the array.
+    inner = window_dims[-1:] == [len(x.shape) - 1] and batch_dims[-1:] != [len(out.shape) - 1]
+    moving = [d for d in numbers.start_index_map if x.shape[d] > sizes[d]]
+    if inner and "FILL" not in mode and together(values, x, out, moving):
+        _copy(values, x, out, moves)
+    else:
+        _read_all(values, op, x, moves(out.shape), fill)
+
+
+def _copy(values: EmittedValues, x: ProgramValue, out: ProgramValue, moves) -> None:
+    """Copies the result row by row; `moves`: the reads for all positions of a shape."""
+    code, table, target = values.code, values.in_memory(x), values.target(out)
+    for position, first, window, _ in moves((*out.shape[:-1], 1)):
+        start = [plus(code, s, w) for s, w in zip(first, window)]
+        copy_rows(code, table, start, out.shape[-1], target.address(code, position))
+    values.bind(out, target)
 
 
 def _read_all(values: EmittedValues, op: Op, x: ProgramValue, moves, fill=None) -> None:

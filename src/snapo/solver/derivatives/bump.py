@@ -8,6 +8,8 @@ the moved input (`Problem.moved`); with the old table a good policy would look b
 """
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -144,7 +146,7 @@ def reactions(
     moves = {name: one_percent(values) for name, values in problem.inputs_by_name.items()}
     moves = {name: by for name, by in moves.items() if by.any()}
     along = {name: np.nan_to_num(blocks_along(held[name], by)) for name, by in moves.items()}
-    table = {name: bumper.screened(name, by, along[name]) for name, by in moves.items()}
+    table = bumper.screened(moves, along)
     for name in sorted(table, key=lambda name: _uncertainty(table[name]), reverse=True):
         if not settled(table[name], PRECISE) and bumper.spent < rollouts:
             refined = bumper.refined(name, moves[name], table[name])
@@ -207,18 +209,44 @@ class _Bumper:
         self.centre = self._totals(problem, len(self.blocks)) if centre is None else centre
         self.value = value_of(problem.objective, self.centre)
 
-    def screened(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
-        """One input moved by `by`, on few paths.
+    def screened(
+        self, moves: Mapping[str, np.ndarray], held: Mapping[str, np.ndarray]
+    ) -> dict[str, Reaction]:
+        """Every input moved by itself, on few paths.
 
         Objects built from the inputs are first held fixed, which is fast: if that shows no
-        reaction, rebuilt ones, at a near-optimal policy, have none to first order either.
+        reaction, rebuilt ones, at a near-optimal policy, have none to first order either. Problems
+        are rebuilt in a thread, while other inputs are valued; one at a time, as they may be large.
         """
-        if self.problem.rebuild is None:
-            return self._moved(name, by, held, self.few)
-        still = self._moved(name, by, held, self.few, self.problem.at)
-        if settled(still, COARSE, NEGLIGIBLE * abs(self.value)) and not self._two_sided(still):
-            return still
-        return self._moved(name, by, held, self.few, mirrored=True)
+        problem, table = self.problem, {}
+        waiting: list[tuple[str, Future[Problem]]] = []
+
+        def value_first() -> None:
+            name, rebuilt = waiting.pop(0)
+            by, more = moves[name], rebuilt.result()
+            table[name] = self._moved(name, by, held[name], self.few, mirrored=True, more=more)
+
+        pool = ThreadPoolExecutor(1, "rebuild")
+        try:
+            for name, by in moves.items():
+                fixed = None if problem.rebuild is None else problem.at
+                table[name] = still = self._moved(name, by, held[name], self.few, fixed)
+                if fixed is None or self._without_reaction(still):
+                    continue
+                values = {name: problem.inputs_by_name[name].value + by}
+                waiting.append((name, pool.submit(copy_context().run, problem.at_values, values)))
+                if len(waiting) > 1:
+                    value_first()
+            while waiting:
+                value_first()
+        finally:
+            pool.shutdown(cancel_futures=True)
+        return table
+
+    def _without_reaction(self, still: Reaction) -> bool:
+        """Whether an input shows none that matters, on either side."""
+        negligible = NEGLIGIBLE * abs(self.value)
+        return settled(still, COARSE, negligible) and not self._two_sided(still)
 
     def refined(self, name: str, by: np.ndarray, result: Reaction) -> Reaction:
         """The same with all paths and, where that is not enough, with a wider move; of an input
@@ -245,15 +273,17 @@ class _Bumper:
         count: int,
         at_values: Callable[[dict[str, Any]], Problem] | None = None,
         mirrored: bool = False,
+        more: Problem | None = None,
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
         `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `opposite`.
+        `more`: the problem at more of the input, where it is known.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value
         at_values = at_values or self.problem.at_values
-        more = at_values({name: value + by})
+        more = at_values({name: value + by}) if more is None else more
         less = opposite(self.problem, more, {name: value - by}) if mirrored else None
         sides = (less or at_values({name: value - by}), more)
         low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)

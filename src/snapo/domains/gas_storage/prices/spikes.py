@@ -7,7 +7,6 @@ size ("Bernoulli"), or what is left of a compound Poisson process. Everything he
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.special import hyp1f1
 
 REACH = 30.0  # of the exponent of the density times exp(J), up to which that is integrated
@@ -94,6 +93,8 @@ def spike_weights(spikes: Spikes, nodes: np.ndarray, start: np.ndarray) -> np.nd
     """Weights [start, nodes] of the expectation a day later; on the first date, where `start` is
     the valuation date."""
     points, probabilities = spikes.quadrature()
+    from scipy.interpolate import CubicSpline  # late: few cases need it, and it loads slowly
+
     spline = CubicSpline(nodes, np.eye(len(nodes)))
     reached = spikes.decay * nodes[:, None] + points
     values = spline(np.clip(reached, 0.0, nodes[-1]))

@@ -17,7 +17,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ..prices.process import GaussianFactors
 from ..prices.spikes import spike_nodes, spike_weights
@@ -190,6 +189,8 @@ def gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray]
 
 def spline_weights(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Natural cubic spline interpolation as weights [points, nodes], flat outside the nodes."""
+    from scipy.interpolate import CubicSpline  # late: few cases need it, and it loads slowly
+
     spline = CubicSpline(nodes, np.eye(len(nodes)), bc_type="natural")
     return spline(np.clip(points, nodes[0], nodes[-1]))
 
