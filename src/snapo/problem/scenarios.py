@@ -55,7 +55,7 @@ class Scenarios(abc.ABC):
 
     def world(self, simulator: Simulator) -> tuple[Hashable, ...]:
         """Path p is the same world in all simulators for which this is equal."""
-        return (repr(self), simulator.noise_size, _counted_from(simulator))
+        return (repr(self), simulator.noise_size, _counted_from(simulator), *simulator.calendar)
 
     @abc.abstractmethod
     def groups(self, paths: np.ndarray) -> np.ndarray:

@@ -63,6 +63,7 @@ class Simulator(eqx.Module):
       default. `initial_steps`: the noise that `initial` receives is that of the calendar's first so
       many steps, one after another, of which it uses those before `first_step`. Where they are
       fewer, it is drawn by itself, and steps are counted from the simulator's own start.
+      `calendar`: path p is the same world only in simulators for which it is equal.
     - `fully_observed`: declared by an author who knows that the observation has all of the state
       that matters to a decision; it is then not examined (`problem.unseen`).
     """
@@ -73,6 +74,7 @@ class Simulator(eqx.Module):
     initial_noise_size: ClassVar[int] = 0
     first_step: ClassVar[int] = 0
     initial_steps: ClassVar[int] = 0
+    calendar: ClassVar[tuple[float, ...]] = ()
     fully_observed: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any):
@@ -191,6 +193,10 @@ class Around(Simulator):
     @property
     def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.inner.initial_steps
+
+    @property
+    def calendar(self) -> tuple[float, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.inner.calendar
 
     def prepare(self, inputs):
         return self.inner.prepare(inputs)

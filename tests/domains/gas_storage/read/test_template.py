@@ -21,7 +21,7 @@ G1 = Path(__file__).parents[1] / "cases" / "G1"
 EXAMPLES = {"min_inventory", "max_injection", "max_withdrawal", "fixed_costs", "outages"}
 EXAMPLES |= {"end_inventory", "end_value", "level", "risk_aversion", "wealth", "target"}
 EXAMPLES |= {"patience", "window", "clip", "keep", "validation_every", "quotes", "curve"}
-EXAMPLES |= {*ProductsTable.model_fields, "deltas", "least_variance"}
+EXAMPLES |= {*ProductsTable.model_fields, "deltas", "least_variance", "nomination"}
 
 
 def test_commented_keys_of_the_new_case_are_right():

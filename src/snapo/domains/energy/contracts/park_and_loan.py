@@ -86,6 +86,7 @@ class ParkAndLoanTable(CaseTable):
     completion_fee: CaseInput = FEE("for each unit taken back or repaid", 0.0)
     cash_out_park: CaseInput | None = CASH_OUT("received for a unit parked at the end", None)
     cash_out_loan: CaseInput | None = CASH_OUT("paid for a unit on loan at the end", None)
+    nomination: dict | None = Field(None, description="a table like { days = 1 }")
 
 
 class ParkAndLoanContract(EnergyContract):

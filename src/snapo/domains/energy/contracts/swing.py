@@ -183,6 +183,9 @@ class SwingContract(EnergyContract):
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         if not self.layout.indexed:
             return prices
+        if prices.calendar:
+            message = "with an indexed strike flows are fixed on their own day; leave it out"
+            raise where.error("nomination", None, message)
         if prices.kind not in ONE_FACTOR:
             allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
             message = f"with an indexed strike allowed is {allowed}"

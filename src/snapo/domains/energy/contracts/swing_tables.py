@@ -117,6 +117,7 @@ class SwingTable(CaseTable):
     rights: dict | None = Field(None, description="a table like { most = 100, rest = 5 }")
     make_up: dict | None = Field(None, description="a table like { years = 1, price = 0.0 }")
     carry_forward: dict | None = Field(None, description="a table like { years = 1, max = 8.0 }")
+    nomination: dict | None = Field(None, description="a table like { days = 1 }")
 
 
 def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:

@@ -32,6 +32,7 @@ from ...gas_storage.prices.factors import OneFactorTable
 from ...gas_storage.prices.process import Delivery, PriceProcess
 from ...gas_storage.prices.registry import check_curve, kinds, read_prices
 from ...gas_storage.read.case import read_market
+from ...gas_storage.read.nomination import NominationTable, check_nomination, nominated_on
 from ...gas_storage.read.tables import MarketTable
 from ..contracts.battery import (
     BatteryTable,
@@ -121,6 +122,7 @@ KINDS: dict[str, ContractKind] = {
             "rights": RightsTable,
             "make_up": MakeUpTable,
             "carry_forward": CarryTable,
+            "nomination": NominationTable,
         },
     ),
     "battery": ContractKind(
@@ -134,7 +136,11 @@ KINDS: dict[str, ContractKind] = {
         ParkAndLoanTable,
         read_park_and_loan,
         "Park and loan",
-        {"deliver_window": WindowTable, "take_window": WindowTable},
+        {
+            "deliver_window": WindowTable,
+            "take_window": WindowTable,
+            "nomination": NominationTable,
+        },
     ),
     "plant": ContractKind(
         PowerPlantTable,
@@ -222,7 +228,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         days = decision_days(where, table.start, table.end, valuation)
         moving = np.ones(len(days), bool)
         market, _ = read_market(section, market_table, days, days, moving, unit)
-        delivery = Delivery(days, days, table.end, valuation, market.forward_curve)
+        nominated = nominated_on(where, table, (*days, table.end))
+        delivery = Delivery(days, days, table.end, valuation, market.forward_curve, nominated)
         time = np.array([(date - valuation).days for date in days]) / 365.0
     contract: EnergyContract = kind.read(where, table, days)
     section = TableContext(file, "model", notes)
@@ -242,6 +249,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     products = products_of(file, top.products, notes, days, valuation)
     objective, training = read_objective(top.objective, name), read_training(top.training, name)
     check_window(training, [objective.kind], name)
+    if not kind.hourly:
+        check_nomination(where, table, objective.kind, products)
     day = np.array([(date - valuation).days for date in days], np.int64)
     return EnergyCase(
         top.kind,

@@ -50,6 +50,11 @@ class Hours:
     curve: Any = None
 
     @property
+    def nominated(self) -> None:
+        """Flows are decided in their hour."""
+        return None
+
+    @property
     def price_days(self) -> tuple[datetime.date, ...]:
         """The dates of the prices."""
         return self.days

@@ -74,6 +74,9 @@ class ValuedRun:
         if case.objective.kind != "mean":
             message = 'a change is explained of a mean: allowed is "mean"'
             raise CaseError(str(self.file), "objective.kind", case.objective.kind, message)
+        if case.model.calendar:
+            message = "the parts of a change are of flows that are decided on their own day"
+            raise CaseError(str(self.file), "contract.nomination", None, message)
         if case.model.sources(0) is not None:
             message = "the paths of this model are supplied, and cannot move with the market"
             raise CaseError(str(self.file), "model.kind", case.model.kind, message)

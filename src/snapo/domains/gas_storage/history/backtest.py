@@ -105,6 +105,9 @@ def backtest(
         raise CaseError(str(file), "kind", data.get("kind"), message)
     notes: list[str] = []
     first = solved_on(file, data, None, None, None)
+    if first.case.model.calendar:
+        message = "a back-test decides each flow on its own day; leave it out"
+        raise CaseError(str(file), "contract.nomination", None, message)
     observed = read_observed(history, first.case.model.proportional, notes)
     if policy is not None:
         first = replace(first, policy=trained_policy(policy, first.policy))

@@ -75,7 +75,7 @@ class FactorPrices(FactorPrice, PriceProcess):
         return max(self.initial_steps, 1) * self.noise_size
 
     def prepare(self, inputs) -> Schedule:
-        numbers = self.parameters(inputs)
+        numbers = self._when_nominated(self.parameters(inputs))
         rows = self.schedule(numbers)
         slow = numbers.loading * (np.arange(self.noise_size) != self.fast_factor)
         variance = jnp.einsum("ti,tij,tj->t", slow, self.covariance(numbers), slow)
@@ -88,6 +88,20 @@ class FactorPrices(FactorPrice, PriceProcess):
             StorageConstants(**rows.constants._asdict(), before=before),
             StorageStep(**rows.steps._asdict(), slow_variance=variance),
         )
+
+    @property
+    def calendar(self) -> tuple[float, ...]:
+        lead = self.delivery.lead
+        return () if lead is None else tuple(lead.tolist())
+
+    def _when_nominated(self, numbers: Factors) -> Factors:
+        """The factors of prices when flows are nominated: a time u before its date a forward price
+        has exp(-a u) of the loading of the spot price."""
+        lead = self.delivery.lead
+        if lead is None:
+            return numbers
+        left = jnp.exp(-numbers.mean_reversion * lead[:, None])
+        return numbers._replace(loading=numbers.loading * left)
 
     def initial(self, constants, noise):
         return constants.before @ noise

@@ -63,6 +63,7 @@ class Delivery(NamedTuple):
     - `price_days`: those that need a price: the end date only if remaining gas is paid by it.
     - `valuation`: the day on which the curve is known.
     - `curve`: the forward price of each of `price_days`.
+    - `nominated`: [T + 1] the day on which the flow of each date is fixed; None: on its own day.
     """
 
     days: Sequence[datetime.date]
@@ -70,6 +71,7 @@ class Delivery(NamedTuple):
     end: datetime.date
     valuation: datetime.date
     curve: CaseInput
+    nominated: Sequence[datetime.date] | None = None
 
     @property
     def dates(self) -> tuple[datetime.date, ...]:
@@ -78,8 +80,11 @@ class Delivery(NamedTuple):
 
     @property
     def ahead(self) -> tuple[int, ...]:
-        """[T + 1] days from the valuation date to each date, not negative."""
-        return tuple(max((date - self.valuation).days, 0) for date in self.dates)
+        """[T + 1] days from the valuation date to each date, or to its nomination, not negative."""
+        return self._days_to(self.dates if self.nominated is None else self.nominated)
+
+    def _days_to(self, dates: Sequence[datetime.date]) -> tuple[int, ...]:
+        return tuple(max((date - self.valuation).days, 0) for date in dates)
 
     @property
     def times(self) -> "Times":
@@ -87,7 +92,10 @@ class Delivery(NamedTuple):
         years, before = np.array([days / YEAR for days in self.ahead]), self.ahead[0]
         rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
         age = (before - 1 - np.arange(max(rows, 1))) / YEAR
-        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows)
+        lead = None
+        if self.nominated is not None:
+            lead = np.subtract(self._days_to(self.dates), self.ahead) / YEAR
+        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, lead)
 
 
 class Times(eqx.Module):
@@ -98,6 +106,8 @@ class Times(eqx.Module):
     - `age` [n]: time from the end of each of the n days after the valuation date to the first date;
       negative for later days, which are there so that few numbers n are compiled. `before`: n, or 0
       where the first date is the valuation date.
+    - `lead` [T + 1]: where flows are nominated, `years` is the time of the nomination, and `lead`
+      that from there to the date; the price is then the forward price of the date.
     """
 
     years: Float[np.ndarray, " T+1"]
@@ -105,6 +115,7 @@ class Times(eqx.Module):
     curve: CaseInput
     age: Float[np.ndarray, " n"]
     before: int = eqx.field(static=True)
+    lead: Float[np.ndarray, " T+1"] | None = None
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
         """The forward price of each date; an end date without a price has the last."""
@@ -204,6 +215,11 @@ class PriceProcess(Process):
         """The process with these numbers, by field, on the days of a delivery."""
         return cls(delivery.times, **numbers)  # pyright: ignore
 
+    @property
+    def calendar(self) -> tuple[float, ...]:
+        """[T + 1] where flows are nominated, the time from each nomination to its date; else ()."""
+        return ()
+
     @abc.abstractmethod
     def state_at(self, constants, now, spot: Float[Array, ""]):
         """The state in which the spot has this price: the fast factor moved, the others at rest."""
@@ -263,6 +279,10 @@ class PricedSimulator(Simulator):
     @property
     def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.process.initial_steps
+
+    @property
+    def calendar(self) -> tuple[float, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.calendar
 
 
 def use(inputs: dict[str, Any], series: CaseInput | Use):

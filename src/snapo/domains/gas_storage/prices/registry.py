@@ -11,6 +11,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.case.table import TableContext, parse, record_kinds
 
+from .factors import FactorPrices
 from .process import KINDS, Delivery, PriceProcess
 
 for _file in pkgutil.iter_modules([str(Path(__file__).parent)]):
@@ -31,6 +32,10 @@ def read_prices(section: TableContext, data: Mapping[str, Any], delivery: Delive
         available = ", ".join(f'"{item}"' for item in sorted(KINDS))
         raise section.error("kind", kind, f"allowed is one of {available}")
     process = KINDS[kind]
+    if delivery.nominated is not None and not issubclass(process, FactorPrices):
+        suited = [item for item, of in KINDS.items() if issubclass(of, FactorPrices)]
+        allowed = ", ".join(f'"{item}"' for item in sorted(suited))
+        raise section.error("kind", kind, f"with [contract] nomination allowed is one of {allowed}")
     table = parse(process.table, data, str(section.file), section.name, section.notes)
     return process.read(section, table, delivery)
 

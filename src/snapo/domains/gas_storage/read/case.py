@@ -37,6 +37,7 @@ from ..prices.process import Delivery
 from ..prices.registry import check_curve, kinds, read_prices
 from .contract import decision_days, payment_days, pays_by_price, read_contract
 from .limits import read_limits
+from .nomination import NominationTable, check_nomination, nominated_on
 from .tables import FORWARD, ContractTable, MarketTable, StorageTable
 
 
@@ -227,6 +228,7 @@ def free_money(case: StorageCase) -> Iterator[str]:
 FORMATS = {
     "": StorageTable,
     "contract": ContractTable,
+    "contract.nomination": NominationTable,
     "market": MarketTable,
     "model": [process.table for process in kinds().values()],
     **PRODUCTS,
@@ -262,7 +264,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     market, quoted = read_market(section, market_table, days, price_days, limits.moving(), unit)
     contract = read_contract(where, contract_table, days, valuation, limits, market.gas_day)
     section = TableContext(file, "model", notes)
-    delivery = Delivery(days, price_days, end, valuation, market.forward_curve)
+    nominated = nominated_on(where, contract_table, (*days, end))
+    delivery = Delivery(days, price_days, end, valuation, market.forward_curve, nominated)
     model = read_prices(section, top.model, delivery)
     check_curve(market_table.forward_curve or str(market_table.quotes), model, delivery)
     products = products_of(file, top.products, notes, days, valuation)
@@ -290,6 +293,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         notes=tuple(notes),
     )
     check_window(case.training, [case.objective.kind], str(file))
+    check_nomination(where, contract_table, case.objective.kind, products)
     if not expired:
         check_feasible(case)
     early = end_too_early(case.start, case.end)

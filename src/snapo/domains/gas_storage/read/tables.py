@@ -141,6 +141,7 @@ class ContractTable(CaseTable):
         "from,to,injection_factor,withdrawal_factor",
     )
     first_decision: Literal["valuation-date", "next-day"] = "valuation-date"
+    nomination: dict | None = Field(None, description="a table like { days = 1 }")
 
 
 class MarketTable(CaseTable):

@@ -1,0 +1,56 @@
+"""Nominations: a flow is fixed some days before its date, when its price is a forward price."""
+
+import datetime
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.quantity import Range
+from snapo.case.table import CaseTable, TableContext
+
+from .tables import DateKey
+
+
+class NominationTable(CaseTable):
+    """{ days = 1, calendar = "business" }: a flow is fixed so many days before its date.
+
+    With business days the flows of a weekend and of Monday are fixed on Friday; `holidays` are no
+    business days.
+    """
+
+    days: Annotated[int, Range(1, 60)] = 1
+    calendar: Literal["every-day", "business"] = "every-day"
+    holidays: list[DateKey] = Field([], description="a list of dates like [2026-12-25]")
+
+
+def nominated_on(
+    where: TableContext, table: Any, dates: Sequence[datetime.date]
+) -> tuple[datetime.date, ...] | None:
+    """[n] the day on which the flow of each date is fixed; None without `nomination` in the table
+    `[contract]`, here `table`."""
+    if table.nomination is None:
+        return None
+    nomination = where.nested(NominationTable, table.nomination, "nomination")
+    if nomination.calendar == "every-day":
+        return tuple(date - datetime.timedelta(nomination.days) for date in dates)
+    fixed = np.busday_offset(
+        np.array(dates, "datetime64[D]"), -nomination.days, "forward", holidays=nomination.holidays
+    )
+    return tuple(fixed.tolist())
+
+
+def check_nomination(where: TableContext, table: Any, objective: str, products: Any) -> None:
+    """Raises `CaseError` where a key of the case needs the spot price of the date of a flow."""
+    if table.nomination is None:
+        return
+    if objective != "mean":
+        message = (
+            "the money of a flow counts at the forward price of its nomination, so that the "
+            f'objective "{objective}" is not known; allowed is the objective "mean"'
+        )
+        raise where.error("nomination", None, message)
+    if products is not None:
+        message = "[products] trade on the days of the flows; leave one of the two out"
+        raise where.error("nomination", None, message)
