@@ -43,14 +43,20 @@ def process(text: str, method: str, **numerics) -> Process:
     return Process(resolve(Path("case.toml"), data | {"numerics": {"method": method, **numerics}}))
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("method", ["auto", "stiff", "adaptive"])
+@pytest.mark.parametrize(
+    "methods",
+    [
+        pytest.param(("auto", "stiff"), marks=pytest.mark.prove),
+        pytest.param(("adaptive",), marks=pytest.mark.study),
+    ],
+)
 @pytest.mark.parametrize("name", HOLDS)
-def test_a_long_hold(name, method):
-    found = convergence(process(HOLDS[name], method))
-    assert found.passed
+def test_a_long_hold(name, methods):
     tight = process(HOLDS[name], "adaptive", tolerance=1e-12).values()
-    assert found.rows[0].mesh == pytest.approx(tight[0], rel=VALUES)
+    for method in methods:
+        found = convergence(process(HOLDS[name], method))
+        assert found.passed
+        assert found.rows[0].mesh == pytest.approx(tight[0], rel=VALUES)
 
 
 @pytest.mark.prove
@@ -64,8 +70,13 @@ def test_a_mesh_of_its_own_length_is_judged_as_it_is():
     assert abs(coarse.values()[0] / right[0] - 1) > VALUES
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("name", UNITS)
+@pytest.mark.parametrize(
+    "name",
+    [  # The filter with its dryer takes as long as all others together.
+        pytest.param(name, marks=getattr(pytest.mark, "study" if "filter" in name else "prove"))
+        for name in UNITS
+    ],
+)
 def test_every_method_agrees_with_itself_and_with_the_others(name):
     """Values on the steps of the method, on its finer ones, and by the other methods; or fixed steps
     are too long for the crystals, which is a status."""
