@@ -33,6 +33,10 @@ def nominated_on(
     if table.nomination is None:
         return None
     nomination = where.nested(NominationTable, table.nomination, "nomination")
+    where.notes.append(
+        "contract.nomination: flows are fixed days before them. Prices and money on paths are those "
+        "seen then, and spread less than on the days of the flows."
+    )
     if nomination.calendar == "every-day":
         return tuple(date - datetime.timedelta(nomination.days) for date in dates)
     fixed = np.busday_offset(
