@@ -67,7 +67,7 @@ def test_lattice_and_policy_of_three_calls(days):
 def test_the_derivative_by_mean_reversion_goes_through_the_lead():
     """Of the loadings at the nomination, against central differences."""
     case = nominated(2)
-    assert case.model.delivery.lead is not None
+    assert case.model.delivery.notice is not None
     process, (speed,) = case.model, case.model.mean_reversion.values
 
     def loading(x):

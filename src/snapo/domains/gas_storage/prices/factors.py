@@ -91,16 +91,16 @@ class FactorPrices(FactorPrice, PriceProcess):
 
     @property
     def calendar(self) -> tuple[float, ...]:
-        lead = self.delivery.lead
-        return () if lead is None else tuple(lead.tolist())
+        notice = self.delivery.notice
+        return () if notice is None else tuple(notice.tolist())
 
     def _when_nominated(self, numbers: Factors) -> Factors:
         """The factors of prices when flows are nominated: a time u before its date a forward price
         has exp(-a u) of the loading of the spot price."""
-        lead = self.delivery.lead
-        if lead is None:
+        notice = self.delivery.notice
+        if notice is None:
             return numbers
-        left = jnp.exp(-numbers.mean_reversion * lead[:, None])
+        left = jnp.exp(-numbers.mean_reversion * notice[:, None])
         return numbers._replace(loading=numbers.loading * left)
 
     def initial(self, constants, noise):

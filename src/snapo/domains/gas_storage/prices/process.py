@@ -92,10 +92,10 @@ class Delivery(NamedTuple):
         years, before = np.array([days / YEAR for days in self.ahead]), self.ahead[0]
         rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
         age = (before - 1 - np.arange(max(rows, 1))) / YEAR
-        lead = None
+        notice = None
         if self.nominated is not None:
-            lead = np.subtract(self._days_to(self.dates), self.ahead) / YEAR
-        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, lead)
+            notice = np.subtract(self._days_to(self.dates), self.ahead) / YEAR
+        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, notice)
 
 
 class Times(eqx.Module):
@@ -106,8 +106,8 @@ class Times(eqx.Module):
     - `age` [n]: time from the end of each of the n days after the valuation date to the first date;
       negative for later days, which are there so that few numbers n are compiled. `before`: n, or 0
       where the first date is the valuation date.
-    - `lead` [T + 1]: where flows are nominated, `years` is the time of the nomination, and `lead`
-      that from there to the date; the price is then the forward price of the date.
+    - `notice` [T + 1]: where flows are nominated, `years` is the time of the nomination, and
+      `notice` that from there to the date; the price is then the forward price of the date.
     """
 
     years: Float[np.ndarray, " T+1"]
@@ -115,7 +115,7 @@ class Times(eqx.Module):
     curve: CaseInput
     age: Float[np.ndarray, " n"]
     before: int = eqx.field(static=True)
-    lead: Float[np.ndarray, " T+1"] | None = None
+    notice: Float[np.ndarray, " T+1"] | None = None
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
         """The forward price of each date; an end date without a price has the last."""

@@ -34,8 +34,8 @@ def nominated_on(
         return None
     nomination = where.nested(NominationTable, table.nomination, "nomination")
     where.notes.append(
-        "contract.nomination: flows are fixed days before them. Prices and money on paths are those "
-        "seen then, and spread less than on the days of the flows."
+        "contract.nomination: flows are fixed days before them. Prices and money on paths are "
+        "those seen then, and spread less than on the days of the flows."
     )
     if nomination.calendar == "every-day":
         return tuple(date - datetime.timedelta(nomination.days) for date in dates)
