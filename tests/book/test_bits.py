@@ -23,7 +23,7 @@ ROWS = [
         "name": f"store {i}",
         "contract.injection_cost": round(0.02 + 0.01 * i, 2),
         "model.volatility": round(0.6 + 0.05 * i, 2),
-        "contract.end": "2025-01-31" if i % 2 else "2025-01-25",
+        "contract.inventory": 10.0 if i % 2 else 12.0,
     }
     for i in range(12)
 ]

@@ -107,8 +107,10 @@ def test_the_command_has_the_same_result(case, tmp_path, monkeypatch, capfd):
     assert all(executor.orders for executor in mine.made)
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("cluster", [dask, ray])
+@pytest.mark.parametrize(
+    "cluster",
+    [pytest.param(dask, marks=pytest.mark.prove), pytest.param(ray, marks=pytest.mark.study)],
+)
 def test_clusters_have_the_same_bits(cluster, setup, alone, monkeypatch):
     monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)
     with cluster() as pools, Workers(pools) as workers:

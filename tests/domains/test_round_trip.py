@@ -93,8 +93,13 @@ def test_what_solve_saved_comes_back(kind, solved, tmp_path, capsys):
     one_process(MINIATURES[kind], run, tmp_path, capsys)
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=getattr(pytest.mark, "study" if name == "line" else "prove"))
+        for name in OTHERS
+    ],
+)
 def test_policies_with_a_memory_and_of_several_places_come_back(name, tmp_path, capsys):
     case = OTHERS[name]
     once(tmp_path / name, case.solve)

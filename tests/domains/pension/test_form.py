@@ -114,8 +114,10 @@ def test_a_simulator_has_arrays_alone(kind):
     assert not hasattr(simulator, "case") and not jax.tree.leaves(simulator.on_paths())
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("kind", MAKERS)
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param("fund", marks=pytest.mark.prove), pytest.param("pots", marks=pytest.mark.study)],
+)
 def test_a_second_fund_compiles_nothing_and_has_its_own_bits(kind):
     """Members are older; assets, bounds, costs and curves are others."""
     draw = np.random.default_rng(1)

@@ -53,8 +53,10 @@ def least_cost():
     return float(np.interp(3.0, work, ahead))
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("unit", [0.5, 5.0])
+@pytest.mark.parametrize(
+    "unit",
+    [pytest.param(5.0, marks=pytest.mark.prove), pytest.param(0.5, marks=pytest.mark.study)],
+)
 def test_no_option_is_lost(unit):
     """Within 3 % of dynamic programming (the best two thresholds are 1.8 % above it), with features
     of any size; with scores that grow without end -151 and -157 where -144.8 is the best."""

@@ -30,12 +30,12 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.prove
 def test_killed_runs_leave_the_others_whole(fake, case, capsys):
-    """Twenty processes, four at a time, of which every other one is killed at random."""
+    """Twelve processes, four at a time, of which every other one is killed at random."""
     chance, ended = random.Random(7), 0
     assert main(["solve", str(case)]) == 0
     first = store.folders(case)[0]
     before = contents(first)
-    for batch in range(5):
+    for batch in range(3):
         several = [begin(case, 0.1) for _ in range(4)]
         try:
             count = len(store.folders(case))

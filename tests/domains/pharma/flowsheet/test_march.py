@@ -76,8 +76,13 @@ def test_no_sensitivities_and_sensitivities_by_what_only_later_units_read(proces
     assert found.jacobian[:, process.names.index("residual solvent")].all()
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("which", ["plug flow", "finite volumes"])
+@pytest.mark.parametrize(
+    "which",
+    [
+        pytest.param("plug flow", marks=pytest.mark.prove),
+        pytest.param("finite volumes", marks=pytest.mark.study),
+    ],
+)
 def test_units_of_many_states(which):
     case = read_case(PLUG_FLOW) if which == "plug flow" else finite_volumes()
     # The native engine has no stiff steps for so many unknowns.
