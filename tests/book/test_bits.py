@@ -54,7 +54,7 @@ def equal_to_solve(answer, solution, tmp_path):
         np.testing.assert_array_equal(blocks.reshape(delta.blocks.shape), delta.blocks)
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_a_contract_equals_solve(tmp_path):
     file = write_book(tmp_path, ROWS[1:2])
     run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")

@@ -29,7 +29,7 @@ def given(orders, where, work=echo):
     return list(answers(lambda: waiting.popleft() if waiting else None, work, where))
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_killed_workers_lose_nothing(tmp_path):
     """60 orders on two processes; four of them kill theirs the first time, one every time."""
     orders = [f"order:{i}".encode() for i in range(55)]

@@ -85,7 +85,7 @@ def test_another_engine_is_refused(case, capfd):
     assert not (case / "run").exists()
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_the_command_has_the_same_result(case, tmp_path, monkeypatch, capfd):
     """`--on MODULE:FUNCTION`: values, derivatives and notes."""
     monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)

@@ -296,7 +296,7 @@ def test_a_stopped_run_goes_on_bit_for_bit(whole, folder, tmp_path, how):
     same_bits(whole[1], out)
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_an_interrupt_while_validating_loses_nothing(whole, folder, tmp_path, monkeypatch):
     """Ctrl-C falls into the validation of a step: that validation is made up for."""
     calls, validate = [], train._validate

@@ -155,7 +155,7 @@ def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
     assert "made to fail" in page
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_the_template_runs(tmp_path):
     assert main(["new", "pharma", str(tmp_path / "case")]) == 0
     smaller = "design_space.points=3", "design_space.samples=32"

@@ -322,7 +322,7 @@ def test_digits_follow_the_size_of_the_value():
     assert [decimals_of(x) for x in (10_447.3, 656.15, 15.28, 0.0)] == [2, 3, 4, 2]
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_a_run_against_itself(solved, tmp_path):
     """The chain of revaluations ends at the value in result.json, to the bits."""
     run = solved("gas-storage") / "run"

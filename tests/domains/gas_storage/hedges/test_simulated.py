@@ -57,7 +57,7 @@ def test_profit_and_loss_of_the_slow_store():
         close(paths.money + gained(gains), deviation)
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_profit_and_loss_without_the_parallel_factor():
     """D11: months alone leave nine tenths of the rest, which the balance of the month removes."""
     store, days = SlowStore(), dates()

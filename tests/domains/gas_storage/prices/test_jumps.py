@@ -193,9 +193,11 @@ def test_rule_and_bound_in_factor_and_spike(kind, exact, slopes):
     assert exact - error < found.upper.value < 1.008 * exact + error
 
 
-@pytest.mark.prove
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("make", [Native, Xla])
+@pytest.mark.parametrize(
+    "make",
+    [pytest.param(Native, marks=pytest.mark.prove), pytest.param(Xla, marks=pytest.mark.study)],
+)
 def test_every_derivative_agrees_with_differences(make, kind):
     """Also that by the intensity: a spike is continuous in its probability."""
     problem = off_ties(bare_problem(case(kind=kind)))

@@ -150,7 +150,7 @@ def in_a_chain():
     )  # fmt: skip
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_in_a_chain_mass_closes_and_the_gradient_is_that_of_differences():
     process = Process(in_a_chain())
     run = process.run()
