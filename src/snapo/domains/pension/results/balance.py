@@ -206,7 +206,8 @@ def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> He
     sign = -1.0 if owed.sum() < 0 else 1.0
 
     def missing(moves: np.ndarray) -> np.ndarray:
-        return np.asarray(stressed(case, sign * BASIS_POINT * moves).gap(held, notional))
+        with jax.enable_x64(True):
+            return np.asarray(stressed(case, sign * BASIS_POINT * moves).gap(held, notional))
 
     room = _first(missing) if owed.any() else None
     return Headroom(
