@@ -159,13 +159,8 @@ def test_a_measured_plant_is_solved_to_its_report(tmp_path):
         )
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [
-        pytest.param(seed, marks=pytest.mark.study if seed else pytest.mark.prove)
-        for seed in range(4)
-    ],
-)
+@pytest.mark.study
+@pytest.mark.parametrize("seed", range(4))
 def test_a_recurrent_policy_comes_within_a_hundredth_of_the_best(seed):
     """The template as it is, by default settings; a policy that remembers nothing does not."""
     setup = make_setup(case(training={"seed": seed}), "auto")

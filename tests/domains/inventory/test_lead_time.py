@@ -40,7 +40,7 @@ def test_an_item():
         assert 0 < row.standard_error < 0.03
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_every_place_of_a_network():
     """Two stores that do not share: each costs as one item does."""
     place = {"lead_time": 1, "holding": 1.0, "shortage": 9.0, "demand": NORMAL}
