@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array
 
 from snapo.problem.inputs import plain
-from snapo.problem.quickly import compiled_sooner
 from snapo.report.page import Block, Missing, Table, Text
 from snapo.report.quantity import MINUS, decimals, number
 from snapo.study.chapter import Chapter, Number
@@ -177,12 +176,7 @@ def stressed(
 def _change(value: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
     """Changes of `value` from one set of inputs to another."""
     with jax.enable_x64(True):
-        return np.asarray(_value(value, case, after)) - np.asarray(_value(value, case, before))
-
-
-@compiled_sooner
-def _value(value, case, inputs):
-    return value(case, inputs)
+        return np.asarray(value(case, after)) - np.asarray(value(case, before))
 
 
 def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block]:

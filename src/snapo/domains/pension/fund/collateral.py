@@ -14,8 +14,6 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import ArrayLike
 
-from snapo.problem.quickly import compiled_sooner
-
 from ..market.assets.asset_class import ratios
 from ..market.assets.swaps import swap_gains
 from ..market.bonds.payments import curve_prices
@@ -62,20 +60,12 @@ def stressed(case: PensionModel, rise: ArrayLike) -> Stress:
     """The same at the case's own numbers, in 64 bits; for many rises [r] at once, [r, n] and
     [r, b]."""
     with jax.enable_x64(True):
-        return Stress(*map(np.asarray, _stressed(case, np.asarray(rise, np.float64))))
-
-
-@compiled_sooner
-def _stressed(case, rise):
-    return jnp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")(rise)
+        item = jnp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")
+        result = item(jnp.asarray(rise, jnp.float64))
+        return Stress(*map(np.asarray, result))
 
 
 def slope(case: PensionModel) -> np.ndarray:
     """[b] d need / d rise at once: durations of the swaps, in years."""
     with jax.enable_x64(True):
-        return np.asarray(_slope(case, np.zeros(())))
-
-
-@compiled_sooner
-def _slope(case, rise):
-    return jax.jacfwd(lambda x: stress(case, {}, x).need)(rise)
+        return np.asarray(jax.jacfwd(lambda x: stress(case, {}, x).need)(jnp.zeros(())))

@@ -5,13 +5,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from snapo.problem.quickly import compiled_sooner
-
 from ..records.case import PensionCase
 from ..records.people import FEMALE, MALE, PAYMENT_YEARS
 from .mortality import Yearly, yearly
-
-_yearly = compiled_sooner(yearly)
 
 AT_AGE = 65
 CLOSE = 1e-12  # of the scale of mortality, at which bisection stops
@@ -61,7 +57,7 @@ def _life(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> Year
     """Each year from now on of who is `age` now."""
     years = np.arange(PAYMENT_YEARS)
     with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, _yearly(case, inputs, np.array(sex), age + years, years))
+        return jax.tree.map(np.asarray, yearly(case, inputs, np.array(sex), age + years, years))
 
 
 def _expectancy(life: Yearly, factor: float = 1.0) -> float:

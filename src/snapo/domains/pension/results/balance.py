@@ -12,14 +12,13 @@ import numpy as np
 from jaxtyping import Array
 from scipy.optimize import toms748
 
-from snapo.problem.quickly import compiled_sooner
 from snapo.study.chapter import Floats, Number, floats
 
 from ..fund.collateral import slope, stressed
 from ..fund.swap_limits import notionals
 from ..market.assets.asset_class import log_prices
 from ..market.assets.swaps import swap_values
-from ..records.case import PensionCase, PensionModel
+from ..records.case import PensionCase
 from ..records.market import MarketCurve
 from .figures.reconcile import LiabilityFigures
 
@@ -102,21 +101,15 @@ def held_now(case: PensionCase) -> np.ndarray:
 
 
 def slopes(
-    value: Callable[[PensionModel, dict], Array],
-    case: PensionCase,
-    curve: MarketCurve,
-    inputs: dict[str, Any],
+    curve: MarketCurve, inputs: dict[str, Any], value: Callable[[dict], Array]
 ) -> np.ndarray:
     """[k, nodes]: d `value` [k] / d quote at a node of `curve`."""
+
+    def shifted(quotes):
+        return value(inputs | {curve.rate.name: quotes})
+
     with jax.enable_x64(True):
-        return np.asarray(
-            _slopes(value, case, inputs, curve.rate.name, np.asarray(curve.rate.values))
-        )
-
-
-@compiled_sooner
-def _slopes(value, case, inputs, name, quotes):
-    return jax.jacrev(lambda moved: value(case, inputs | {name: moved}))(quotes)
+        return np.asarray(jax.jacrev(shifted)(np.asarray(curve.rate.values)))
 
 
 def ladder(
@@ -153,7 +146,7 @@ def _ladder(
 ) -> CurveLadder:
     swaps = np.zeros(len(curve.tenor))
     if case.overlay is not None:
-        value = slopes(swap_values, case, curve, values)
+        value = slopes(curve, values, lambda moved: swap_values(case, moved))
         swaps = BASIS_POINT * notional @ value
     assets = _by_node(case, curve, values, np.ones(len(case.assets.classes)))
     labels = tuple(curve.rate.labels)
@@ -164,7 +157,7 @@ def _by_node(
     case: PensionCase, curve: MarketCurve, values: dict, counted: np.ndarray
 ) -> np.ndarray:
     """[nodes]: change of value for +1 bp of the classes that are `counted` [n]."""
-    held = slopes(log_prices, case, curve, values)
+    held = slopes(curve, values, lambda moved: log_prices(case, moved))
     return BASIS_POINT * (counted * held_now(case)) @ held
 
 
