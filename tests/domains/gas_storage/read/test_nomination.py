@@ -22,7 +22,7 @@ from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals, value_of_groups
 
 # G4 with flows fixed one and two days before: Black (1976) with the deviation of the forward price
-# at the nomination, ../shared/cases/desk.md and issue of the desk.
+# at the nomination, computed apart from snapo.
 G4 = {1: 9_930.853, 2: 9_438.289}
 
 
@@ -64,7 +64,7 @@ def test_lattice_and_policy_of_three_calls(days):
     assert found.value == pytest.approx(G4[days], abs=2 * found.standard_error)
 
 
-def test_the_derivative_by_mean_reversion_goes_through_the_lead():
+def test_the_derivative_with_respect_to_mean_reversion_goes_through_the_notice():
     """Of the loadings at the nomination, against central differences."""
     case = nominated(2)
     assert case.model.delivery.notice is not None

@@ -23,9 +23,9 @@ from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
 
 from ...gas_storage.prices.process import use
-from ...gas_storage.read.tables import FileName
 from ..core.contract import ContractLayout, EnergyContract, EnergyFlow, Level, StepTerms, Terms
 from ..methods.measure import common_measure
+from ..read.hours import HourlyContractTable
 
 NARROWEST, WIDEST = 0.01, 0.1  # of the energy: a wider bump would be no derivative
 MAX_TRIES = 100
@@ -59,14 +59,9 @@ class CyclesTable(CaseTable):
     term: CaseInput | None = CYCLES("most of the whole term", None, name="cycles_term")
 
 
-class BatteryTable(CaseTable):
+class BatteryTable(HourlyContractTable):
     """`[contract]` of kind "battery"."""
 
-    volume_unit: FileName = Field("MWh", description='"MWh"', pattern="^MWh$")
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
-    start: Any = Field(description="a date or a time of the hour, 2026-05-01T00:00:00")
-    end: Any = Field(description="a date or a time of the hour, 2026-05-01T00:00:00")
-    time_zone: FileName = Field("UTC", description='a name such as "Europe/Berlin"')
     energy: CaseInput = ENERGY("most energy in store")
     stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)("energy at the start", 0.0)
     charge: dict = Field(description="a table like { power = 1.0, efficiency = 0.9 }")

@@ -10,7 +10,7 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, POSITIVE, Quantity, stacked
 from snapo.case.table import CaseTable, TableContext, parse
 
-from ...gas_storage.read.tables import FileName
+from ..read.hours import HourlyContractTable
 from .plant import PlantContract, layout_of
 
 GROUP, COST = "contract", "cost"
@@ -68,14 +68,9 @@ class BeforeTable(CaseTable):
     on: int | None = Field(None, ge=1, le=100_000, description="a whole number of hours, 1 or more")
 
 
-class PowerPlantTable(CaseTable):
+class PowerPlantTable(HourlyContractTable):
     """`[contract]` of kind "plant"."""
 
-    volume_unit: FileName = Field("MWh", description='"MWh"', pattern="^MWh$")
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
-    start: Any = Field(description="a date or a time of the hour, 2026-05-01T00:00:00")
-    end: Any = Field(description="a date or a time of the hour, 2026-05-01T00:00:00")
-    time_zone: FileName = Field("UTC", description='a name such as "Europe/Berlin"')
     power: dict = Field(description='a table like { market = "power", min = 50.0, max = 110.0 }')
     fuel: dict = Field(description='a table like { market = "gas", idle = 45.0, per_mwh = 1.6 }')
     emission: dict | None = Field(None, description="a table like { per_fuel = 0.2, price = 70.0 }")

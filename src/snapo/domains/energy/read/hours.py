@@ -24,6 +24,16 @@ TIME = "a date or a time of the hour, 2026-05-01T00:00:00"
 FIELDS = ("time", "price")
 
 
+class HourlyContractTable(CaseTable):
+    """`[contract]` of a contract by the hour: units, first and last hour, local calendar."""
+
+    volume_unit: FileName = Field("MWh", description='"MWh"', pattern="^MWh$")
+    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    start: Any = Field(description=TIME)
+    end: Any = Field(description=TIME)
+    time_zone: FileName = Field("UTC", description='a name such as "Europe/Berlin"')
+
+
 class HourlyMarketTable(CaseTable):
     """`[market]` of a contract by the hour."""
 

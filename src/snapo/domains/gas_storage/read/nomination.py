@@ -16,8 +16,8 @@ from .tables import DateKey
 class NominationTable(CaseTable):
     """{ days = 1, calendar = "business" }: a flow is fixed so many days before its date.
 
-    With business days the flows of a weekend and of Monday are fixed on Friday; `holidays` are no
-    business days.
+    One business day before, the flows of a weekend and of Monday are fixed on Friday; `holidays`
+    are no business days.
     """
 
     days: Annotated[int, Range(1, 60)] = 1
