@@ -1,6 +1,6 @@
 """Texts of the command line as the values of options; a wrong one is refused.
 
-At the end the options of the commands that read past prices.
+At the end the options of `calibrate`, `backtest` and `explain`.
 """
 
 import argparse

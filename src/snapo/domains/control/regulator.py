@@ -84,11 +84,11 @@ def linearised(plant: Plant, p: PlantValues, w: PlantValues) -> Linearised:
 
         @compiled_sooner
         def derivatives(x, u):
-            return jax.jacobian(move, (0, 1))(x, u), jax.hessian(cost, (0, 1))(x, u)
+            hessians = jax.hessian(cost, (0, 1))(x, u), jax.hessian(last)(x)
+            return jax.jacobian(move, (0, 1))(x, u), *hessians
 
         zero = np.zeros(origin.shape), np.zeros(rest.shape)
-        (A, B), ((Q, N), (_, R)) = jax.tree.map(np.asarray, derivatives(*zero))
-        end = np.asarray(compiled_sooner(jax.hessian(last))(zero[0]))
+        (A, B), ((Q, N), (_, R)), end = jax.tree.map(np.asarray, derivatives(*zero))
         return Linearised(A, B, Q / 2, R / 2, N / 2, end / 2)
 
 
