@@ -25,6 +25,7 @@ from snapo.case.table import CaseTable, TableContext
 from ...gas_storage.prices.process import use
 from ..core.contract import ContractLayout, EnergyContract, EnergyFlow, Level, StepTerms, Terms
 from ..methods.measure import common_measure
+from ..read.auction import AUCTION
 from ..read.hours import HourlyContractTable
 
 NARROWEST, WIDEST = 0.01, 0.1  # of the energy: a wider bump would be no derivative
@@ -70,6 +71,7 @@ class BatteryTable(HourlyContractTable):
         "for each MWh taken from the store", 0.0
     )
     cycles: dict | None = Field(None, description="a table like { day = 1.5 }")
+    auction: dict | None = Field(None, description=AUCTION)
 
 
 class BatteryContract(EnergyContract):

@@ -61,6 +61,7 @@ from ..contracts.swing_tables import (
     read_swing,
 )
 from ..core.contract import EnergyContract
+from .auction import AuctionTable, at_auctions, check_auction
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 from .pair import (
     GasMarketTable,
@@ -129,7 +130,12 @@ KINDS: dict[str, ContractKind] = {
         BatteryTable,
         read_battery,
         "Battery",
-        {"charge": ChargeTable, "discharge": DischargeTable, "cycles": CyclesTable},
+        {
+            "charge": ChargeTable,
+            "discharge": DischargeTable,
+            "cycles": CyclesTable,
+            "auction": AuctionTable,
+        },
         hourly=True,
     ),
     "park-and-loan": ContractKind(
@@ -224,6 +230,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
             market = read_hourly(section, market_table, hours, unit)
         days, delivery = hours.days, replace(hours, curve=market.forward_curve)
         time = np.array(hours.ahead[:-1]) / HOURS
+        if not kind.pair:
+            delivery = at_auctions(where, table, delivery)
     else:
         days = decision_days(where, table.start, table.end, valuation)
         moving = np.ones(len(days), bool)
@@ -251,6 +259,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     check_window(training, [objective.kind], name)
     if not kind.hourly:
         check_nomination(where, table, objective.kind, products)
+    elif not kind.pair:
+        check_auction(where, table, objective.kind)
     day = np.array([(date - valuation).days for date in days], np.int64)
     return EnergyCase(
         top.kind,
