@@ -61,7 +61,8 @@ def test_hours_are_worth_calls_on_their_forward_prices_at_the_auction(tmp_path):
     after = at % 3
     deviation = known(after) * np.sqrt(variance(FIRST + at - after))
     calls = [black_call(*x, 1.0).value for x in zip(prices[at], [strike] * 3, deviation)]
-    assert value == pytest.approx(sum(map(float, calls)), rel=1e-5)
+    # A corner between two of 401 nodes of the factor costs up to 0.001 of a call.
+    assert value == pytest.approx(sum(map(float, calls)), rel=5e-5)
 
 
 def test_every_schedule_of_two_blocks(tmp_path):

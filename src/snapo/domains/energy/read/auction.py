@@ -57,9 +57,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
     )
 
 
-def auction_of(
-    instant: datetime.datetime, zone: ZoneInfo, at: int, step: int
-) -> datetime.datetime:
+def auction_of(instant: datetime.datetime, zone: ZoneInfo, at: int, step: int) -> datetime.datetime:
     """The last auction at or before the beginning of an hour, both in UTC.
 
     `at`: the hour of one of the auctions of each day; `step`: hours between them by the local
