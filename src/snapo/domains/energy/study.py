@@ -119,7 +119,7 @@ def _about(case: EnergyCase) -> dict[str, Any]:
         "value_unit": unit,
         "currency": money,
         "volume_unit": case.volume_unit,
-        "units": units | {"cash_flow": money, "shortfall": money, "levels": case.volume_unit},
+        "units": units | {"traded intraday": case.volume_unit, "cash_flow": money, "shortfall": money, "levels": case.volume_unit},
         "valuation_date": case.valuation_date.isoformat(),
         "start": case.days[0].isoformat(),
         "step": "hour" if KINDS[case.kind].hourly else "day",

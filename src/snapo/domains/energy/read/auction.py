@@ -34,15 +34,19 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
     **Raises:** `CaseError` where the times of the auctions are not allowed.
     """
     if table.auction is None:
+        if table.intraday is not None:
+            message = "it trades what differs from a schedule; give `auction` too"
+            raise where.error("intraday", None, message)
         return hours
     auction = where.nested(AuctionTable, table.auction, "auction")
     if auction.at not in TIMES:
         message = 'allowed is a full hour from "00:00" to "23:00"'
         raise where.error("auction.at", auction.at, message)
-    where.notes.append(
-        "contract.auction: flows are fixed at the auctions. Prices and money on paths are those "
-        "seen then, and spread less than the spot prices of the hours."
-    )
+    if table.intraday is None:
+        where.notes.append(
+            "contract.auction: flows are fixed at the auctions. Prices and money on paths are "
+            "those seen then, and spread less than the spot prices of the hours."
+        )
     zone, step = ZoneInfo(table.time_zone), int(auction.step[:-1])
     instants = (*hours.instants, hours.instants[-1] + datetime.timedelta(hours=1))
     notice = []
@@ -50,6 +54,9 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
         fixed = auction_of(instant, zone, TIMES.index(auction.at), step)
         before = int((instant - fixed).total_seconds()) // 3600
         notice.append(min(before, ahead))  # an auction before the valuation date is on it
+    if table.intraday is not None and notice[0] and hours.ahead[0]:
+        message = "with `intraday` allowed is a start at an auction, or on the valuation date"
+        raise where.error("start", hours.local[0], message)
     return replace(
         hours,
         ahead=tuple(x - y for x, y in zip(hours.ahead, notice)),
@@ -73,7 +80,7 @@ def auction_of(instant: datetime.datetime, zone: ZoneInfo, at: int, step: int) -
 
 def check_auction(where: TableContext, table: Any, objective: str) -> None:
     """Raises `CaseError` where the objective needs the spot prices of the hours."""
-    if table.auction is not None and objective != "mean":
+    if table.auction is not None and table.intraday is None and objective != "mean":
         message = (
             "the money of an hour counts at the forward price of its auction, so that the "
             f'objective "{objective}" is not known; allowed is the objective "mean"'

@@ -39,6 +39,7 @@ from ..contracts.battery import (
     ChargeTable,
     CyclesTable,
     DischargeTable,
+    IntradayTable,
     read_battery,
 )
 from ..contracts.park_and_loan import ParkAndLoanTable, WindowTable, read_park_and_loan
@@ -135,6 +136,7 @@ KINDS: dict[str, ContractKind] = {
             "discharge": DischargeTable,
             "cycles": CyclesTable,
             "auction": AuctionTable,
+            "intraday": IntradayTable,
         },
         hourly=True,
     ),
@@ -173,6 +175,8 @@ class EnergyCase:
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
       [T]: in years; `first_step`: steps from the valuation date to the first.
     - `products`: the traded products; None where the case names none.
+    - `scheduled`: the prices at auctions, of a contract that trades intraday what differs from its
+      schedule; else None, and `model` is the prices of all decisions.
     """
 
     kind: str
@@ -193,6 +197,7 @@ class EnergyCase:
     evaluation: EvaluationTable
     notes: tuple[str, ...] = ()
     products: TradedProducts | None = None
+    scheduled: PriceProcess | None = None
 
     def numbers(self) -> Iterator[CaseInput]:
         """Every number of contract, market and prices."""
@@ -221,7 +226,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     valuation, where = market_table.valuation_date, TableContext(file, "contract", notes)
     section, unit = TableContext(file, "market", notes), f"{table.currency}/{table.volume_unit}"
     delivery: Any
-    second = None
+    second = at_auction = None
     if kind.hourly:
         hours = hours_of(where, table, valuation)
         if kind.pair:
@@ -231,7 +236,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         days, delivery = hours.days, replace(hours, curve=market.forward_curve)
         time = np.array(hours.ahead[:-1]) / HOURS
         if not kind.pair:
-            delivery = at_auctions(where, table, delivery)
+            seen = at_auctions(where, table, delivery)
+            delivery, at_auction = (seen, None) if table.intraday is None else (delivery, seen)
     else:
         days = decision_days(where, table.start, table.end, valuation)
         moving = np.ones(len(days), bool)
@@ -281,6 +287,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         read_evaluation(top.evaluation, name),
         tuple(notes),
         products,
+        None if at_auction is None else replace(model, delivery=at_auction.times),  # pyright: ignore
     )
 
 
