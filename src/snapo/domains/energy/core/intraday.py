@@ -112,17 +112,18 @@ class IntradaySimulator(EnergySimulator):
         forward = self._seen.level(constants.auction, now.auction, plan.price)
         known = constants._replace(price=constants.auction)
         row = now._replace(price=now.auction, unit_values=now.scheduled_values)
-        off = (state.levels - plan.levels) / constants.volume_scale
-        more = jnp.concatenate([off, jnp.stack([jnp.tanh(half / constants.price_scale)])])
-        result = [
-            observation(self.layout, self._seen, known, row, plan, StepPrices(forward), free)
-        ]
+        width = jnp.tanh(half / constants.price_scale)[None]
+
+        def seen(process, constants, row, at: State, price: Array) -> Array:
+            gains = observation(self.layout, process, constants, row, at, StepPrices(price), free)
+            # Of the schedule zero: it may depend on what is known at the auction alone.
+            off = (at.levels - plan.levels) / constants.volume_scale
+            return jnp.concatenate([gains, off, width])
+
+        result = [seen(self._seen, known, row, plan, forward)]
         for price in (spot - GAINED * half, spot + GAINED * half):
-            seen = StepPrices(price)
-            result.append(
-                observation(self.layout, self.process, constants, now, state, seen, free)
-            )
-        return jnp.concatenate([jnp.concatenate([part, more]) for part in result])
+            result.append(seen(self.process, constants, now, state, price))
+        return jnp.concatenate(result)
 
     def step(self, constants: Constants, now: Step, state: State, action, noise, smooth):
         layout, scale, terms = self.layout, constants.volume_scale, now.terms

@@ -61,7 +61,9 @@ class EnergyRelaxation:
         record, end = rollout.record["state"], rollout.state
         levels = self._path(record.levels, end.levels)
         mode = np.argmax(self._path(record.mode, end.mode), axis=2)
-        return self.charged_along(rollout, levels, mode, scale)
+        charge = self.charged_along(rollout, levels, mode, scale)
+        # What a schedule earns over the spot price has mean zero, and no part in the inner problem.
+        return charge + np.asarray(rollout.totals.get("price_surprise", 0.0), float)
 
     def charged_along(self, rollout, levels, mode, scale: np.ndarray) -> np.ndarray:
         """[N] penalties of other levels [T + 1, N, levels] and modes [T + 1, N] on these prices."""
