@@ -47,6 +47,7 @@ def known(hours):
     return VOLATILITY * np.exp(-SPEED * hours * HOUR)
 
 
+@pytest.mark.prove
 def test_hours_are_worth_calls_on_their_forward_prices_at_the_auction(tmp_path):
     """A full store that is never filled again sells in one hour of each block: Black's call, with
     the deviation of ln F(auction, hour)."""
@@ -108,6 +109,7 @@ def test_auctions_of_every_hour_are_none():
     )
 
 
+@pytest.mark.prove
 def test_less_is_known_at_earlier_auctions():
     """Each auction of a longer step is one of the shorter one too, and is on the valuation date
     before all hours of the first day."""

@@ -49,10 +49,12 @@ def around(problem: Problem) -> tuple[float, float] | None:
     if not isinstance(problem.simulator, IntradaySimulator):
         return None
     layout = problem.simulator.layout
-    low, high = (without_trades(problem, kept) for kept in (True, False))
-    return tuple(  # pyright: ignore[reportReturnType]
-        refined(layout, x.schedule, factors_of(x)).value for x in (low, high)
-    )
+    low, high = (without_trades(problem, scheduled) for scheduled in (True, False))
+    try:
+        kept, free = (refined(layout, x.schedule, factors_of(x)).value for x in (low, high))
+    except ValueError:  # too many levels or price factors for a lattice
+        return None
+    return kept, free
 
 
 INTRINSIC = Chapter("intrinsic value", "Intrinsic value", Intrinsic, measure_intrinsic,

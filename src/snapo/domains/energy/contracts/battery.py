@@ -184,7 +184,11 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
     charge = where.nested(ChargeTable, table.charge, "charge")
     discharge = where.nested(DischargeTable, table.discharge, "discharge")
     cycles = where.nested(CyclesTable, table.cycles or {}, "cycles")
-    intraday = table.intraday and where.nested(IntradayTable, table.intraday, "intraday")
+    intraday = table.intraday
+    if intraday is not None:
+        intraday = where.nested(IntradayTable, intraday, "intraday")
+        unit = f"{table.currency}/{table.volume_unit}"
+        intraday = replace(intraday.half_spread, unit=unit)
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
         raise where.error("stored", stored, f"allowed is at most energy, {energy:g}")
@@ -202,7 +206,7 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         day,
         term,
         np.array(ends, bool),
-        None if intraday is None else intraday.half_spread,
+        intraday,
         layout=layout_of(  # pyright: ignore[reportCallIssue]
             cycles.day is not None, cycles.term is not None
         ),

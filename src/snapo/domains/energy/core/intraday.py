@@ -41,6 +41,7 @@ from .schedule import Constants, State, Step
 from .simulator import EnergySimulator
 from .tables import UnitValueTable, of_step
 
+TRADED = "traded intraday"  # an output: units that differ from the schedule
 VIEWS = 3  # the schedule; the spot price less, and plus, half a spread
 ONLY_MOVE = 0
 # Half spreads by which a unit must gain before it is traded: what is moved within a block pays two
@@ -87,7 +88,9 @@ class IntradaySimulator(EnergySimulator):
         )
 
     def prepared_apart(self):
-        return replace(self, unit_values=None, surprises=None, scheduled_values=None), self._completed
+        return replace(
+            self, unit_values=None, surprises=None, scheduled_values=None
+        ), self._completed
 
     def _completed(self, schedule: Schedule) -> Schedule:
         schedule, table = super()._completed(schedule), self.scheduled_values
@@ -101,6 +104,7 @@ class IntradaySimulator(EnergySimulator):
     def at_auction(self, now: Step, state: State) -> State:
         """The state of the schedule: its levels, and the prices as they were seen."""
         new = now.begins
+        assert new is not None
         levels = jnp.where(new, state.levels, state.scheduled)
         price = jax.tree.map(lambda x, y: jnp.where(new, x, y), state.price, state.seen)
         return State(levels, state.mode, price)
@@ -166,7 +170,7 @@ class IntradaySimulator(EnergySimulator):
         lost = jnp.sum(jnp.where(terms.restarts, terms.short * missed, 0.0))
         outputs = {"cash_flow": cash - lost, "shortfall": lost}
         outputs |= {layout.flows[flow].name: volume for flow, volume in zip(flows, made)}
-        outputs["traded intraday"] = smooth.absolute(traded, scale)
+        outputs[TRADED] = smooth.absolute(traded, scale)
         if now.surprise is not None:
             moved = self.process.gaussian(state.price)
             outputs["value_surprise"] = of_step(now.surprise, moved, state, after)
