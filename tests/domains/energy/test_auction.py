@@ -42,7 +42,7 @@ def variance(hours):
     return -np.expm1(-2 * SPEED * hours * HOUR) / (2 * SPEED)
 
 
-def known(hours):
+def loading_after(hours):
     """The share of the factor that an hour keeps, so long after the auction."""
     return VOLATILITY * np.exp(-SPEED * hours * HOUR)
 
@@ -60,7 +60,7 @@ def test_hours_are_worth_calls_on_their_forward_prices_at_the_auction(tmp_path):
     }  # fmt: skip
     value = exact(with_curve(tmp_path, prices, **keys), finer=8)
     after = at % 3
-    deviation = known(after) * np.sqrt(variance(FIRST + at - after))
+    deviation = loading_after(after) * np.sqrt(variance(FIRST + at - after))
     calls = [black_call(*x, 1.0).value for x in zip(prices[at], [strike] * 3, deviation)]
     # A corner between two of 401 nodes of the factor costs up to 0.001 of a call.
     assert value == pytest.approx(sum(map(float, calls)), rel=5e-5)
@@ -79,7 +79,7 @@ def test_every_schedule_of_two_blocks(tmp_path):
 
     def best(block, after):
         """[2, nodes] from each state of the store; `after` that a block later."""
-        at, loading = FIRST + 3 * block, known(hours)[:, None]
+        at, loading = FIRST + 3 * block, loading_after(hours)[:, None]
         price = prices[3 * block + hours, None] * np.exp(
             loading * f - loading**2 * variance(at) / 2
         )

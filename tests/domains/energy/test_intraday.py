@@ -1,4 +1,4 @@
-"""Batteries that trade what differs from their schedule, at a spread."""
+"""Batteries that trade differences from their schedule, at a spread."""
 
 import datetime
 import shutil
@@ -13,7 +13,7 @@ from tests.domains.energy.energy_cases import HOME, battery, case_at
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.chapters.reference import around
-from snapo.domains.energy.core.intraday import VIEWS
+from snapo.domains.energy.core.intraday import GAIN, VIEWS
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.setup import bare_problem, make_setup
 from snapo.problem.smooth import Exact
@@ -65,8 +65,8 @@ def best(half_spread: float) -> float:
     hours, count = np.arange(len(PRICES)), 601
     variance = -np.expm1(-2 * SPEED * HOUR * hours) / (2 * SPEED)
     f = np.linspace(-1, 1, count) * 6 * np.sqrt(variance[-1])
-    kept = np.exp(-SPEED * HOUR)
-    step = np.exp(-0.5 * ((f[None, :] - kept * f[:, None]) / np.sqrt(variance[1])) ** 2)
+    left = np.exp(-SPEED * HOUR)
+    step = np.exp(-0.5 * ((f[None, :] - left * f[:, None]) / np.sqrt(variance[1])) ** 2)
     step /= step.sum(axis=1, keepdims=True)
     sold = {-1: 1.0, 0: 0.0, 1: -1 / INTO}
     value = np.zeros((2, count))
@@ -102,19 +102,20 @@ def totals_of(setup, paths=PATHS):
 @pytest.mark.prove
 def test_both_ends_of_the_spread(setup_of):
     """Without a spread the flows of every path are those without auctions. At a very wide one
-    nothing is traded, and the value is that of auctions alone. The exact values are on both sides
-    of what is between."""
+    nothing is traded, and the value is that of auctions only, both exact."""
     free, none, wide = setup_of(0.0), setup_of(None), setup_of(WIDE)
     of_free, of_none, of_wide = map(totals_of, (free, none, wide))
     for name in ("charge", "discharge"):
         assert np.array_equal(of_free[name], of_none[name])
-    money = of_free["cash_flow"] - of_free["price_surprise"]
+    money = of_free["cash_flow"] - of_free[GAIN]
     assert np.allclose(money, of_none["cash_flow"], atol=1e-3)
-    alone, without = around(wide.problem)
+    values = around(wide.problem)
+    assert values is not None
+    scheduled, without = values
     assert best(0.0) == pytest.approx(without, rel=1e-3)
-    assert best(WIDE) == pytest.approx(alone, rel=1e-3)
+    assert best(WIDE) == pytest.approx(scheduled, rel=1e-3)
     assert np.all(of_wide["traded intraday"] == 0)
-    for setup, exact in ((free, without), (wide, alone)):
+    for setup, exact in ((free, without), (wide, scheduled)):
         result = evaluate(
             setup.problem, setup.policy.value_rule, paths=PATHS, engine=setup.engines.evaluate
         )
@@ -136,7 +137,7 @@ def test_the_policy_is_below_the_best_schedules_and_near_them(setup_of):
 
 @pytest.mark.prove
 def test_the_derivative_with_respect_to_the_half_spread(setup_of):
-    """With flows held it is minus what is traded: negative, and the slope of their money."""
+    """With flows held it is minus the traded volume, and negative."""
     setup = setup_of(0.3)
     problem, policy, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     path = DerivativePass(problem, engine.bind(problem), policy, Exact(), held=True)
@@ -158,7 +159,7 @@ def test_no_policy_earns_more_than_the_bound(setup_of):
 
 
 def test_a_schedule_depends_on_what_is_known_at_its_auction():
-    """Neither later prices nor trades change what the policy sees of it."""
+    """Neither later prices nor trades change the observation of the schedule."""
     case = battery(
         end=datetime.datetime(2026, 5, 4, 8), auction={"step": "4h"}, intraday={"half_spread": 2.0}
     )
@@ -167,15 +168,15 @@ def test_a_schedule_depends_on_what_is_known_at_its_auction():
     state = simulator.initial(schedule.constants, jnp.zeros(simulator.initial_noise_size))
     state = state._replace(levels=jnp.array([1.0, 0.0]), scheduled=jnp.array([2.0, 0.0]))
 
-    def seen(t, state):
+    def view(t, state):
         row = jax.tree.map(lambda leaf: leaf[t], schedule.steps)
         return simulator.observe(schedule.constants, row, state).reshape((VIEWS, -1))
 
     moved = state._replace(levels=jnp.array([3.0, 0.5]), price=jnp.array([0.02]))
     for t in (0, 1, 4, 7):
-        same = bool(jnp.array_equal(seen(t, state)[0], seen(t, moved)[0]))
+        same = bool(jnp.array_equal(view(t, state)[0], view(t, moved)[0]))
         assert same == (t not in (0, 4))
-        assert not jnp.array_equal(seen(t, state)[1], seen(t, moved)[1])
+        assert not jnp.array_equal(view(t, state)[1], view(t, moved)[1])
 
 
 @pytest.mark.parametrize(

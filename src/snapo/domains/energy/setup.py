@@ -85,9 +85,9 @@ def fitted_problem(problem: Problem, apart: np.ndarray | None = None) -> Problem
     if result is None:
         return problem
     if isinstance(simulator, IntradaySimulator):
-        kept = fitted_value(without_trades(problem, scheduled=True), apart)
-        assert kept is not None  # its prices have the same factors
-        table = unit_value_table(layout, kept.fitted)
+        scheduled = fitted_value(without_trades(problem, scheduled=True), apart)
+        assert scheduled is not None  # its prices have the same factors
+        table = unit_value_table(layout, scheduled.fitted)
         simulator = replace(simulator, scheduled_values=table)
     control = surprises(layout, result.fitted) if result.factors.exact else None
     unit_values = unit_value_table(layout, result.fitted)

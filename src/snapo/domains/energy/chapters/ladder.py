@@ -40,14 +40,14 @@ class EnergyMethods(ContractMethods):
 
     @property
     def intraday(self) -> bool:
-        """Whether what differs from a schedule is traded."""
+        """Whether differences from a schedule are traded."""
         return isinstance(self.run.setup.problem.simulator, IntradaySimulator)
 
     @cached_property
     def desk(self) -> DeskMethods:
         setup = self.run.setup
         if self.intraday:
-            raise ValueError("this method has no schedules with trades of what differs from them")
+            raise ValueError("this method has no schedules with trades of the differences")
         case, schedule = case_of(setup), setup.problem.schedule
         contract, (spots, states) = FlatVolumes(self.layout, schedule), self.on_paths
         return DeskMethods(

@@ -45,16 +45,16 @@ def measure(run: StudyRun) -> ExactValue:
 
 def around(problem: Problem) -> tuple[float, float] | None:
     """The exact values that a contract with schedules and trades is between: of schedules that are
-    kept, and without auctions; None of other contracts."""
+    never left, and without auctions; None of other contracts."""
     if not isinstance(problem.simulator, IntradaySimulator):
         return None
     layout = problem.simulator.layout
-    low, high = (without_trades(problem, scheduled) for scheduled in (True, False))
+    both = [without_trades(problem, scheduled) for scheduled in (True, False)]
     try:
-        kept, free = (refined(layout, x.schedule, factors_of(x)).value for x in (low, high))
+        low, high = (refined(layout, x.schedule, factors_of(x)).value for x in both)
     except ValueError:  # too many levels or price factors for a lattice
         return None
-    return kept, free
+    return low, high
 
 
 INTRINSIC = Chapter("intrinsic value", "Intrinsic value", Intrinsic, measure_intrinsic,

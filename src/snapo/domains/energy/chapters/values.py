@@ -57,7 +57,7 @@ def measure(run: StudyRun) -> MethodValues:
         rows.append(MethodValue("Dynamic programming", reference.dynamic_programming, None, note))
     if reference is not None and (values := around(setup.problem)) is not None:
         notes = "lattice; no schedule is left: a bound from below", "lattice; a bound from above"
-        names = "Auctions alone", "Without auctions"
+        names = "Auctions only", "Without auctions"
         rows += [MethodValue(*x[:2], None, x[2]) for x in zip(names, values, notes)]
     if (bounds := BOUND.of(run)) is not None:
         above, note = bounds.upper, "perfect foresight with a penalty: no policy earns more"

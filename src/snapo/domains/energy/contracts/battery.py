@@ -69,8 +69,8 @@ class CyclesTable(CaseTable):
 
 
 class IntradayTable(CaseTable):
-    """{ half_spread = 2.0 }: what differs from the schedule is traded at the spot price of the
-    hour, plus the half spread where it is bought, and less it where it is sold."""
+    """{ half_spread = 2.0 }: differences from the schedule are traded at the spot price of the
+    hour, plus the half spread where they are bought, and less it where they are sold."""
 
     half_spread: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
         "for each MWh that differs from the schedule"

@@ -172,7 +172,7 @@ def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
 
 
 class Intraday(NamedTuple):
-    """Trades of what differs from a schedule, see `intraday.py`; in units of a market.
+    """Trades of differences from a schedule, see `intraday.py`; in units of a market.
 
     - `half_spread`: money for each unit of the difference; `discount`: of it.
     - `sold`: units sold for each unit of a flow, negative where they are bought.

@@ -1,8 +1,8 @@
-"""Schedules that are fixed at auctions, and trades of what a contract then does differently.
+"""Schedules that are fixed at auctions, and trades of the differences from them.
 
 At an auction the flows of all steps up to the next one are scheduled, at forward prices. In each
-step the flows may still differ: the difference is traded at the spot price, less half a spread for
-what is sold and plus it for what is bought. With the units sold s of the schedule, m of the flows,
+step the flows may still differ: the difference is sold at the spot price less half a spread, or
+bought at the spot price plus it. With the units sold s of the schedule, m of the flows,
 
     earnings of a step = s F(auction, step) + (m - s) S - half spread x |m - s| + other money.
 
@@ -12,7 +12,7 @@ value is therefore that without auctions, and at any spread it is between that a
 schedule that is never left.
 
 The action has three shares of each volume: scheduled, at the forward price; and wanted where a
-unit is worth the spot price less and plus a multiple of the half spread. What flows is the
+unit is worth the spot price less and plus a multiple of the half spread. The flow is the
 scheduled volume, moved to the nearer of the other two where it is not between them.
 """
 
@@ -42,10 +42,11 @@ from .simulator import EnergySimulator
 from .tables import UnitValueTable, of_step
 
 TRADED = "traded intraday"  # an output: units that differ from the schedule
+GAIN = "schedule_gain"  # an output: money of the schedule over the spot price, of mean zero
 VIEWS = 3  # the schedule; the spot price less, and plus, half a spread
 ONLY_MOVE = 0
-# Half spreads by which a unit must gain before it is traded: what is moved within a block pays two
-# of them, what is moved beyond it one.
+# Half spreads by which a unit must gain before it is traded: one that is moved within a block pays
+# two of them, one that is moved beyond it pays one.
 GAINED = 1.5
 
 
@@ -54,8 +55,8 @@ class IntradaySimulator(EnergySimulator):
 
     **Arguments:** those of `EnergySimulator`, and
 
-    - `auction`: the prices seen at the auctions, `formed`.
-    - `scheduled_values`: the fitted value of a contract that never leaves its schedules.
+    - `auction`: the prices at the auctions, `formed`.
+    - `scheduled_values`: the fitted value of the contract that never leaves its schedules.
     """
 
     auction: PriceProcess | None = None
@@ -72,13 +73,13 @@ class IntradaySimulator(EnergySimulator):
         return replace(super().on_paths(), auction=auction, scheduled_values=None)
 
     @property
-    def _seen(self) -> FactorPrices:
+    def _auctioned(self) -> FactorPrices:
         assert isinstance(self.auction, FactorPrices)
         return self.auction
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         schedule = super().prepare(inputs)
-        prices, notice = self._seen.prepare(inputs), self._seen.delivery.notice
+        prices, notice = self._auctioned.prepare(inputs), self._auctioned.delivery.notice
         assert notice is not None
         begins = (jnp.asarray(notice[: self.horizon]) == 0).at[0].set(True)
         rows = jax.tree.map(lambda leaf: leaf[: self.horizon], prices.steps)
@@ -99,34 +100,34 @@ class IntradaySimulator(EnergySimulator):
 
     def initial(self, constants: Constants, noise) -> State:
         state = super().initial(constants, noise)
-        return state._replace(scheduled=state.levels, seen=state.price)
+        return state._replace(scheduled=state.levels, auction_price=state.price)
 
     def at_auction(self, now: Step, state: State) -> State:
-        """The state of the schedule: its levels, and the prices as they were seen."""
+        """The state of the schedule: its levels, and the prices at the last auction."""
         new = now.begins
         assert new is not None
         levels = jnp.where(new, state.levels, state.scheduled)
-        price = jax.tree.map(lambda x, y: jnp.where(new, x, y), state.price, state.seen)
+        price = jax.tree.map(lambda x, y: jnp.where(new, x, y), state.price, state.auction_price)
         return State(levels, state.mode, price)
 
     def observe(self, constants: Constants, now: Step, state: State) -> Float[Array, " features"]:
         assert now.terms.intraday is not None
         spot, free = self.prices(constants, now, state).spot, jnp.ones(1)
         plan, half = self.at_auction(now, state), now.terms.intraday.half_spread
-        forward = self._seen.level(constants.auction, now.auction, plan.price)
-        known = constants._replace(price=constants.auction)
+        forward = self._auctioned.level(constants.auction, now.auction, plan.price)
+        there = constants._replace(price=constants.auction)
         row = now._replace(price=now.auction, unit_values=now.scheduled_values)
         width = jnp.tanh(half / constants.price_scale)[None]
 
-        def seen(process, constants, row, at: State, price: Array) -> Array:
+        def view(process, constants, row, at: State, price: Array) -> Array:
             gains = observation(self.layout, process, constants, row, at, StepPrices(price), free)
-            # Of the schedule zero: it may depend on what is known at the auction alone.
+            # Zero for the schedule, which depends only on the levels and prices at its auction.
             off = (at.levels - plan.levels) / constants.volume_scale
             return jnp.concatenate([gains, off, width])
 
-        result = [seen(self._seen, known, row, plan, forward)]
+        result = [view(self._auctioned, there, row, plan, forward)]
         for price in (spot - GAINED * half, spot + GAINED * half):
-            result.append(seen(self.process, constants, now, state, price))
+            result.append(view(self.process, constants, now, state, price))
         return jnp.concatenate(result)
 
     def step(self, constants: Constants, now: Step, state: State, action, noise, smooth):
@@ -135,26 +136,24 @@ class IntradaySimulator(EnergySimulator):
         plan = self.at_auction(now, state)
         shares = action.reshape((VIEWS, len(layout.pairs)))
         rooms = [volumes(layout, ONLY_MOVE, now, x.levels, smooth, scale) for x in (plan, state)]
-        effects, flows = jnp.asarray(layout.effects), layout.every_move[ONLY_MOVE].flows
-        order = np.array(layout.places[ONLY_MOVE])
+        effects, flows = jnp.asarray(layout.effects), np.array(layout.every_move[ONLY_MOVE].flows)
         planned, low, high = (
-            room.forced + share[order] * (room.most - room.forced)
+            room.forced + share * (room.most - room.forced)
             for room, share in zip((rooms[0], rooms[1], rooms[1]), shares)
         )
         made = jnp.clip(planned, jnp.minimum(low, high), jnp.maximum(low, high))
         levels, scheduled = (
-            x.levels + volume @ effects[np.array(flows)]
-            for x, volume in ((state, made), (plan, planned))
+            x.levels + volume @ effects[flows] for x, volume in ((state, made), (plan, planned))
         )
         spot = self.prices(constants, now, state)
-        forward = self._seen.level(constants.auction, now.auction, plan.price)
-        trade, places = terms.intraday, np.array(flows)
-        sold = trade.sold[places] @ planned
-        traded = trade.sold[places] @ (made - planned)
+        forward = self._auctioned.level(constants.auction, now.auction, plan.price)
+        trade = terms.intraday
+        sold = trade.sold[flows] @ planned
+        traded = trade.sold[flows] @ (made - planned)
         cash = made @ jnp.stack([spot.unit(terms, flow) for flow in flows])
         cost = trade.half_spread * smooth.absolute(traded, scale)
-        known = trade.discount * sold * (forward - spot.spot)
-        cash = cash + known - trade.discount * cost
+        gain = trade.discount * sold * (forward - spot.spot)
+        cash = cash + gain - trade.discount * cost
 
         def settled(x: Array) -> Array:
             return jnp.where(terms.restarts, 0.0, x)
@@ -174,11 +173,12 @@ class IntradaySimulator(EnergySimulator):
         if now.surprise is not None:
             moved = self.process.gaussian(state.price)
             outputs["value_surprise"] = of_step(now.surprise, moved, state, after)
-            outputs["price_surprise"] = jax.lax.stop_gradient(known)
+            outputs[GAIN] = jax.lax.stop_gradient(gain)
         return after, outputs
 
     def control_variates(self) -> tuple[str, ...]:
-        return () if self.surprises is None else ("value_surprise", "price_surprise")
+        names = super().control_variates()
+        return (*names, GAIN) if names else names
 
 
 class IntradayPolicy(UnitValuePolicy):
@@ -196,8 +196,10 @@ class IntradayPolicy(UnitValuePolicy):
 
 
 def without_trades(problem: Problem, scheduled: bool) -> Problem:
-    """The contract without auctions, or one whose schedules are kept (`scheduled`): its exact value
-    is above, or below, that with auctions and trades."""
+    """The contract without auctions, or one whose schedules are never left (`scheduled`).
+
+    Its exact value is above, or below, that with auctions and trades.
+    """
     simulator = problem.simulator
     assert isinstance(simulator, IntradaySimulator)
     numbers = {x.name: getattr(simulator, x.name) for x in fields(EnergySimulator)}

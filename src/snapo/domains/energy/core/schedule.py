@@ -14,9 +14,9 @@ class Step(NamedTuple):
     - `time`: years from the valuation date; `forward`: of the commodity.
     - `price`: the row of the price process; `ahead`: the shape of the curve.
     - `unit_values`, `surprise`: tables of the fitted value, None without one.
-    - `auction`, `begins`, `scheduled_values`: where flows are scheduled at auctions and what
-      differs is traded, the row of the prices of the auction, whether it is on this step, and the
-      table of the fitted value of schedules that are kept.
+    - `auction`, `begins`, `scheduled_values`: where flows are scheduled at auctions and the
+      differences are traded, the row of the prices of the auction, whether it is on this step, and
+      the table of the fitted value of schedules that are never left.
     """
 
     time: Array
@@ -49,11 +49,11 @@ class State(NamedTuple):
     """Levels at the start of a step, the weight of each mode (one of them 1), and the prices.
 
     Where flows are scheduled at auctions, `scheduled`: the levels at the start of the step as they
-    were scheduled, and `seen`: the state of the prices at the last auction.
+    were scheduled, and `auction_price`: the state of the prices at the last auction.
     """
 
     levels: Float[Array, " levels"]
     mode: Float[Array, " modes"]
     price: PyTree
     scheduled: Any = None
-    seen: PyTree = None
+    auction_price: PyTree = None

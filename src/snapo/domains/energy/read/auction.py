@@ -1,4 +1,4 @@
-"""Auctions: the flows of a block of hours are fixed together, at the forward prices seen then."""
+"""Auctions: the flows of a block of hours are fixed together, at forward prices."""
 
 import datetime
 from dataclasses import replace
@@ -35,7 +35,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
     """
     if table.auction is None:
         if table.intraday is not None:
-            message = "it trades what differs from a schedule; give `auction` too"
+            message = "it trades differences from a schedule; give `auction` too"
             raise where.error("intraday", None, message)
         return hours
     auction = where.nested(AuctionTable, table.auction, "auction")
@@ -73,8 +73,8 @@ def auction_of(instant: datetime.datetime, zone: ZoneInfo, at: int, step: int) -
     """
     local = instant.astimezone(zone)
     back = datetime.timedelta(hours=(local.hour - at) % step)
-    shown = local.replace(tzinfo=None, minute=0) - back
-    moments = (shown.replace(tzinfo=zone, fold=k).astimezone(datetime.UTC) for k in (0, 1))
+    wall = local.replace(tzinfo=None, minute=0) - back
+    moments = (wall.replace(tzinfo=zone, fold=k).astimezone(datetime.UTC) for k in (0, 1))
     return max(moment for moment in moments if moment <= instant)
 
 

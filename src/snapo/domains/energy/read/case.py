@@ -175,8 +175,8 @@ class EnergyCase:
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
       [T]: in years; `first_step`: steps from the valuation date to the first.
     - `products`: the traded products; None where the case names none.
-    - `scheduled`: the prices at auctions, of a contract that trades intraday what differs from its
-      schedule; else None, and `model` is the prices of all decisions.
+    - `scheduled`: the prices at auctions, of a contract that trades differences from its schedules
+      intraday; else None, and `model` is the prices of all decisions.
     """
 
     kind: str
@@ -236,8 +236,10 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         days, delivery = hours.days, replace(hours, curve=market.forward_curve)
         time = np.array(hours.ahead[:-1]) / HOURS
         if not kind.pair:
-            seen = at_auctions(where, table, delivery)
-            delivery, at_auction = (seen, None) if table.intraday is None else (delivery, seen)
+            auctioned = at_auctions(where, table, delivery)
+            delivery, at_auction = (
+                (auctioned, None) if table.intraday is None else (delivery, auctioned)
+            )
     else:
         days = decision_days(where, table.start, table.end, valuation)
         moving = np.ones(len(days), bool)
