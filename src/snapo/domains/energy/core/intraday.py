@@ -55,7 +55,7 @@ class IntradaySimulator(EnergySimulator):
 
     The first third of the observation depends only on the levels and prices at the last auction. A
     policy must take the shares of the schedule from it alone, as `IntradayPolicy` does: one that
-    uses later prices earns money that nobody can, and the mean of the output `GAIN` is not zero.
+    uses later prices earns too much, and the mean of the output `GAIN` is not zero.
 
     **Arguments:** those of `EnergySimulator`, and
 
