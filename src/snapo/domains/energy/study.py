@@ -23,6 +23,7 @@ from .chapters.products import PRODUCT_DELTAS, VEGA
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.feasibility import first_fault
+from .core.intraday import TRADED
 from .core.simulator import simulator_of
 from .methods.grid import grid_of
 from .methods.hindsight import EnergyRelaxation
@@ -113,6 +114,7 @@ def _about(case: EnergyCase) -> dict[str, Any]:
     unit = money if case.objective.keeps_unit else ""
     units = {flow.name: flow.unit for flow in layout.flows}
     units |= dict.fromkeys(layout.reported, "1")
+    units |= {} if case.scheduled is None else {TRADED: case.volume_unit}
     return {
         "title": case.title,
         "unit": unit,
