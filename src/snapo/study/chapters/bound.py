@@ -7,7 +7,7 @@ from snapo.report.drawing import LIGHT, draw, number_axis
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Section, Text
 from snapo.report.quantity import decimals, finite, number, percent
-from snapo.report.rows import Column, table
+from snapo.report.rows import Column, WithError, table
 from snapo.solver import bound as solver
 from snapo.solver.bound import Penalty
 
@@ -107,15 +107,14 @@ def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
     rows = [("Trained policy", result.lower), ("Upper bound", result.upper)]
     columns = [
         Column("", lambda row: row[0]),
-        Column("Value", lambda row: row[1].value, run.unit),
-        Column("95 % from", lambda row: row[1].low, run.unit),
-        Column("to", lambda row: row[1].high, run.unit),
+        Column("Value", lambda row: WithError(row[1].value, row[1].standard_error), run.unit),
     ]
-    caption = f"Bounds on {number(result.paths, 0)} paths"
+    caption = f"On {number(result.paths, 0)} paths; ± is half of a 95 % interval"
+    all_rows = [*rows, ("Gap, path by path", result.gap)]
     blocks: list[Block] = [
         Text(sentence(run, result, digits)),
         _chart(run, result, rows, digits),
-        table([*rows, ("Gap, path by path", result.gap)], columns, caption, decimal_places=digits),
+        table(all_rows, columns, caption, folded="Bounds and gap", decimal_places=digits),
     ]
     low, high = result.sure
     if low is not None and high is not None:
