@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .checksums import changed_files
-from .quantity import array, finite, money, plus_minus
+from .quantity import array, finite, money, plus_minus, readable
 
 RESULT = "result.json"
 NUMBERS = (
@@ -196,6 +196,10 @@ class RunFiles:
     def unit(self) -> str:
         """The unit of the value, or the currency."""
         return str(self.get("unit", self.currency))
+
+    def title_of(self, name: str) -> str:
+        """The name of a state, decision or output as text; empty for one that is not shown."""
+        return str(self.get("names", {}).get(name, readable(name)))
 
     def money(self, value: Any, digits: int | None = None, sign: bool = False) -> str:
         return money(value, self.currency, digits, sign)

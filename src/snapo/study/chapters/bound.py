@@ -130,11 +130,11 @@ def sentence(run: RunFiles, result: ValueBounds, digits: int) -> str:
         return "There are too few paths for an interval."
     if small := result.says_little:
         return f"This bound {small}. No policy earns more than {run.value_text(top, None, digits)}."
-    share = f", {percent(gap / abs(low), 2)} of its value," if low else ""
+    share = f", {percent(gap / abs(low), 2)} of its value" if low else ""
     return (
-        f"No policy earns more than {run.value_text(top, None, digits)}, and the "
-        f"trained one leaves at most {run.value_text(gap, None, digits)}{share} on the table (95 "
-        "% intervals)."
+        f"No policy earns more than {run.value_text(top, None, digits)}: the best one earns at "
+        f"most {run.value_text(gap, None, digits)} more than the trained one{share} (95 % "
+        "intervals)."
     )
 
 
