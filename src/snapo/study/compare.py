@@ -98,7 +98,7 @@ class Comparison:
 
     def _sensitivities(self) -> Iterator[str]:
         if not self.sensitivities:
-            yield "no sensitivity of an input that both have differs"
+            yield "the sensitivities to the inputs of both runs are equal"
             return
         yield "sensitivities that differ most (first, second, difference, error of the policies):"
         for sensitivity in self.sensitivities[:MAXIMUM]:

@@ -94,7 +94,7 @@ def _relaxation(prepared: "_Prepared", problem: Problem) -> Callable[[], EnergyR
     if kind != "mean":
         return f'only a mean is bounded from above, and the objective is "{kind}"'
     if not grid_of(simulator_of(problem).layout, problem.schedule).exact:
-        return "its volumes have no common measure with few enough nodes: bounds would be too low"
+        return "its volumes have no common divisor with few enough nodes: bounds would be too low"
     return lambda: EnergyRelaxation(prepared.setup.problem)
 
 

@@ -222,7 +222,7 @@ def _table(case: Statement, batch: BatchResult) -> Table:
                 quantity(room, unit) if attribute.limited else "–",
             )
         )  # fmt: skip
-    names = ("Attribute", "Limit", "Position", "", "Value", "Room to the limit")
+    names = ("Attribute", "Limit", "Position", "", "Value", "Margin to the limit")
     caption = "Quality attributes of one batch at the set point"
     return Table([(name, "") for name in names], rows, caption, 4)
 

@@ -183,10 +183,10 @@ def _balances(run: RunFiles, result: tuple[Balance, ...]) -> list[Block]:
         )
         for x in result
     ]  # fmt: skip
-    names = ("Unit", "Balance of", "", "In", "Made", "Out", "Stays", "Relative gap")
+    names = ("Unit", "Balance of", "", "In", "Produced", "Out", "Left in unit", "Relative gap")
     caption = (
-        "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Made: by "
-        "reactions, below 0 where they use a species; of mass, the error of rounded molar masses"
+        "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Produced: by "
+        "reactions, below 0 if they consume a species; for mass, the error of rounded molar masses"
     )
     return [Table([(name, "") for name in names], rows, caption, 3)]
 
