@@ -159,8 +159,8 @@ def histogram(anchor: str, total: OutputTotal, title: str = "") -> Chart:
         220,
     )
     caption = (
-        f"{name}: total of a path, {paths} paths of the exact simulator. Paths outside of the "
-        "edges are in the outermost bins."
+        f"{name}: the total of a path, for {paths} paths under the exact rules. The outermost bins "
+        "contain the paths outside of the edges, too."
     )
     return Chart(svg, caption)
 

@@ -185,7 +185,7 @@ def show(
         for x in of_kind:
             if (level := x.constant) is not None:
                 size = quantity(level, x.unit)
-                sentence = f"{run.title_of(x.name)} ({HEADINGS[kind]}) is {size} at every {step}."
+                sentence = f"{run.title_of(x.name)} ({HEADINGS[kind]}) is {size} in every {step}."
                 blocks.append(Text(sentence, caveat=True))
     return [*blocks, *(Text(note, caveat=True) for note in result.notes)]
 
@@ -201,7 +201,7 @@ def _fan(run: RunFiles, anchor: str, series: BandSeries, step: str, paths: str) 
         anchor, alt, lambda axes: quantile_fan(axes, when, lines, label, None, step.capitalize()),
         230,
     )  # fmt: skip
-    return Chart(svg, f"{name} ({HEADINGS[series.kind]}), {paths} paths of the exact simulator.")
+    return Chart(svg, f"{name} ({HEADINGS[series.kind]}) on {paths} paths, under the exact rules.")
 
 
 PROFILE = profile()
