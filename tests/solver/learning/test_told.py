@@ -85,7 +85,7 @@ def ended(times, window=None, clip=None, keep=1.0):
 )  # fmt: skip
 def test_large_growth_is_told_with_step_state_and_bound(how, said):
     (told,) = start_notes(ended(5000.0, **how))
-    assert "5e+03-fold" in told and "before step" in told and "'angle'" in told
+    assert "5,000-fold" in told and "before step" in told and "'angle'" in told
     assert said in told and ("step 20 of the training" in told or not how)
 
 
