@@ -12,7 +12,7 @@ from snapo.report.quantity import readable
 from snapo.study.chapters.bound import BOUND
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
-from snapo.study.chapters.profile import profile
+from snapo.study.chapters.profile import MAX_ENTRIES, profile
 from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
 from snapo.study.study import Setup, Study, StudyRun
@@ -137,24 +137,22 @@ def _about(case: EnergyCase) -> dict[str, Any]:
 
 def _names(layout: ContractLayout) -> dict[str, str]:
     """{state, decision or output: its name in a report}; empty for what is not shown: factors of
-    the price model, the only mode of a contract, and the control variate."""
+    the price model, the only mode of a contract, shares of flows, and the control variate."""
 
     def numbered(key: str, names: Sequence[str]) -> dict[str, str]:
         keys = [key] if len(names) == 1 else [f"{key}.{i}" for i in range(len(names))]
         return dict(zip(keys, names))
 
     modes = [f"In mode: {name}" for name in layout.modes] if layout.modes[1:] else [""]
-    decisions = []
-    for m, flow in layout.pairs:
-        move = f" ({layout.moves[m].name})" if layout.moves[1:] else ""
-        decisions.append(f"Decision: {layout.flows[flow].name}, share of the range{move}")
-    decisions += [f"Decision: {layout.moves[m].name}" for m in layout.choices]
+    decisions = [""] * len(layout.pairs)  # the flows themselves are outputs
+    decisions += [f"Choice of {layout.moves[m].name}" for m in layout.choices]
     levels = [readable(level.name) for level in layout.levels]
     price = {name: "" for name in ("price", *(f"price.{i}" for i in range(8)))}
     return (
         {**numbered("levels", levels), **numbered("mode", modes), **numbered("action", decisions)}
         | price
         | {"value_surprise": ""}
+        | ({"mode": ""} if len(layout.modes) > MAX_ENTRIES else {})
     )
 
 
