@@ -152,7 +152,8 @@ def _names(layout: ContractLayout) -> dict[str, str]:
         {**numbered("levels", levels), **numbered("mode", modes), **numbered("action", decisions)}
         | price
         | {"value_surprise": ""}
-        | ({"mode": ""} if len(layout.modes) > MAX_ENTRIES else {})
+        | ({"mode": ""} if len(modes) > MAX_ENTRIES else {})
+        | ({"action": ""} if len(decisions) > MAX_ENTRIES else {})
     )
 
 

@@ -110,7 +110,7 @@ def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
         if (kind == "state" and name in without) or names.get(name) == "":
             continue
         if entries > MAX_ENTRIES:
-            notes.append(f"{name} has {entries} numbers and no band.")
+            notes.append(f"{name} has {entries} numbers, too many for a chart.")
             continue
         for i in range(entries):
             full = name if entries == 1 else f"{name}.{i}"
