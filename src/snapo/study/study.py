@@ -197,7 +197,7 @@ class Study:
 
     - `kind`: of the domain.
     - `about`: known before any work: title, currency, dates, notes …, for the report; "units" and
-      "names" of series by name, for the live page.
+      "names" of series for report and live page: empty, not shown.
     - `parts`: in the order in which they are done.
     - `result`: the content of result.json, from the run so far: "value", "standard_error",
       "status" …

@@ -162,8 +162,8 @@ def _heat(case: Statement, result: SensitivityMatrix) -> Chart:
                60 + 28 * len(rows))  # fmt: skip
     caption = (
         "Change of an attribute over half the normal range of a parameter, as a share of the "
-        "margin to its nearest limit. Orange raises the attribute, blue lowers it; 0 is exact: nothing "
-        "connects the two."
+        "margin to its nearest limit. Orange raises the attribute, blue lowers it; 0 is exact: "
+        "nothing connects the two."
     )
     return Chart(svg, caption)
 
@@ -208,8 +208,8 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
     names = ("Parameter", "Most critical for", "Share of the margin used", "Of its variance", "")
     caption = (
         "Criticality: the largest share of any limit's margin that half the normal range uses; "
-        "margin is the distance to the limit less two standard deviations of the batches. Last, the "
-        "share of that attribute's variance due to the parameter"
+        "margin is the distance to the limit less two standard deviations of the batches. Last, "
+        "the share of that attribute's variance due to the parameter"
     )
     return Table([(name, "") for name in names], rows, caption, frozenset({0, 1, 4}))
 
