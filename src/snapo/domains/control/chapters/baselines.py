@@ -161,7 +161,7 @@ def _check_same(plant: Plant, values: Any) -> None:
                 allowed = f"{plant.twin} has {usual[group][name]:g}; leave --reference out"
                 raise CaseError("--reference", f"{group}.{name}", float(value), allowed)
     if values["noise"] or values["measurement"] or plant.time_feature:
-        allowed = f"{plant.twin} has no disturbances, no measurement noise and shows no clock; "
+        allowed = f"{plant.twin} has no disturbances, no noise and no observed time; "
         allowed += "leave --reference out"
         raise CaseError("--reference", "", None, allowed)
 
