@@ -180,7 +180,7 @@ class Server:
     """One run, one worker, any number of pages.
 
     - `about`: the run, from its files; `worker`: the command that starts the calculation;
-      `problem`: what it reads first, a problem in Python.
+      `problem`: bytes that it reads first, a problem in Python.
     """
 
     def __init__(

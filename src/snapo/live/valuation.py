@@ -136,7 +136,7 @@ class Valuation(WhatIf):
         yield "deltas", self._deltas(setup, rollout, differs)
         if study.today is not None:
             yield "today", study.today(setup, policy)._asdict()
-        yield "fans", fans(rollout.tables, study.about.get("names") or {})
+        yield "fans", fans(rollout.tables, study.names)
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
         """How near the policy is to its best at the numbers that were valued last."""

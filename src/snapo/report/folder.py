@@ -17,6 +17,7 @@ NUMBERS = (
     "value", "standard_error", "smoothing_gap", "policy_gradient_norm", "policy_gradient_noise",
 )  # fmt: skip
 PLANNED, LEFT_OUT = "planned", "left_out"  # names of parts, in the `about` of a run
+NAMES = "names"  # of states, decisions and outputs, there too; an empty one is not shown
 SENSITIVITIES = (
     "input", "label", "unit", "source", "value", "low", "high", "sampling", "policy", "held",
     "held_error", "smooth", "smooth_error", "moved", "moved_error",
@@ -199,7 +200,7 @@ class RunFiles:
 
     def title_of(self, name: str) -> str:
         """The name of a state, decision or output as text; empty for one that is not shown."""
-        return str(self.get("names", {}).get(name, readable(name)))
+        return str(self.get(NAMES, {}).get(name, readable(name)))
 
     def money(self, value: Any, digits: int | None = None, sign: bool = False) -> str:
         return money(value, self.currency, digits, sign)

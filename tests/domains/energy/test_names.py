@@ -1,4 +1,4 @@
-"""A report names the levels and choices of a contract as a desk does, and hides what it may not read."""
+"""A report names the levels and choices of a contract as a desk does, and hides private states."""
 
 import numpy as np
 import pytest

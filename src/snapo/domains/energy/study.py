@@ -145,7 +145,7 @@ def _names(layout: ContractLayout) -> dict[str, str]:
 
     modes = [f"In mode: {name}" for name in layout.modes] if layout.modes[1:] else [""]
     decisions = [""] * len(layout.pairs)  # the flows themselves are outputs
-    decisions += [f"Choice of {layout.moves[m].name}" for m in layout.choices]
+    decisions += [f"Decision: {layout.moves[m].name}" for m in layout.choices]
     levels = [readable(level.name) for level in layout.levels]
     price = {name: "" for name in ("price", *(f"price.{i}" for i in range(8)))}
     return (

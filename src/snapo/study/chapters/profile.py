@@ -102,12 +102,11 @@ def profile(
 def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
     """The bands of the trained policy; units are those of the study's `about`."""
     horizon, units = run.setup.problem.simulator.horizon, run.study.about.get("units", {})
-    names = run.study.about.get("names", {})
     requested = min(PATHS, max(256, MAX_NUMBERS // horizon))
     series, notes, paths = [], [], 0
     for kind, name, values in recorded(run.setup, run.solution.policy, requested):
         _, paths, entries = values.shape
-        if (kind == "state" and name in without) or names.get(name) == "":
+        if (kind == "state" and name in without) or run.study.names.get(name) == "":
             continue
         if entries > MAX_ENTRIES:
             notes.append(f"{name} has {entries} numbers, too many for a chart.")
