@@ -72,7 +72,7 @@ def show(run: RunFiles, result: MethodValues) -> Sequence[Block]:
         Column("Meaning", lambda row: row.note),
         Column("Value", lambda row: WithError(row.value, row.standard_error), run.unit),
     ]
-    caption = "Present values of the same contract; a policy is below the best one."
+    caption = "Present values. The value of a policy is a lower bound on the optimum."
     rows = result.value_ladder
     strong = frozenset(i for i, row in enumerate(rows) if row.name == "Trained policy")
     values = replace(table(rows, columns), texts=2, strong=strong)

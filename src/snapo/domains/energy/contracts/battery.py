@@ -62,9 +62,9 @@ class DischargeTable(CaseTable):
 
 
 class CyclesTable(CaseTable):
-    """{ day = 1.5, term = 60.0 }: most of each calendar day, and of the whole term."""
+    """{ day = 1.5, term = 60.0 }: limits of each calendar day, and of the whole term."""
 
-    day: CaseInput | None = CYCLES("most of a calendar day", None, name="cycles_day")
+    day: CaseInput | None = CYCLES("limit of a calendar day", None, name="cycles_day")
     term: CaseInput | None = CYCLES("most of the whole term", None, name="cycles_term")
 
 
@@ -80,7 +80,7 @@ class IntradayTable(CaseTable):
 class BatteryTable(HourlyContractTable):
     """`[contract]` of kind "battery"."""
 
-    energy: CaseInput = ENERGY("most energy in store")
+    energy: CaseInput = ENERGY("largest energy in store")
     stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)("energy at the start", 0.0)
     charge: dict = Field(description="a table like { power = 1.0, efficiency = 0.9 }")
     discharge: dict = Field(description="a table like { power = 1.0, efficiency = 0.95 }")

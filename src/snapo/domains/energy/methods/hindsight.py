@@ -38,7 +38,7 @@ class EnergyRelaxation:
         self.factors = None if result is None else result.factors
         self.grid = grid_of(self.layout, self.schedule) if result is None else result.fitted.grid
         if not self.grid.exact:
-            raise ValueError("its volumes have no common measure with few enough nodes for a bound")
+            raise ValueError("its volumes have no common divisor with few enough nodes for a bound")
 
     @property
     def terms(self) -> int:
