@@ -22,6 +22,7 @@ from ..core.simulator import simulator_of
 from ..methods.flat import FlatVolumes, no_flat_volumes
 from ..methods.hindsight import EnergyRelaxation
 from ..methods.lattice import lattice
+from ..read.case import KINDS
 from ..setup import case_of, factors_of
 from .reference import REFERENCE
 from .reference import measure as measure_reference
@@ -59,6 +60,12 @@ class EnergyMethods(ContractMethods):
             np.concatenate([spots, spots[-1:]]),
             setup.training.seed,
         )
+
+    @property
+    def traded(self) -> DeskMethods:
+        if KINDS[case_of(self.run.setup).kind].hourly:
+            raise ValueError("products are of a day or longer, and the steps are hours")
+        return self.desk
 
     def by_day(self) -> Estimated:
         return Estimated(lattice(self.layout, self.run.setup.problem.schedule, None).value)

@@ -49,6 +49,11 @@ class ContractMethods(abc.ABC):
     def desk(self) -> DeskMethods:
         """The methods that read [products]."""
 
+    @property
+    def traded(self) -> DeskMethods:
+        """Those that trade the products; `ValueError` where a contract has none."""
+        return self.desk
+
     @abc.abstractmethod
     def by_day(self) -> Estimated:
         """The intrinsic value."""
@@ -103,12 +108,12 @@ class ContractMethods(abc.ABC):
             ValuationMethod(
                 ladder.IN_PRODUCTS,
                 "the same, flat over each product, less the spread",
-                lambda: Estimated(self.desk.intrinsic()),
+                lambda: Estimated(self.traded.intrinsic()),
             ),
             ValuationMethod(
                 ladder.ROLLING,
                 "planned again each day, less the spread",
-                lambda: self.desk.rolling(),
+                lambda: self.traded.rolling(),
             ),
             ValuationMethod(ladder.LEAST_SQUARES, "regression on other paths", self.least_squares),
             ValuationMethod(ladder.LATTICE, "dynamic programming", self.lattice),
