@@ -384,8 +384,3 @@ def corners(nodes, levels: np.ndarray, signs: np.ndarray) -> tuple[np.ndarray, n
         rows.append(corner.copy())
     inside = [np.clip(row, 0, highest) for row in rows]
     return np.stack([np.ravel_multi_index(tuple(x), sizes) for x in inside]), -np.diff(ends, axis=0)
-
-
-def node_levels(nodes: tuple[np.ndarray, ...]) -> np.ndarray:
-    """[n, levels] of all nodes."""
-    return np.array(list(product(*nodes))).reshape(-1, len(nodes))
