@@ -10,10 +10,8 @@ the moved input (`Problem.moved`); with the old table a good policy would look b
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
-from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from scipy import special
 
@@ -27,6 +25,7 @@ from snapo.problem.scenarios import BLOCKS
 from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
 from ..statistics import Estimate
+from .moved import moved_problems, opposite
 
 MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
@@ -197,6 +196,7 @@ class _Bumper:
     ):
         source = problem.sources.evaluation
         self.problem, self.policy, self.engine = problem, policy, engine
+        self.at_values = moved_problems(problem)
         blocks = source.blocks(source.available(paths), count)
         # Interleaved blocks, as those of Sobol points are, can only be taken together.
         apart = np.array_equal(np.concatenate(blocks), np.arange(sum(map(len, blocks))))
@@ -282,7 +282,7 @@ class _Bumper:
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value
-        at_values = at_values or self.problem.at_values
+        at_values = at_values or self.at_values
         more = at_values({name: value + by}) if more is None else more
         less = opposite(self.problem, more, {name: value - by}) if mirrored else None
         sides = (less or at_values({name: value - by}), more)
@@ -330,28 +330,6 @@ class _Bumper:
         paths = sum(map(len, self.blocks[:count]))
         self.spent += paths
         return path_totals(problem, self.policy, paths, engine=self.engine)
-
-
-def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:
-    """The problem at `values`, on the other side of `more`, with all that depends on the inputs
-    mirrored: 2 x - y for a number that is x in `problem` and y in `more`. None where `more` has a
-    different structure.
-
-    Building a problem takes longer than a few paths. Mirroring neglects curvature, whose effect on
-    a value near its maximum is far smaller.
-    """
-    here, there = (jax.tree.flatten(item.simulator) for item in (problem, more))
-    if here[1] != there[1] or list(map(np.shape, here[0])) != list(map(np.shape, there[0])):
-        return None
-    leaves = []
-    for x, y in zip(here[0], there[0]):
-        if np.issubdtype(np.asarray(x).dtype, np.floating):
-            leaves.append(2 * np.asarray(x) - np.asarray(y))
-        elif np.array_equal(x, y):
-            leaves.append(x)
-        else:
-            return None
-    return replace(problem.at(dict(values)), simulator=jax.tree.unflatten(here[1], leaves))
 
 
 def _joined(near: Reaction, wide: Reaction) -> Reaction:

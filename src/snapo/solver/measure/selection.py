@@ -22,12 +22,14 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import VALIDATE, Pseudo, Scenarios, Sobol, Sources, stream
 
 from .. import statistics
+from ..derivatives.moved import LONG
 from ..evaluate import of_groups, path_totals, shares_of, value_of
 
 SCENARIOS = ("pseudo-random", "sobol")
 SMALL = 4e6  # steps of paths, which take a second or so and are spent in any case
 PURPOSES = 3  # the surface, its margin, the bumps
 FEWEST = 512  # paths of a surface and of a margin
+FEWEST_LONG = 128  # and of long paths: no more steps together than 512 paths of `LONG` have
 BACK = 4  # paths valued in the time of one path that is gone back over
 PAIR = 2  # coordinates that a surface has in any case
 
@@ -83,15 +85,19 @@ class Effort(NamedTuple):
     never a clock: a run that is repeated has the same bits.
 
     - `work`: the paths that may be valued for one purpose; `maximum`: paths on which it is done.
+    - `fewest`: paths on which it is done in any case. Those of a path of more than three months by
+      the hour are fewer: it has as many days as several shorter ones.
     """
 
     work: float
     maximum: int
+    fewest: int = FEWEST
 
     @classmethod
     def for_training(cls, trained: int, horizon: int, maximum: int) -> "Effort":
         """That of a training on a total number of paths, with a number of steps each."""
-        return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum)
+        fewest = min(max(FEWEST * LONG // max(horizon, 1), FEWEST_LONG), FEWEST)
+        return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum, fewest)
 
     def valued(self, times: int) -> int:
         """The number of paths that can be valued this number of times."""
@@ -102,7 +108,7 @@ class Effort(NamedTuple):
         return self._within(self.work / (BACK * max(times, 1)))
 
     def _within(self, paths: float) -> int:
-        return int(min(self.maximum, max(FEWEST, paths)))
+        return int(min(self.maximum, max(self.fewest, paths)))
 
 
 SIGNIFICANT = 2.0  # standard errors above the starting rule
@@ -157,7 +163,8 @@ def select(
     """
     source = fresh(problem.sources.validation)
     paths = source.available(paths)
-    for few in STAGES:
+    long = problem.simulator.horizon > LONG
+    for few in (FEWEST, *STAGES) if long else STAGES:
         if paths < 2 * few:
             break
         result, level = _selected(problem, start, candidates, source, few, engine)

@@ -108,15 +108,21 @@ def best(
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]
     value = np.full((len(layout.modes), math.prod(shape), columns), -np.inf)
+    room = np.empty(value[0].size)  # of one passage: new memory for each would take longer
     for move, passages, money in zip(layout.every_move, step.passages, fixed):
         here, there = value[move.before], after[move.after]
         block, goal_block = here.reshape(*shape, columns), there.reshape(*goal_shape, columns)
         for flow, volume, rows, goals, weights in passages:
             earned = money + volume * cash[flow] if flow >= 0 and volume else money
             if weights is None:
-                np.maximum(block[rows], goal_block[goals] + earned, out=block[rows])
+                best_of, gone = block[rows], goal_block[goals]
+                reached = room[: gone.size].reshape(gone.shape)
+                np.maximum(best_of, np.add(gone, earned, out=reached), out=best_of)
             else:
-                reached = np.sum(weights * there[goals], axis=0) + earned
+                reached = weights[0] * there[goals[0]]
+                for weight, goal in zip(weights[1:], goals[1:]):
+                    reached += weight * there[goal]
+                reached += earned
                 here[rows] = np.maximum(here[rows], reached)
     return value if step.end.held is None else value - step.end.held[0][:, None]
 
