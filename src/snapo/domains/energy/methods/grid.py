@@ -19,6 +19,7 @@ import numpy as np
 from ..core.contract import ContractLayout
 from .measure import banked_widths, measures_of, node_widths
 from .settling import Settling, balances, settling
+from .ways import StepWays, Ways
 
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
@@ -46,13 +47,14 @@ class Passage(NamedTuple):
 
 class StepGrid(NamedTuple):
     """One step: the passages of each move; nodes `before` and `after` it, an array by level.
-    - `end`: its settling.
+    - `end`: its settling; `ways`: its passages for machine code, None for none.
     """
 
     passages: tuple[tuple[Passage, ...], ...]
     before: tuple[np.ndarray, ...]
     after: tuple[np.ndarray, ...]
     end: Settling
+    ways: StepWays | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +93,12 @@ def grid_of(
         numbers = [terms.least[t], terms.most[t], *before[t], *after[t]]
         key = tuple(np.asarray(x).tobytes() for x in numbers)
         if key not in known:
-            known[key] = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
+            passages = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
+            sizes = [[len(x) for x in nodes] for nodes in (before[t], after[t])]
+            known[key] = passages, StepWays(layout, passages, *sizes)
         end = settling(layout, terms, t, before[t], after[t], before[t + 1])
-        steps.append(StepGrid(known[key], before[t], after[t], end))
+        passages, ways = known[key]
+        steps.append(StepGrid(passages, before[t], after[t], end, ways))
     return ContractGrid(layout, steps, before[-1], exact)
 
 
@@ -107,6 +112,9 @@ def best(
     """
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]
+    if step.ways is not None and step.ways.serve(columns):
+        value = _by_ways(step.ways.ways, cash, fixed, after)
+        return value if step.end.held is None else value - step.end.held[0][:, None]
     value = np.full((len(layout.modes), math.prod(shape), columns), -np.inf)
     room = np.empty(value[0].size)  # of one passage: new memory for each would take longer
     for move, passages, money in zip(layout.every_move, step.passages, fixed):
@@ -125,6 +133,14 @@ def best(
                 reached += earned
                 here[rows] = np.maximum(here[rows], reached)
     return value if step.end.held is None else value - step.end.held[0][:, None]
+
+
+def _by_ways(ways: Ways, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray) -> np.ndarray:
+    modes, columns = len(after), after.shape[2]
+    money = fixed if fixed.ndim > 1 else np.repeat(fixed[:, None], columns, axis=1)
+    arrays = (cash, money, after.reshape(-1, columns))
+    best_of = ways.best(*(np.ascontiguousarray(x, float) for x in arrays))
+    return best_of.reshape(modes, -1, columns)
 
 
 def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
