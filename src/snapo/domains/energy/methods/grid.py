@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.contract import ContractLayout
+from .corners import corners, flow_signs
 from .measure import banked_widths, measures_of, node_widths
 from .settling import Settling, balances, settling
-from .ways import StepWays, Ways
+from .ways import StepWays
 
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
@@ -113,7 +114,7 @@ def best(
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]
     if step.ways is not None and step.ways.serve(columns):
-        value = _by_ways(step.ways.ways, cash, fixed, after)
+        value = step.ways.best(cash, fixed, after)
         return value if step.end.held is None else value - step.end.held[0][:, None]
     value = np.full((len(layout.modes), math.prod(shape), columns), -np.inf)
     room = np.empty(value[0].size)  # of one passage: new memory for each would take longer
@@ -133,14 +134,6 @@ def best(
                 reached += earned
                 here[rows] = np.maximum(here[rows], reached)
     return value if step.end.held is None else value - step.end.held[0][:, None]
-
-
-def _by_ways(ways: Ways, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray) -> np.ndarray:
-    modes, columns = len(after), after.shape[2]
-    money = fixed if fixed.ndim > 1 else np.repeat(fixed[:, None], columns, axis=1)
-    arrays = (cash, money, after.reshape(-1, columns))
-    best_of = ways.best(*(np.ascontiguousarray(x, float) for x in arrays))
-    return best_of.reshape(modes, -1, columns)
 
 
 def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
@@ -367,42 +360,3 @@ def _runs(rows: np.ndarray, positions: np.ndarray) -> list[tuple[slice, slice]]:
         (slice(int(a[0]), int(a[-1]) + 1), slice(int(b[0]), int(b[-1]) + 1))
         for a, b in zip(np.split(rows, cuts), np.split(there, cuts))
     ]
-
-
-def flow_signs(layout: ContractLayout) -> np.ndarray:
-    """[levels] 1, or -1 for a level that flows move against the first level that they move."""
-    signs = np.ones(len(layout.levels), int)
-    for flow in layout.flows:
-        touched = np.flatnonzero(flow.effects)
-        if len(touched) > 1:
-            first = signs[touched[0]] * np.sign(flow.effects[touched[0]])
-            signs[touched] = first * np.sign(np.array(flow.effects)[touched])
-    return signs
-
-
-def corners(nodes, levels: np.ndarray, signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of nodes [corners, points] around levels [points, levels], and their weights.
-
-    Cells are cut into simplices along the flows, so that a function between nodes is linear along
-    every flow, and the best volumes lead to nodes.
-    """
-    count, sizes = len(levels), [len(x) for x in nodes]
-    if not sizes:
-        return np.zeros((1, count), int), np.ones((1, count))
-    lefts, shares = [], []
-    for x, level, sign in zip(nodes, levels.T, signs):
-        position = np.interp(level, x, np.arange(len(x), dtype=float))
-        left = np.minimum(position.astype(int), max(len(x) - 2, 0))
-        share = position - left
-        lefts.append(left if sign > 0 else np.minimum(left + 1, len(x) - 1))
-        shares.append(share if sign > 0 else 1 - share)
-    order, share = np.argsort(-np.stack(shares), axis=0, kind="stable"), np.stack(shares)
-    corner, highest = np.stack(lefts), np.array(sizes)[:, None] - 1
-    sorted_shares = np.take_along_axis(share, order, axis=0)
-    ends = np.concatenate([np.ones((1, count)), sorted_shares, np.zeros((1, count))])
-    rows, everyone = [corner.copy()], np.arange(count)
-    for axis in order:
-        corner[axis, everyone] += signs[axis]
-        rows.append(corner.copy())
-    inside = [np.clip(row, 0, highest) for row in rows]
-    return np.stack([np.ravel_multi_index(tuple(x), sizes) for x in inside]), -np.diff(ends, axis=0)

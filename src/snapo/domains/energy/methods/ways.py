@@ -5,6 +5,7 @@ a unit, plus the value where it ends, a weighted sum of nodes. Code takes some c
 that their values stay in the fastest cache, and the best so far in registers.
 """
 
+from collections.abc import Callable
 from functools import cache, cached_property
 from typing import Any, NamedTuple
 
@@ -36,13 +37,15 @@ class Ways(NamedTuple):
     node: np.ndarray
     weight: np.ndarray
 
-    def best(self, cash: np.ndarray, money: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """[nodes, columns]; `cash` [flows, columns], `money` [moves, columns], `after` [nodes after
-        of all modes, columns], all of them contiguous."""
-        value = np.empty((len(self.first) - 1, after.shape[1]))
-        table = np.array([address(x) for x in (value, after, cash, money, *self)], np.int64)
-        _machine().functions["best"](address(table), len(value), after.shape[1])
-        return value
+    def best(self, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """[modes, nodes, columns]; the arguments are those of `grid.best`."""
+        modes, _, columns = after.shape
+        money = fixed if fixed.ndim > 1 else np.repeat(fixed[:, None], columns, axis=1)
+        value = np.empty((len(self.first) - 1, columns))
+        arrays = value, *(np.ascontiguousarray(x, float) for x in (after, cash, money)), *self
+        table = np.array([address(x) for x in arrays], np.int64)
+        _machine().functions["best"](address(table), len(value), columns)
+        return value.reshape(modes, -1, columns)
 
 
 class StepWays:
@@ -52,9 +55,9 @@ class StepWays:
         self.parts = layout, passages, before, after
 
     @cached_property
-    def ways(self) -> Ways:
-        """All of them."""
-        return ways_of(*self.parts)
+    def best(self) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """See `Ways.best`."""
+        return ways_of(*self.parts).best
 
     def serve(self, columns: int) -> bool:
         """Whether there is code for them, and columns enough for it."""
