@@ -284,9 +284,10 @@ class _Bumper:
         value = self.problem.inputs_by_name[name].value
         at_values = at_values or self.at_values
         more = at_values({name: value + by}) if more is None else more
+        high = block_means(objective, self._totals(more, count), blocks)
         less = opposite(self.problem, more, {name: value - by}) if mirrored else None
-        sides = (less or at_values({name: value - by}), more)
-        low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
+        less = less or at_values({name: value - by})
+        low = block_means(objective, self._totals(less, count), blocks)
         size = sum(map(len, blocks))
         base = {name: total[:size] for name, total in self.centre.items()}
         middle = block_means(objective, base, blocks)
