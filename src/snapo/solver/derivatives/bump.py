@@ -223,7 +223,8 @@ class _Bumper:
 
         def value_first() -> None:
             name, rebuilt = waiting.pop(0)
-            by, more = moves[name], rebuilt.result()
+            by, more = moves[name], [rebuilt.result()]
+            del rebuilt  # so that its memory is free after its last use
             table[name] = self._moved(name, by, held[name], self.few, mirrored=True, more=more)
 
         pool = ThreadPoolExecutor(1, "rebuild")
@@ -273,21 +274,21 @@ class _Bumper:
         count: int,
         at_values: Callable[[dict[str, Any]], Problem] | None = None,
         mirrored: bool = False,
-        more: Problem | None = None,
+        more: list[Problem] | None = None,
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
         `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `opposite`.
-        `more`: the problem at more of the input, where it is known.
+        `more`: the problem at more of the input, where it is known; it is taken from the list.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value
         at_values = at_values or self.at_values
-        more = at_values({name: value + by}) if more is None else more
-        high = block_means(objective, self._totals(more, count), blocks)
-        less = opposite(self.problem, more, {name: value - by}) if mirrored else None
-        less = less or at_values({name: value - by})
-        low = block_means(objective, self._totals(less, count), blocks)
+        side = more.pop() if more else at_values({name: value + by})
+        high = block_means(objective, self._totals(side, count), blocks)
+        side = opposite(self.problem, side, {name: value - by}) if mirrored else None
+        side = side or at_values({name: value - by})
+        low = block_means(objective, self._totals(side, count), blocks)
         size = sum(map(len, blocks))
         base = {name: total[:size] for name, total in self.centre.items()}
         middle = block_means(objective, base, blocks)

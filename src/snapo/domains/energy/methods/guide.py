@@ -19,7 +19,6 @@ from .fitted import backwards
 from .grid import ContractGrid, StepGrid
 
 MOST_ROWS = 401  # of the value of a level
-SINGLE = 2**22  # numbers: larger tables have single precision, half of the memory
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
 
@@ -74,9 +73,8 @@ class _UnitRows:
         self.low[t], self.spacing[t] = weights.rows
         if self.slopes is None:
             shape = len(self.low), len(layout.pairs), *self.counts, after.shape[-1]
-            kind = np.float32 if math.prod(shape) > SINGLE else np.float64
-            self.slopes = np.zeros(shape, kind)
-            self.moves = np.zeros((shape[0], len(layout.moves), *shape[2:]), kind)
+            self.slopes = np.zeros(shape)
+            self.moves = np.zeros((shape[0], len(layout.moves), *shape[2:]))
         for k, (of, move) in enumerate(zip(weights.slopes, self.flow_moves)):
             self.slopes[t, k] = (of @ after[move.after]).reshape(self.slopes.shape[2:])
         if layout.moves and self.moves is not None:
