@@ -1,8 +1,8 @@
 """Problems at moved inputs, with all that a domain builds from them rebuilt.
 
-What is built from the inputs of a long problem, such as the fitted value of 8,760 hours, takes
-longer than the paths that are valued with it. It is rebuilt at one move of each input; at other
-moves of the same input it is on the line through both.
+Tables of a long problem, such as the fitted value of 8,760 hours, take longer than the paths that
+are valued with them. They are rebuilt at one move of each input; at other moves of the same input
+they are on the line through both.
 """
 
 from collections.abc import Callable, Mapping
@@ -74,5 +74,5 @@ def on_line(
 
 
 def rebuilt_once(problem: Problem) -> bool:
-    """Whether what is built from an input is rebuilt at one move of it alone."""
+    """Whether tables are rebuilt at one move of an input alone."""
     return problem.rebuild is not None and problem.simulator.horizon > LONG

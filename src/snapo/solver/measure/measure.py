@@ -294,7 +294,7 @@ def _tails(problem: Problem, paths: int) -> list[str]:
 
 
 def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
-    """What is done with less work on long paths."""
+    """A sentence about work that long paths save."""
     if table is None or not run.evaluation.judge_paths or not rebuilt_once(run.problem):
         return []
     return [

@@ -124,9 +124,9 @@ def best(
         for flow, volume, rows, goals, weights in passages:
             earned = money + volume * cash[flow] if flow >= 0 and volume else money
             if weights is None:
-                best_of, gone = block[rows], goal_block[goals]
-                reached = room[: gone.size].reshape(gone.shape)
-                np.maximum(best_of, np.add(gone, earned, out=reached), out=best_of)
+                highest, source = block[rows], goal_block[goals]
+                reached = room[: source.size].reshape(source.shape)
+                np.maximum(highest, np.add(source, earned, out=reached), out=highest)
             else:
                 reached = weights[0] * there[goals[0]]
                 for weight, goal in zip(weights[1:], goals[1:]):

@@ -23,7 +23,7 @@ SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate
 
 
 class GuideTables(NamedTuple):
-    """What a policy starts from, and the control variate, None where prices have other risks."""
+    """The tables that a policy starts from, and the control variate, None where prices have other risks."""
 
     unit_values: UnitValueTable
     surprises: Surprises | None
