@@ -23,7 +23,7 @@ SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate
 
 
 class GuideTables(NamedTuple):
-    """The tables that a policy starts from, and the control variate, None where prices have other risks."""
+    """Unit values, from which a policy starts; the control variate, None with other risks."""
 
     unit_values: UnitValueTable
     surprises: Surprises | None

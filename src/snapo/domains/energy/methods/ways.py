@@ -66,31 +66,34 @@ class StepWays:
 
 def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: list[int]) -> Ways:
     """Those of the passages of a step between numbers of nodes of each level."""
-    here, there = (np.arange(np.prod(x, dtype=int)).reshape(x) for x in (before, after))
-    begins, parts = [], []
+    source, target = (np.arange(np.prod(x, dtype=int)).reshape(x) for x in (before, after))
+    starts, parts = [], []
     for m, (move, of_move) in enumerate(zip(layout.every_move, passages)):
-        start, goal = move.before * here.size, move.after * there.size
+        start, goal = move.before * source.size, move.after * target.size
         for flow, volume, rows, goals, weights in of_move:
             if weights is None:
-                begin, ends = here[rows].reshape(-1), there[goals].reshape(1, -1)
-                weights = np.ones(ends.shape)
+                start_nodes, goal_nodes = source[rows].reshape(-1), target[goals].reshape(1, -1)
+                weights = np.ones(goal_nodes.shape)
             else:
-                begin, ends, weights = rows, goals, weights[:, :, 0]
-            begins.append(start + begin)
-            parts += [(m, max(flow, 0), volume, goal + e, w) for e, w in zip(ends.T, weights.T)]
-    begin = np.concatenate([np.zeros(0, int), *begins])
-    order = np.argsort(begin, kind="stable")
-    nodes = np.arange(len(layout.modes) * here.size + 1)
+                start_nodes, goal_nodes, weights = rows, goals, weights[:, :, 0]
+            starts.append(start + start_nodes)
+            parts += [
+                (m, max(flow, 0), volume, goal + node, shares)
+                for node, shares in zip(goal_nodes.T, weights.T)
+            ]
+    start_nodes = np.concatenate([np.zeros(0, int), *starts])
+    order = np.argsort(start_nodes, kind="stable")
+    nodes = np.arange(len(layout.modes) * source.size + 1)
     numbers = [parts[k] for k in order]
     move, flow = (np.array([x[i] for x in numbers], np.int64) for i in (0, 1))
-    ends, weights = ([x[i] for x in numbers] for i in (3, 4))
+    goal_nodes, weights = ([x[i] for x in numbers] for i in (3, 4))
     return Ways(
-        np.searchsorted(begin[order], nodes).astype(np.int64),
-        np.cumsum([0, *map(len, ends)]).astype(np.int64),
+        np.searchsorted(start_nodes[order], nodes).astype(np.int64),
+        np.cumsum([0, *map(len, goal_nodes)]).astype(np.int64),
         move,
         flow,
         np.array([x[2] for x in numbers], float),
-        np.concatenate([np.zeros(0, int), *ends]).astype(np.int64),
+        np.concatenate([np.zeros(0, int), *goal_nodes]).astype(np.int64),
         np.concatenate([np.zeros(0), *weights]),
     )
 
