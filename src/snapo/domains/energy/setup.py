@@ -18,6 +18,7 @@ from snapo.study.study import Setup
 
 from ..gas_storage.bounds.regression import AnyBasis, basis_of
 from ..gas_storage.prices.process import GaussianFactors, PriceProcess
+from .core.intraday import IntradayPolicy, IntradaySimulator, without_trades
 from .core.policy import UnitValuePolicy
 from .core.simulator import EnergySimulator, simulator_of
 from .methods.fitted import FittedContract, fit
@@ -31,7 +32,8 @@ MAX_FACTORS = 3  # of a fitted value, next to those that move all prices in prop
 
 def bare_problem(case: EnergyCase) -> Problem:
     """The contract without a fitted value."""
-    return Problem(EnergySimulator.of(case), case.inputs(), make_objective(case.objective, OUTPUT))
+    kind = EnergySimulator if case.scheduled is None else IntradaySimulator
+    return Problem(kind.of(case), case.inputs(), make_objective(case.objective, OUTPUT))
 
 
 def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
@@ -40,9 +42,8 @@ def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = fitted_problem(replace(bare_problem(case), sources=sources, rebuild=rebuilt))
-    policy = UnitValuePolicy(
-        simulator_of(problem).layout, problem.features, key=jax.random.key(seed)
-    )
+    rule = UnitValuePolicy if case.scheduled is None else IntradayPolicy
+    policy = rule(simulator_of(problem).layout, problem.features, key=jax.random.key(seed))
     return Setup(
         problem, policy, training, evaluation, engines_for(engine, problem, policy), case=case
     )
@@ -71,21 +72,28 @@ def rebuilt(problem: Problem) -> Problem:
 
 
 def _bare(problem: Problem) -> Problem:
-    return replace(
-        problem, simulator=replace(simulator_of(problem), unit_values=None, surprises=None)
-    )
+    simulator = replace(simulator_of(problem), unit_values=None, surprises=None)
+    if isinstance(simulator, IntradaySimulator):
+        simulator = replace(simulator, scheduled_values=None)
+    return replace(problem, simulator=simulator)
 
 
 def fitted_problem(problem: Problem, apart: np.ndarray | None = None) -> Problem:
     """The problem with the unit values that its policy starts from, and with a control variate
     where its prices have no other risks than its factors'. `apart`: of nodes, see `grid_of`."""
-    layout = simulator_of(problem).layout
+    simulator, layout = simulator_of(problem), simulator_of(problem).layout
     apart = np.zeros(len(layout.levels)) if apart is None else apart
     values = _value_functions(problem, apart)
     if values is None:
         return problem
+    if isinstance(simulator, IntradaySimulator):
+        other = without_trades(problem, scheduled=True)
+        scheduled = _value_functions(other, apart)
+        assert scheduled is not None  # its prices have the same factors
+        table = guide_tables(layout, other.schedule, *scheduled).unit_values
+        simulator = replace(simulator, scheduled_values=table)
     tables = guide_tables(layout, problem.schedule, *values)
-    simulator = replace(simulator_of(problem), **tables._asdict())
+    simulator = replace(simulator, **tables._asdict())
     return replace(problem, simulator=simulator)
 
 

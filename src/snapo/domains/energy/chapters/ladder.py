@@ -16,6 +16,7 @@ from ...gas_storage.chapters.ladder import ContractMethods, ReferenceValue
 from ...gas_storage.ladder.methods import DeskMethods
 from ...gas_storage.ladder.products import usual_products
 from ..core.contract import ContractLayout
+from ..core.intraday import IntradaySimulator
 from ..core.policy import UnitValuePolicy
 from ..core.simulator import simulator_of
 from ..methods.flat import FlatVolumes, no_flat_volumes
@@ -37,9 +38,16 @@ class EnergyMethods(ContractMethods):
     def layout(self) -> ContractLayout:
         return simulator_of(self.run.setup.problem).layout
 
+    @property
+    def intraday(self) -> bool:
+        """Whether differences from a schedule are traded."""
+        return isinstance(self.run.setup.problem.simulator, IntradaySimulator)
+
     @cached_property
     def desk(self) -> DeskMethods:
         setup = self.run.setup
+        if self.intraday:
+            raise ValueError("this method has no schedules with trades of the differences")
         case, schedule = case_of(setup), setup.problem.schedule
         contract, (spots, states) = FlatVolumes(self.layout, schedule), self.on_paths
         return DeskMethods(
@@ -57,7 +65,7 @@ class EnergyMethods(ContractMethods):
 
     def least_squares(self) -> np.ndarray:
         """Of a contract of several levels or modes: the fitted value, on the same paths."""
-        if no_flat_volumes(self.layout):
+        if no_flat_volumes(self.layout) or self.intraday:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()
         levels = levels[:, :, None][:, :, : len(self.layout.levels)]
@@ -81,6 +89,11 @@ class EnergyMethods(ContractMethods):
             return money - self.relaxation.charged(other, draws, self.scale)
 
         return self.paths.joined(earned)
+
+    def lattice(self) -> Estimated:
+        if self.intraday:
+            raise ValueError("a schedule and the levels are too many for a lattice")
+        return super().lattice()
 
     def reference(self) -> ReferenceValue:
         return REFERENCE.of(self.run) or measure_reference(self.run)

@@ -16,7 +16,7 @@ from .measure import common_measure, measures_of
 def no_flat_volumes(layout: ContractLayout) -> str:
     """Why the volumes of a contract have no flat ones over products; "" where they do."""
     if layout.indexed:
-        return "this method is for contracts whose money does not follow an index"
+        return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()
     if layout.moves or not (len(layout.flows) == 1 or opposite) or len(layout.levels) > 1:
         return "this method is for contracts of at most one level, and of one flow or two opposite"
