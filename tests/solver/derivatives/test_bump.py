@@ -11,14 +11,8 @@ import pytest
 import snapo
 from snapo.engine import Xla
 from snapo.problem.scenarios import Sources
-from snapo.solver.derivatives.bump import (
-    WIDE,
-    Reaction,
-    _Bumper,
-    one_percent,
-    opposite,
-    reactions,
-)
+from snapo.solver.derivatives.bump import WIDE, Reaction, _Bumper, one_percent, reactions
+from snapo.solver.derivatives.moved import LONG, moved_problems, on_line, opposite, rebuilt_once
 from snapo.solver.statistics import Estimate
 
 ENGINE = Xla("float64")
@@ -81,6 +75,35 @@ def test_what_was_built_in_another_form_is_not_mirrored():
     whole = replace(more, simulator=replace(more.simulator, table=np.array([4])))
     counted = replace(problem, simulator=replace(problem.simulator, table=np.array([5])))
     assert opposite(counted, whole, {"target": 1.98}) is None
+
+
+def test_a_table_on_a_line_is_that_of_the_moves_to_first_order():
+    problem = follows()
+    more = problem.at_values({"target": 2.02})
+    for share in (-3.0, 0.5, 3.0):
+        value = 2.0 + 0.02 * share
+        moved = on_line(problem, more, {"target": value}, share)
+        assert moved.inputs_by_name["target"].value == value
+        np.testing.assert_allclose(moved.simulator.table, 4.0 + share * (2.02**2 - 4.0), rtol=1e-14)
+        np.testing.assert_allclose(moved.simulator.table, value**2, rtol=2e-3)
+
+
+@pytest.mark.parametrize(("horizon", "count"), [(LONG, 3), (LONG + 1, 1)])
+def test_a_table_of_a_long_problem_is_rebuilt_once_for_each_input(horizon, count):
+    builds = []
+
+    def counted(problem):
+        builds.append(problem)
+        return built(problem)
+
+    problem = follows(counted)
+    problem = replace(problem, simulator=replace(problem.simulator, horizon=horizon))
+    assert rebuilt_once(problem) == (count == 1)
+    at_values, moves = moved_problems(problem), (0.01, -0.01, 0.03)
+    for move in moves:
+        moved = at_values({"target": 2.0 + move})
+        np.testing.assert_allclose(moved.simulator.table, (2.0 + move) ** 2, rtol=1e-3)
+    assert len(builds) == count
 
 
 def test_a_table_that_is_built_anew_shows_no_reaction_of_an_optimal_policy():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from snapo.solver.derivatives.bump import PRECISE, Reaction, settled
+from snapo.solver.derivatives.moved import LONG
 from snapo.solver.measure.selection import BACK, FEWEST, PURPOSES, SMALL, Effort
 
 
@@ -18,6 +19,11 @@ def test_the_work_is_a_part_of_the_training_and_a_little_more(horizon):
 def test_a_search_has_a_least_number_of_paths_unless_fewer_are_asked_for():
     assert Effort.for_training(100, 1000, 16384).valued(1000) == FEWEST
     assert Effort.for_training(100, 1000, 64).valued(1000) == 64
+
+
+@pytest.mark.parametrize(("horizon", "paths"), [(LONG, 512), (2 * LONG, 256), (100_000, 128)])
+def test_a_search_on_long_paths_has_fewer(horizon, paths):
+    assert Effort.for_training(100, horizon, 16384).valued(1000) == paths
 
 
 def reaction(value, error, held=10.0, blocks=16):

@@ -7,6 +7,7 @@ import pytest
 import snapo
 from snapo.engine import Xla
 from snapo.solver.evaluate import path_totals
+from snapo.solver.measure import selection
 from snapo.solver.measure.selection import HIGHEST, NEWEST, PLAIN, START, fresh, select
 from snapo.solver.statistics import mean
 
@@ -77,6 +78,22 @@ def test_a_candidate_that_is_not_surely_better_leaves_the_start(problem):
     near = {NEWEST: rule(V / (V + W) - 0.003)}
     found = select(problem, rule(V / (V + W) + 0.003), near, 4096, ENGINE)
     assert found.kind == START
+
+
+def test_of_long_paths_a_candidate_that_is_plainly_below_is_valued_on_few(problem, monkeypatch):
+    valued = []
+
+    def counted(problem, policy, paths, **options):
+        valued.append((policy, paths))
+        return path_totals(problem, policy, paths, **options)
+
+    monkeypatch.setattr(selection, "LONG", 0)
+    monkeypatch.setattr(selection, "path_totals", counted)
+    below, near = rule(0.0), rule(V / (V + W) + 0.003)
+    found = select(problem, rule(V / (V + W)), {NEWEST: below, HIGHEST: near}, 4096, ENGINE)
+    assert found.kind == START
+    assert [paths for policy, paths in valued if policy is below] == [selection.FEWEST]
+    assert max(paths for policy, paths in valued if policy is near) > selection.FEWEST
 
 
 def test_the_paths_of_the_choice_are_of_no_other_use(problem):

@@ -16,12 +16,14 @@ from snapo.solver.solve import Evaluation
 from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
+from ..gas_storage.bounds.regression import AnyBasis, basis_of
 from ..gas_storage.prices.process import GaussianFactors, PriceProcess
 from .core.intraday import IntradayPolicy, IntradaySimulator, without_trades
 from .core.policy import UnitValuePolicy
 from .core.simulator import EnergySimulator, simulator_of
-from .methods.fitted import FittedContract, fit, surprises, unit_value_table
-from .methods.grid import grid_of
+from .methods.fitted import FittedContract, fit
+from .methods.grid import ContractGrid, grid_of
+from .methods.guide import guide_tables
 from .read.case import EnergyCase
 
 OUTPUT = "cash_flow"
@@ -81,17 +83,17 @@ def fitted_problem(problem: Problem, apart: np.ndarray | None = None) -> Problem
     where its prices have no other risks than its factors'. `apart`: of nodes, see `grid_of`."""
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
     apart = np.zeros(len(layout.levels)) if apart is None else apart
-    result = fitted_value(problem, apart)
-    if result is None:
+    values = _value_functions(problem, apart)
+    if values is None:
         return problem
     if isinstance(simulator, IntradaySimulator):
-        scheduled = fitted_value(without_trades(problem, scheduled=True), apart)
+        other = without_trades(problem, scheduled=True)
+        scheduled = _value_functions(other, apart)
         assert scheduled is not None  # its prices have the same factors
-        table = unit_value_table(layout, scheduled.fitted)
+        table = guide_tables(layout, other.schedule, *scheduled).unit_values
         simulator = replace(simulator, scheduled_values=table)
-    control = surprises(layout, result.fitted) if result.factors.exact else None
-    unit_values = unit_value_table(layout, result.fitted)
-    simulator = replace(simulator, unit_values=unit_values, surprises=control)
+    tables = guide_tables(layout, problem.schedule, *values)
+    simulator = replace(simulator, **tables._asdict())
     return replace(problem, simulator=simulator)
 
 
@@ -102,18 +104,27 @@ class FactorFit(NamedTuple):
     factors: GaussianFactors
 
 
-def fitted_value(problem: Problem, apart: np.ndarray | None = None) -> FactorFit | None:
-    """The fitted value, where prices have at most three Gaussian factors that matter.
-
-    `apart`: where a coarse grid suffices, see `grid_of`.
-    """
-    found = factors_of(problem)
-    if found is None:
+def fitted_value(problem: Problem) -> FactorFit | None:
+    """The fitted value, where prices have at most three Gaussian factors that matter."""
+    values = _value_functions(problem)
+    if values is None:
         return None
-    schedule = problem.schedule
-    grid = grid_of(simulator_of(problem).layout, schedule, apart=apart)
-    result = fit(simulator_of(problem).layout, schedule, found, grid)
-    return FactorFit(result, found) if len(result.basis.selected) <= MAX_FACTORS else None
+    factors, _, grid = values
+    return FactorFit(fit(simulator_of(problem).layout, problem.schedule, factors, grid), factors)
+
+
+def _value_functions(
+    problem: Problem, apart: np.ndarray | None = None
+) -> tuple[GaussianFactors, AnyBasis, ContractGrid] | None:
+    """Factors, functions of them, and nodes of the levels of a fitted value; None where prices have
+    more factors. `apart`: where a coarse grid suffices, see `grid_of`."""
+    factors = factors_of(problem)
+    if factors is None:
+        return None
+    basis = basis_of(factors, priced=False)
+    if len(basis.selected) > MAX_FACTORS:
+        return None
+    return factors, basis, grid_of(simulator_of(problem).layout, problem.schedule, apart=apart)
 
 
 def price_schedule(problem: Problem) -> Schedule:

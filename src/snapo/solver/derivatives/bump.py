@@ -10,10 +10,8 @@ the moved input (`Problem.moved`); with the old table a good policy would look b
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
-from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from scipy import special
 
@@ -27,6 +25,7 @@ from snapo.problem.scenarios import BLOCKS
 from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
 from ..statistics import Estimate
+from .moved import moved_problems, opposite
 
 MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
@@ -197,6 +196,7 @@ class _Bumper:
     ):
         source = problem.sources.evaluation
         self.problem, self.policy, self.engine = problem, policy, engine
+        self.at_values = moved_problems(problem)
         blocks = source.blocks(source.available(paths), count)
         # Interleaved blocks, as those of Sobol points are, can only be taken together.
         apart = np.array_equal(np.concatenate(blocks), np.arange(sum(map(len, blocks))))
@@ -223,7 +223,8 @@ class _Bumper:
 
         def value_first() -> None:
             name, rebuilt = waiting.pop(0)
-            by, more = moves[name], rebuilt.result()
+            by, more = moves[name], [rebuilt.result()]
+            del rebuilt  # so that its memory is free after its last use
             table[name] = self._moved(name, by, held[name], self.few, mirrored=True, more=more)
 
         pool = ThreadPoolExecutor(1, "rebuild")
@@ -273,20 +274,21 @@ class _Bumper:
         count: int,
         at_values: Callable[[dict[str, Any]], Problem] | None = None,
         mirrored: bool = False,
-        more: Problem | None = None,
+        more: list[Problem] | None = None,
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
         `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `opposite`.
-        `more`: the problem at more of the input, where it is known.
+        `more`: the problem at more of the input, where it is known; it is taken from the list.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value
-        at_values = at_values or self.problem.at_values
-        more = at_values({name: value + by}) if more is None else more
-        less = opposite(self.problem, more, {name: value - by}) if mirrored else None
-        sides = (less or at_values({name: value - by}), more)
-        low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
+        at_values = at_values or self.at_values
+        side = more.pop() if more else at_values({name: value + by})
+        high = block_means(objective, self._totals(side, count), blocks)
+        side = opposite(self.problem, side, {name: value - by}) if mirrored else None
+        side = side or at_values({name: value - by})
+        low = block_means(objective, self._totals(side, count), blocks)
         size = sum(map(len, blocks))
         base = {name: total[:size] for name, total in self.centre.items()}
         middle = block_means(objective, base, blocks)
@@ -330,28 +332,6 @@ class _Bumper:
         paths = sum(map(len, self.blocks[:count]))
         self.spent += paths
         return path_totals(problem, self.policy, paths, engine=self.engine)
-
-
-def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:
-    """The problem at `values`, on the other side of `more`, with all that depends on the inputs
-    mirrored: 2 x - y for a number that is x in `problem` and y in `more`. None where `more` has a
-    different structure.
-
-    Building a problem takes longer than a few paths. Mirroring neglects curvature, whose effect on
-    a value near its maximum is far smaller.
-    """
-    here, there = (jax.tree.flatten(item.simulator) for item in (problem, more))
-    if here[1] != there[1] or list(map(np.shape, here[0])) != list(map(np.shape, there[0])):
-        return None
-    leaves = []
-    for x, y in zip(here[0], there[0]):
-        if np.issubdtype(np.asarray(x).dtype, np.floating):
-            leaves.append(2 * np.asarray(x) - np.asarray(y))
-        elif np.array_equal(x, y):
-            leaves.append(x)
-        else:
-            return None
-    return replace(problem.at(dict(values)), simulator=jax.tree.unflatten(here[1], leaves))
 
 
 def _joined(near: Reaction, wide: Reaction) -> Reaction:

@@ -18,6 +18,7 @@ from snapo.problem.unseen import note
 
 from ..derivatives.bump import reactions
 from ..derivatives.margin import floor_of, margin_of, passes, with_margin
+from ..derivatives.moved import LONG, rebuilt_once
 from ..derivatives.surface import Surface, coordinates, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import (
@@ -127,6 +128,7 @@ def measure(run: MeasuredRun) -> dict[str, Any]:
         *filter(None, [broken, unseen, selection.description]),
         *start_notes(progress),
         *ended.notes,
+        *_long(run, table),
         *notes_of(limits),
     )
     return {
@@ -177,7 +179,7 @@ def _surface(run: MeasuredRun, problem: Problem) -> Surface | None:
     newest = progress.best if problem.constraints or run.problem.constraints else progress.average
     around = coordinates(newest, progress.halfway if progress.step > 1 else None)
     count = len(around.directions)
-    while count > PAIR and rollouts(count) * FEWEST > effort.work:
+    while count > PAIR and rollouts(count) * effort.fewest > effort.work:
         count -= 1
     around, paths = around.leading(count), effort.valued(rollouts(count))
     return surface_of(problem, around, paths, run.training.seed, run.engines.train)
@@ -288,6 +290,18 @@ def _tails(problem: Problem, paths: int) -> list[str]:
         f"{int(np.ceil(round(TAIL / item.tail, 6))):,} paths."
         for item in measures
         if item.tail < 1 and item.tail * paths < TAIL
+    ]
+
+
+def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
+    """A sentence about work that long paths save."""
+    if table is None or not run.evaluation.judge_paths or not rebuilt_once(run.problem):
+        return []
+    return [
+        f"Paths have more than {LONG:,} steps: the part of the intervals of derivatives that is "
+        f"due to the policy was measured on {run.effort.fewest} paths (of shorter ones {FEWEST}), "
+        "and for the bump of an input the policy's tables were recomputed at one move of the "
+        "input; at its other moves they are to first order."
     ]
 
 

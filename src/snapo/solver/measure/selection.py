@@ -22,12 +22,14 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import VALIDATE, Pseudo, Scenarios, Sobol, Sources, stream
 
 from .. import statistics
+from ..derivatives.moved import LONG
 from ..evaluate import of_groups, path_totals, shares_of, value_of
 
 SCENARIOS = ("pseudo-random", "sobol")
 SMALL = 4e6  # steps of paths, which take a second or so and are spent in any case
 PURPOSES = 3  # the surface, its margin, the bumps
 FEWEST = 512  # paths of a surface and of a margin
+FEWEST_LONG = 128  # and of long paths: no more steps together than 512 paths of `LONG` have
 BACK = 4  # paths valued in the time of one path that is gone back over
 PAIR = 2  # coordinates that a surface has in any case
 
@@ -83,15 +85,19 @@ class Effort(NamedTuple):
     never a clock: a run that is repeated has the same bits.
 
     - `work`: the paths that may be valued for one purpose; `maximum`: paths on which it is done.
+    - `fewest`: paths on which it is done in any case. Those of a path of more than three months by
+      the hour are fewer: it has as many days as several shorter ones.
     """
 
     work: float
     maximum: int
+    fewest: int = FEWEST
 
     @classmethod
     def for_training(cls, trained: int, horizon: int, maximum: int) -> "Effort":
         """That of a training on a total number of paths, with a number of steps each."""
-        return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum)
+        fewest = min(max(FEWEST * LONG // max(horizon, 1), FEWEST_LONG), FEWEST)
+        return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum, fewest)
 
     def valued(self, times: int) -> int:
         """The number of paths that can be valued this number of times."""
@@ -102,7 +108,7 @@ class Effort(NamedTuple):
         return self._within(self.work / (BACK * max(times, 1)))
 
     def _within(self, paths: float) -> int:
-        return int(min(self.maximum, max(FEWEST, paths)))
+        return int(min(self.maximum, max(self.fewest, paths)))
 
 
 SIGNIFICANT = 2.0  # standard errors above the starting rule
@@ -151,21 +157,29 @@ def select(
 ) -> Selection:
     """The start, unless the best of the candidates is above it by two errors.
 
-    A few of the paths suffice where the choice is clear. Without a candidate of a finite value the
-    first one is kept, uncompared.
+    A few of the paths suffice where the choice is clear. Of long paths a candidate that is plainly
+    below another on these is not looked at again. Without a candidate of a finite value the first
+    one is kept, uncompared.
 
     - `paths`: at most.
     """
     source = fresh(problem.sources.validation)
     paths = source.available(paths)
-    for few in STAGES:
+    long = problem.simulator.horizon > LONG
+    search: tuple[float, float] | None = None
+    for few in (FEWEST, *STAGES) if long else STAGES:
         if paths < 2 * few:
             break
-        result, level = _selected(problem, start, candidates, source, few, engine)
+        result, level, left = _selected(problem, start, candidates, source, few, engine)
+        if long:
+            search = search or result.search
+            result = result._replace(search=search)
+            candidates = {name: candidates[name] for name in left}
         plain = result.gain > PLAIN * result.error
         if plain or result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level):
             return result
-    return _selected(problem, start, candidates, source, paths, engine)[0]
+    result = _selected(problem, start, candidates, source, paths, engine)[0]
+    return result if search is None else result._replace(search=search)
 
 
 def _selected(
@@ -175,8 +189,9 @@ def _selected(
     source: Scenarios,
     paths: int,
     engine: Engine,
-) -> tuple[Selection, float]:
-    """The choice on a number of paths, and the value of the initial rule on them."""
+) -> tuple[Selection, float, list[str]]:
+    """The choice on a number of paths, the value of the initial rule on them, and the candidates
+    that are not plainly below the best one."""
     controls = problem.simulator.control_variates()
     names = list(candidates)
 
@@ -201,22 +216,24 @@ def _selected(
 
     finite = [name for name in names if np.isfinite(shares[name]).all()]
     if not finite:
-        return Selection(names[0], candidates[names[0]]), level
+        return Selection(names[0], candidates[names[0]]), level, names
     search = (0.0, 0.0)
     if TOP in finite and NEWEST in finite:
         difference = above(shares[TOP], shares[NEWEST])
         search = difference.value, _error(difference)
     if not np.isfinite(level):  # the starting rule ends in ruin
         best = max(finite, key=lambda name: float(np.mean(shares[name])))
-        return Selection(best, candidates[best], search=search), level
+        return Selection(best, candidates[best], search=search), level, finite
     # A history whose highest policy is the starting rule itself has no other one to offer.
     trained = [name for name in finite if not np.array_equal(shares[name], shares[START])]
     gains = {name: above(shares[name], shares[START]) for name in trained or finite}
     best = max(gains, key=lambda name: gains[name].value)
     gain, error = gains[best].value, _error(gains[best])
+    below = {name: above(shares[best], shares[name]) for name in gains}
+    left = [name for name, item in below.items() if item.value <= PLAIN * _error(item)]
     if gain > SIGNIFICANT * error:
-        return Selection(best, candidates[best], gain, error, search), level
-    return Selection(START, start, gain, error, search), level
+        return Selection(best, candidates[best], gain, error, search), level, left
+    return Selection(START, start, gain, error, search), level, left
 
 
 def fresh(source: Scenarios) -> Scenarios:

@@ -17,8 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.contract import ContractLayout
+from .corners import corners, flow_signs
 from .measure import banked_widths, measures_of, node_widths
 from .settling import Settling, balances, settling
+from .ways import StepWays
 
 MOST = 1200  # nodes of a level
 TOGETHER = 20_000  # of all levels
@@ -46,13 +48,14 @@ class Passage(NamedTuple):
 
 class StepGrid(NamedTuple):
     """One step: the passages of each move; nodes `before` and `after` it, an array by level.
-    - `end`: its settling.
+    - `end`: its settling; `ways`: its passages for machine code, None for none.
     """
 
     passages: tuple[tuple[Passage, ...], ...]
     before: tuple[np.ndarray, ...]
     after: tuple[np.ndarray, ...]
     end: Settling
+    ways: StepWays | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +94,12 @@ def grid_of(
         numbers = [terms.least[t], terms.most[t], *before[t], *after[t]]
         key = tuple(np.asarray(x).tobytes() for x in numbers)
         if key not in known:
-            known[key] = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
+            passages = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
+            sizes = [[len(x) for x in nodes] for nodes in (before[t], after[t])]
+            known[key] = passages, StepWays(layout, passages, *sizes)
         end = settling(layout, terms, t, before[t], after[t], before[t + 1])
-        steps.append(StepGrid(known[key], before[t], after[t], end))
+        passages, ways = known[key]
+        steps.append(StepGrid(passages, before[t], after[t], end, ways))
     return ContractGrid(layout, steps, before[-1], exact)
 
 
@@ -107,16 +113,25 @@ def best(
     """
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]
+    if step.ways is not None and step.ways.serve(columns):
+        value = step.ways.best(cash, fixed, after)
+        return value if step.end.held is None else value - step.end.held[0][:, None]
     value = np.full((len(layout.modes), math.prod(shape), columns), -np.inf)
+    room = np.empty(value[0].size)  # of one passage: new memory for each would take longer
     for move, passages, money in zip(layout.every_move, step.passages, fixed):
         here, there = value[move.before], after[move.after]
         block, goal_block = here.reshape(*shape, columns), there.reshape(*goal_shape, columns)
         for flow, volume, rows, goals, weights in passages:
             earned = money + volume * cash[flow] if flow >= 0 and volume else money
             if weights is None:
-                np.maximum(block[rows], goal_block[goals] + earned, out=block[rows])
+                highest, source = block[rows], goal_block[goals]
+                reached = room[: source.size].reshape(source.shape)
+                np.maximum(highest, np.add(source, earned, out=reached), out=highest)
             else:
-                reached = np.sum(weights * there[goals], axis=0) + earned
+                reached = weights[0] * there[goals[0]]
+                for weight, goal in zip(weights[1:], goals[1:]):
+                    reached += weight * there[goal]
+                reached += earned
                 here[rows] = np.maximum(here[rows], reached)
     return value if step.end.held is None else value - step.end.held[0][:, None]
 
@@ -345,47 +360,3 @@ def _runs(rows: np.ndarray, positions: np.ndarray) -> list[tuple[slice, slice]]:
         (slice(int(a[0]), int(a[-1]) + 1), slice(int(b[0]), int(b[-1]) + 1))
         for a, b in zip(np.split(rows, cuts), np.split(there, cuts))
     ]
-
-
-def flow_signs(layout: ContractLayout) -> np.ndarray:
-    """[levels] 1, or -1 for a level that flows move against the first level that they move."""
-    signs = np.ones(len(layout.levels), int)
-    for flow in layout.flows:
-        touched = np.flatnonzero(flow.effects)
-        if len(touched) > 1:
-            first = signs[touched[0]] * np.sign(flow.effects[touched[0]])
-            signs[touched] = first * np.sign(np.array(flow.effects)[touched])
-    return signs
-
-
-def corners(nodes, levels: np.ndarray, signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of nodes [corners, points] around levels [points, levels], and their weights.
-
-    Cells are cut into simplices along the flows, so that a function between nodes is linear along
-    every flow, and the best volumes lead to nodes.
-    """
-    count, sizes = len(levels), [len(x) for x in nodes]
-    if not sizes:
-        return np.zeros((1, count), int), np.ones((1, count))
-    lefts, shares = [], []
-    for x, level, sign in zip(nodes, levels.T, signs):
-        position = np.interp(level, x, np.arange(len(x), dtype=float))
-        left = np.minimum(position.astype(int), max(len(x) - 2, 0))
-        share = position - left
-        lefts.append(left if sign > 0 else np.minimum(left + 1, len(x) - 1))
-        shares.append(share if sign > 0 else 1 - share)
-    order, share = np.argsort(-np.stack(shares), axis=0, kind="stable"), np.stack(shares)
-    corner, highest = np.stack(lefts), np.array(sizes)[:, None] - 1
-    sorted_shares = np.take_along_axis(share, order, axis=0)
-    ends = np.concatenate([np.ones((1, count)), sorted_shares, np.zeros((1, count))])
-    rows, everyone = [corner.copy()], np.arange(count)
-    for axis in order:
-        corner[axis, everyone] += signs[axis]
-        rows.append(corner.copy())
-    inside = [np.clip(row, 0, highest) for row in rows]
-    return np.stack([np.ravel_multi_index(tuple(x), sizes) for x in inside]), -np.diff(ends, axis=0)
-
-
-def node_levels(nodes: tuple[np.ndarray, ...]) -> np.ndarray:
-    """[n, levels] of all nodes."""
-    return np.array(list(product(*nodes))).reshape(-1, len(nodes))

@@ -18,7 +18,8 @@ from ..core.contract import StepPrices
 from ..core.intraday import GAIN
 from ..core.simulator import simulator_of
 from ..setup import fitted_value, price_schedule
-from .grid import arrived, best, corners, flow_signs, grid_of
+from .corners import corners, flow_signs
+from .grid import arrived, best, grid_of
 
 BLOCK = 128  # paths at once
 PARTS = 3  # of the penalty: polynomials, hinges, the constant

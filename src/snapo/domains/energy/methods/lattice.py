@@ -21,7 +21,7 @@ SPACINGS = {1: 0.3, 2: 0.3}  # of the fast factor's nodes, in deviations of the 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The value of a contract, and what it was computed on."""
+    """The value of a contract, and the grid of its levels."""
 
     value: float
     grid: ContractGrid

@@ -1,0 +1,200 @@
+"""The best move and volume from each node in machine code, with the bits of NumPy's loop.
+
+A way is a volume of a move from one node: money of the move, plus the volume times the earnings of
+a unit, plus the value where it ends, a weighted sum of nodes. Code takes some columns at a time, so
+that their values stay in the fastest cache, and the best so far in registers.
+"""
+
+from collections.abc import Callable
+from functools import cache, cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.engine.code_cache import KERNELS, code_folder
+from snapo.lanes.machine.disk import cached
+from snapo.lanes.machine.linked import Linked, address
+from snapo.lanes.machine.pipeline import unavailable
+
+from ..core.contract import ContractLayout
+
+WIDTH = 16  # columns at once; the last ones of a number of columns may be computed twice
+NOTHING = "0xFFF0000000000000"  # minus infinity
+
+
+class Ways(NamedTuple):
+    """All ways of one step, in the order of the nodes where they begin, of all modes.
+
+    - `first` [nodes + 1], `corner` [ways + 1]: the first way of each node, and corner of each way.
+    - `move`, `flow` [ways], `volume` [ways]; `node`, `weight` [corners]: where they end.
+    """
+
+    first: np.ndarray
+    corner: np.ndarray
+    move: np.ndarray
+    flow: np.ndarray
+    volume: np.ndarray
+    node: np.ndarray
+    weight: np.ndarray
+
+    def best(self, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """[modes, nodes, columns]; the arguments are those of `grid.best`."""
+        modes, _, columns = after.shape
+        money = fixed if fixed.ndim > 1 else np.repeat(fixed[:, None], columns, axis=1)
+        value = np.empty((len(self.first) - 1, columns))
+        arrays = value, *(np.ascontiguousarray(x, float) for x in (after, cash, money)), *self
+        table = np.array([address(x) for x in arrays], np.int64)
+        _machine().functions["best"](address(table), len(value), columns)
+        return value.reshape(modes, -1, columns)
+
+
+class StepWays:
+    """The ways of steps with the same passages, made when they are first needed."""
+
+    def __init__(self, layout: ContractLayout, passages: Any, before: list[int], after: list[int]):
+        self.parts = layout, passages, before, after
+
+    @cached_property
+    def best(self) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """See `Ways.best`."""
+        return ways_of(*self.parts).best
+
+    def serve(self, columns: int) -> bool:
+        """Whether there is code for them, and columns enough for it."""
+        return columns >= WIDTH and bool(self.parts[0].flows) and available()
+
+
+def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: list[int]) -> Ways:
+    """Those of the passages of a step between numbers of nodes of each level."""
+    source, target = (np.arange(np.prod(x, dtype=int)).reshape(x) for x in (before, after))
+    starts, parts = [], []
+    for m, (move, of_move) in enumerate(zip(layout.every_move, passages)):
+        start, goal = move.before * source.size, move.after * target.size
+        for flow, volume, rows, goals, weights in of_move:
+            if weights is None:
+                start_nodes, goal_nodes = source[rows].reshape(-1), target[goals].reshape(1, -1)
+                weights = np.ones(goal_nodes.shape)
+            else:
+                start_nodes, goal_nodes, weights = rows, goals, weights[:, :, 0]
+            starts.append(start + start_nodes)
+            parts += [
+                (m, max(flow, 0), volume, goal + node, shares)
+                for node, shares in zip(goal_nodes.T, weights.T)
+            ]
+    start_nodes = np.concatenate([np.zeros(0, int), *starts])
+    order = np.argsort(start_nodes, kind="stable")
+    nodes = np.arange(len(layout.modes) * source.size + 1)
+    numbers = [parts[k] for k in order]
+    move, flow = (np.array([x[i] for x in numbers], np.int64) for i in (0, 1))
+    goal_nodes, weights = ([x[i] for x in numbers] for i in (3, 4))
+    return Ways(
+        np.searchsorted(start_nodes[order], nodes).astype(np.int64),
+        np.cumsum([0, *map(len, goal_nodes)]).astype(np.int64),
+        move,
+        flow,
+        np.array([x[2] for x in numbers], float),
+        np.concatenate([np.zeros(0, int), *goal_nodes]).astype(np.int64),
+        np.concatenate([np.zeros(0), *weights]),
+    )
+
+
+@cache
+def available() -> bool:
+    """Whether machine code can be made here."""
+    return unavailable() is None
+
+
+@cache
+def _machine() -> Linked:
+    return Linked(cached(_text(), code_folder(KERNELS)), {"best": 2})
+
+
+def _text() -> str:
+    kind = f"<{WIDTH} x double>"
+    fill = ", ".join([f"double {NOTHING}"] * WIDTH)
+    names = ("value", "after", "cash", "money", *Ways._fields)
+    arrays = "\n".join(
+        f"  %{x}.at = getelementptr i64, ptr %table, i64 {i}\n  %{x} = load ptr, ptr %{x}.at"
+        for i, x in enumerate(names)
+    )
+
+    def entry(name: str, array: str, number: str, of: str = "i64") -> str:
+        return f"""  %{name}.at = getelementptr {of}, ptr %{array}, i64 %{number}
+  %{name} = load {of}, ptr %{name}.at"""
+
+    def row(name: str, array: str, number: str) -> str:
+        return f"""  %{name}.row = mul i64 %{number}, %columns
+  %{name}.first = add i64 %{name}.row, %column
+  %{name}.at = getelementptr double, ptr %{array}, i64 %{name}.first"""
+
+    def loaded(name: str, array: str, number: str) -> str:
+        return f"{row(name, array, number)}\n  %{name} = load {kind}, ptr %{name}.at, align 8"
+
+    def spread(name: str, number: str) -> str:
+        return f"""  %{name}.one = insertelement {kind} poison, double %{number}, i32 0
+  %{name} = shufflevector {kind} %{name}.one, {kind} poison, <{WIDTH} x i32> zeroinitializer"""
+
+    return f"""define void @best(ptr %table, i64 %nodes, i64 %columns) {{
+entry:
+{arrays}
+  %last = sub i64 %columns, {WIDTH}
+  br label %block
+block:
+  %along = phi i64 [ 0, %entry ], [ %further, %block.end ]
+  %over = icmp sgt i64 %along, %last
+  %column = select i1 %over, i64 %last, i64 %along
+  br label %begin
+begin:
+  %n = phi i64 [ 0, %block ], [ %n.next, %begin.end ]
+  %n.next = add i64 %n, 1
+{entry("w.first", "first", "n")}
+{entry("w.last", "first", "n.next")}
+  %some = icmp slt i64 %w.first, %w.last
+  br i1 %some, label %way, label %begin.end
+way:
+  %w = phi i64 [ %w.first, %begin ], [ %w.next, %way.end ]
+  %best = phi {kind} [ <{fill}>, %begin ], [ %better, %way.end ]
+  %w.next = add i64 %w, 1
+{entry("c.first", "corner", "w")}
+{entry("c.last", "corner", "w.next")}
+  br label %end
+end:
+  %c = phi i64 [ %c.first, %way ], [ %c.next, %end ]
+  %sum = phi {kind} [ zeroinitializer, %way ], [ %more, %end ]
+{entry("there", "node", "c")}
+{loaded("reached", "after", "there")}
+{entry("part", "weight", "c", "double")}
+{spread("parts", "part")}
+  %weighed = fmul {kind} %reached, %parts
+  %more = fadd {kind} %sum, %weighed
+  %c.next = add i64 %c, 1
+  %ended = icmp sge i64 %c.next, %c.last
+  br i1 %ended, label %way.end, label %end
+way.end:
+{entry("m", "move", "w")}
+{loaded("fixed", "money", "m")}
+{entry("f", "flow", "w")}
+{loaded("unit", "cash", "f")}
+{entry("much", "volume", "w", "double")}
+{spread("volumes", "much")}
+  %sold = fmul {kind} %volumes, %unit
+  %earned = fadd {kind} %fixed, %sold
+  %total = fadd {kind} %more, %earned
+  %above = fcmp ogt {kind} %total, %best
+  %better = select <{WIDTH} x i1> %above, {kind} %total, {kind} %best
+  %w.done = icmp sge i64 %w.next, %w.last
+  br i1 %w.done, label %begin.end, label %way
+begin.end:
+  %result = phi {kind} [ <{fill}>, %begin ], [ %better, %way.end ]
+{row("result", "value", "n")}
+  store {kind} %result, ptr %result.at, align 8
+  %n.done = icmp sge i64 %n.next, %nodes
+  br i1 %n.done, label %block.end, label %begin
+block.end:
+  %further = add i64 %along, {WIDTH}
+  %done = icmp sge i64 %further, %columns
+  br i1 %done, label %finish, label %block
+finish:
+  ret void
+}}
+"""

@@ -1,0 +1,78 @@
+"""Problems at moved inputs, with all that a domain builds from them rebuilt.
+
+Tables of a long problem, such as the fitted value of 8,760 hours, take longer than the paths that
+are valued with them. They are rebuilt at one move of each input; at other moves of the same input
+they are on the line through both.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from snapo.problem.problem import Problem
+
+LONG = 2190  # steps: three months by the hour
+
+
+def moved_problems(problem: Problem) -> Callable[[dict[str, Any]], Problem]:
+    """The problem at other values of one input; of a long one see above."""
+    if not rebuilt_once(problem):
+        return problem.at_values
+    return _RebuiltOnce(problem)
+
+
+class _RebuiltOnce:
+    """The last input that was moved, by how much at first, and the problem there."""
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.last: tuple[str, np.ndarray, Problem] | None = None
+
+    def __call__(self, values: dict[str, Any]) -> Problem:
+        ((name, value),) = values.items()
+        move = value - self.problem.inputs_by_name[name].value
+        if self.last is not None and self.last[0] == name:
+            _, by, moved = self.last
+            share = float(np.vdot(move, by) / np.vdot(by, by))
+            if (between := on_line(self.problem, moved, values, share)) is not None:
+                return between
+        result = self.problem.at_values(values)
+        self.last = name, move, result
+        return result
+
+
+def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:
+    """The problem at `values`, on the other side of `more`: that of `on_line` at -1."""
+    return on_line(problem, more, values, -1.0)
+
+
+def on_line(
+    problem: Problem, moved: Problem, values: Mapping[str, Any], share: float
+) -> Problem | None:
+    """The problem at `values`, a share of the way to `moved`, with all that depends on the inputs
+    on that line: x + share (y - x) for a number that is x in `problem` and y in `moved`. None where
+    `moved` has a different structure.
+
+    Building a problem takes longer than a few paths. The line neglects curvature, whose effect on
+    a value near its maximum is far smaller.
+    """
+    here, there = (jax.tree.flatten(item.simulator) for item in (problem, moved))
+    if here[1] != there[1] or list(map(np.shape, here[0])) != list(map(np.shape, there[0])):
+        return None
+    leaves = []
+    for x, y in zip(here[0], there[0]):
+        if np.issubdtype(np.asarray(x).dtype, np.floating):
+            leaves.append((1 - share) * np.asarray(x) + share * np.asarray(y))
+        elif np.array_equal(x, y):
+            leaves.append(x)
+        else:
+            return None
+    return replace(problem.at(dict(values)), simulator=jax.tree.unflatten(here[1], leaves))
+
+
+def rebuilt_once(problem: Problem) -> bool:
+    """Whether tables are rebuilt at one move of an input alone."""
+    return problem.rebuild is not None and problem.simulator.horizon > LONG
