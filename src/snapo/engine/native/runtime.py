@@ -20,7 +20,7 @@ from .kernel.kernel import Kernel, KernelCode
 TAPE = 256 * 2**20  # bytes of tape per thread; longer horizons are done in segments, twice forward
 SUMS = 256 * 2**20  # bytes of gradients of all groups together
 SLOTS = {name: i for i, name in enumerate(CONTEXT)}
-SPARE = 2**28  # bytes of scratch memory that all kernels together keep between calls
+SPARE = 2**30  # bytes of scratch memory that all kernels together keep between calls
 GROUPS = 32  # independent partial sums: fixed, so that threads do not change the answer
 
 
