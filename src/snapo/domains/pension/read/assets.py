@@ -13,7 +13,7 @@ from snapo.case.quantity import FRACTION, Range
 from snapo.case.table import TableContext
 
 from ..market.assets.asset_class import SPECIAL, AssetClass, AssetNames
-from ..market.assets.registry import KINDS
+from ..market.registry import KINDS
 from ..quantities import (
     FROM_YEAR,
     RATE,

@@ -13,8 +13,8 @@ from snapo.case.given import CaseInput, ConvertedNumber
 from snapo.case.quantity import Range
 from snapo.case.table import nearest, parse
 
-from ..market.rates.registry import MODELS
 from ..market.rates.short_rate import ShortRate
+from ..market.registry import MODELS
 from ..market.smith_wilson import MAXIMUM, cash_flows, distance, fit, log_bond
 from ..quantities import RATE, FundQuantity, on_steps
 from ..records.market import Inflation, MarketCurve
