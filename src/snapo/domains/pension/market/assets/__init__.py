@@ -1,4 +1,5 @@
-"""Asset classes: one kind a file, found by `market.registry`; `returns` has those of a step together.
+"""Asset classes: one kind a file, found by `market.registry`; returns of a step are in
+`market.dynamics`.
 
 A new one is an `asset_class.AssetClass`: the columns of its row, and its return over a step.
 """
