@@ -113,7 +113,7 @@ KINDS = {
     **dict.fromkeys(("GRU", "LastObservations"), "snapo.problem.policies.memory"),
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
     "UnitValuePolicy": "snapo.domains.energy.core.policy",
-    "PensionPolicy": "snapo.domains.pension.policies.network",
+    "PensionPolicy": "snapo.domains.pension.policies.limits",
     "AllocationLimits": "snapo.domains.pension.policies.limits",
     "Cover": "snapo.domains.pension.policies.limits",
     "Feedback": "snapo.domains.pharma.control.policy",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, assets, full, given
 
-from snapo.domains.pension.bounds.gaussian import discounted_growth, gaussian_returns
+from snapo.domains.pension.bounds.best_mix import discounted_growth, gaussian_returns
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.market.assets.coupon_bond import CouponBond

@@ -30,10 +30,18 @@ from snapo.problem.smooth import Exact
 from ..fund.books import MINIMUM
 from ..fund.simulator import PensionSimulator
 from ..market.dynamics import noise_size
-from .best_mix import best_mix, limits
+from .best_mix import (
+    ACROSS,
+    GaussianReturns,
+    Worth,
+    best_mix,
+    discounted_growth,
+    fair,
+    gaussian_returns,
+    limits,
+)
 from .conjugate import IN_MONEY, conjugate
 from .extremes import Extremes, extremes
-from .gaussian import ACROSS, GaussianReturns, Worth, discounted_growth, fair, gaussian_returns
 
 PATHS, STREAM = 512, 258  # on which prices are fitted
 SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair

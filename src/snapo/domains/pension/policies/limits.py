@@ -1,4 +1,6 @@
-"""Actions within all limits: weights within bounds and groups, swaps backed by collateral."""
+"""The network of a fund, and actions within all limits: weights within bounds and groups, swaps
+backed by collateral.
+"""
 
 from typing import Any
 
@@ -9,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Policy, as_observation
+from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import EXACT
 
 from ..fund.collateral import stressed
@@ -147,3 +150,33 @@ def _inside(x: Array, low: Array, high: Array) -> Array:
 
 def _logit(x: Array) -> Array:
     return jnp.log(x / (1 - x))
+
+
+class PensionPolicy(Policy):
+    """A network around the present holdings of the fund.
+
+    **Arguments:**
+
+    - `features`: size of the observation; `hidden`: widths of the layers between.
+    """
+
+    network: Network
+    limits: AllocationLimits
+    start: Frozen
+
+    def __init__(self, case: PensionCase, features: int, *, key, hidden: tuple[int, ...]):
+        start = present(case)
+        widths = (features, *hidden, len(start))
+        self.network = Network(widths, key=key, activation=jax.nn.tanh)
+        self.limits, self.start = AllocationLimits(case), Frozen(start)
+
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
+        start = jnp.asarray(self.start.array, observation.dtype)
+        return self.limits(start + self.network(observation), smooth)
+
+
+def new_policy(case: PensionCase, simulator: Simulator, schedule: Schedule, key) -> PensionPolicy:
+    """The network of a case, untrained: it keeps about the present holdings."""
+    features = probe(simulator, schedule)[1].shape[0]
+    return PensionPolicy(case, features, key=key, hidden=case.hidden)
