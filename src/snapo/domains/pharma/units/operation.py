@@ -24,9 +24,8 @@ from ..flowsheet.network import FlowNetwork
 from ..flowsheet.stream import Stream
 from ..read.declared import TableOf, values
 from ..read.reader import Reader
-from ..time.defect import too_long
 from ..time.dynamics import Dynamics, Track
-from ..time.integrate import ended, integrate
+from ..time.integrate import ended, integrate, too_long
 from ..time.numerics import Numerics
 from ..time.profile import Profile
 
