@@ -127,11 +127,11 @@ def tables(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
                     continue
                 selected.append(closed)
                 for result in dict.fromkeys(_others(closed, dtype)):
-                    _write(notes, method.name, result, precision)
+                    _write_table(notes, method.name, result, precision)
         notes.stop_on_errors()
 
 
-def _write(notes: Notes, method: str, result: TraceTable, precision: str) -> None:
+def _write_table(notes: Notes, method: str, result: TraceTable, precision: str) -> None:
     where = f"{method}, {result.line}" if result.line else notes.method(method)
     text = f" In: {result.line.text}" if result.line else ""
     notes.error(

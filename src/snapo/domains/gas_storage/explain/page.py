@@ -33,7 +33,7 @@ def page(change: ExplainedChange) -> str:
     dates = [long_date(date) for date in change.dates]
     about = [("First run", f"{change.runs[0]}, {dates[0]}")]
     about.append(("Second run", f"{change.runs[1]}, {dates[1]}"))
-    sections = [_parts(change), _curve(change)]
+    sections = [_parts(change), _curve_section(change)]
     if change.flows:
         sections.append(_flows(change))
     footer = f"Made by snapo {__version__} from two run folders; the page needs and sends nothing."
@@ -88,7 +88,7 @@ def _waterfall(change: ExplainedChange, rows: Sequence[ChangePart]) -> Chart:
     return Chart(svg, CAPTION)
 
 
-def _curve(change: ExplainedChange) -> Section:
+def _curve_section(change: ExplainedChange) -> Section:
     parts = list(dict.fromkeys(row.part for row in change.parts if row.period))
     orders = [[row for row in change.parts if row.part == part] for part in parts]
     records = list(zip(change.moves, *orders, strict=True))

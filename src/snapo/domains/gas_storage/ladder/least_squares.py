@@ -18,7 +18,7 @@ from ..bounds.regression import product
 from .flat import best, earned, interpolated, limits_on, peaks, slopes
 from .rolling import Chains, FlatContract, Link, TradeBlock, exactly
 
-BLOCK = 128  # paths at once: their arrays stay in the cache
+FITTED_BLOCK = 128  # paths at once: their arrays stay in the cache
 RIDGE = 1e-9  # of the regression, against the sum of squares of the functions
 
 
@@ -47,8 +47,8 @@ def fitted_rule(
         functions = basis.functions(states[t : t + 1], t)[0]
         fit = _regressed(functions, value)
         before = np.empty((len(period.nodes), len(nothing)))
-        for first in range(0, len(nothing), BLOCK):
-            some = slice(first, first + BLOCK)
+        for first in range(0, len(nothing), FITTED_BLOCK):
+            some = slice(first, first + FITTED_BLOCK)
             slope = slopes(period, spots[t : t + 1, some], nothing[some])
             peak = peaks(period, slope, product(fit, functions[:, some]), nodes)
             _, q = best(period, limits_on(period), slope, peak, contract.every)
@@ -62,7 +62,7 @@ def fitted_rule(
 def _regressed(functions: np.ndarray, values: np.ndarray) -> np.ndarray:
     """[nodes, K] coefficients of values [nodes, N] on functions [K, N]."""
     count = functions.shape[1]
-    rows = [slice(first, first + BLOCK) for first in range(0, count, BLOCK)]
+    rows = [slice(first, first + FITTED_BLOCK) for first in range(0, count, BLOCK)]
     moments = sum(product(functions[:, row], functions[:, row].T) for row in rows)
     target = sum(product(values[:, row], functions[:, row].T) for row in rows)
     scale = np.sqrt(np.maximum(np.diagonal(moments), 1e-300))
