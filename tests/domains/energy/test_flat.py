@@ -12,7 +12,7 @@ from snapo.domains.energy.methods.flat import FlatVolumes, no_flat_volumes
 from snapo.domains.energy.setup import bare_problem, factors_of
 from snapo.domains.gas_storage.bounds.basis import gaussian_basis
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
-from snapo.domains.gas_storage.ladder.least_squares import fitted_rule, followed
+from snapo.domains.gas_storage.ladder.methods import fitted_rule, followed
 from snapo.domains.gas_storage.ladder.products import usual_products
 from snapo.domains.gas_storage.ladder.rolling import (
     Chains,

@@ -1,6 +1,5 @@
-"""From the tables of a case to the plant and its inputs; every mistake is a `CaseError`.
-
-The TOML tables of a case of control; those of a plant are made from its description.
+"""From the tables of a case to the plant and its inputs; every mistake is a `CaseError`. The tables
+of a plant are made from its description.
 """
 
 import math

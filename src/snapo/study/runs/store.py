@@ -4,9 +4,8 @@ mine/runs/2026-11-25T1530-7f3a     one run: when it began, by the clock on the w
 mine/run                           a symbolic link to the latest one (a text file without links)
 
 The latest is the last that came to its end with its numbers in order; while there is none, the last
-that began.
-
-A lock of the operating system on a file, which a killed process gives back.
+that began. A run that writes holds a lock of the operating system on a file, which a killed process
+gives back.
 """
 
 import datetime

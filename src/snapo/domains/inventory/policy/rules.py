@@ -1,10 +1,9 @@
 """The classical rules of an item: policies with one to three numbers, and the best of these.
 
-The myopic rule of lost sales: the order that makes the period of its arrival cheapest.
-
-Morton (1971); Zipkin, Operations Research 56 (2008), section 4. Of whole demand: the
-probabilities of every stock in that period follow from the stock and the orders on their way; the
-order is the smallest q with P(demand <= stock + q) >= p / (p + h).
+The myopic rule of lost sales is the order that makes the period of its arrival cheapest: Morton
+(1971); Zipkin, Operations Research 56 (2008), section 4. Of whole demand: the probabilities of
+every stock in that period follow from the stock and the orders on their way; the order is the
+smallest q with P(demand <= stock + q) >= p / (p + h).
 """
 
 from collections.abc import Iterator, Sequence
