@@ -1,7 +1,8 @@
 """One step of the market: the generator's, or that of a file of ready-made scenarios.
 
 The models are Gaussian rates, inflation, spreads and currencies, with the returns of all asset
-classes and swaps: exact, and martingales under "Q".
+classes and swaps: exact, and martingales under "Q". Of appraised returns a share a is shown at once
+and the rest later: shown' = a r + (1 - a) shown.
 """
 
 from collections.abc import Callable
@@ -14,7 +15,6 @@ from jaxtyping import Array, Float
 from ..records.case import PensionModel
 from ..records.inputs import use
 from ..records.market import SuppliedScenarios
-from .assets.appraisal import appraised, shown_now
 from .assets.asset_class import AssetMixture, Now, Scene, by_kind, in_order
 from .assets.swaps import fixed_legs, swap_mixture, swap_returns, swap_schedule
 from .bonds.strips import gain
@@ -24,6 +24,27 @@ from .factors import MarketFactors, Moments, factors, moments, nominal, real, sh
 from .shocks import Slots, covariance, factor, slots
 from .spreads import next_spread, spread_now, spread_terms
 from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
+
+
+def shown_now(case: PensionModel) -> Array | None:
+    """[q] the last returns that appraisals have shown; None in a case without any."""
+    count = len(case.assets.smoothed)
+    return jnp.zeros(count) if count else None
+
+
+def appraised(
+    case: PensionModel, smoothing: Array, log: Float[Array, " n"], displayed: Array | None
+) -> tuple[Float[Array, " n"], Array | None]:
+    """Log returns as shown, and the next `displayed`; `smoothing` [q] is a."""
+    if displayed is None:
+        return log, None
+    # A copy: JAX remembers an array of the case in the type it met first, and training is in
+    # 32 bits, evaluation in 64.
+    smoothed = np.array(case.assets.smoothed)
+    displayed = smoothing * log[smoothed] + (1 - smoothing) * displayed
+    order = np.arange(len(case.assets.classes))
+    order[smoothed] = len(order) + np.arange(len(smoothed))
+    return jnp.concatenate([log, displayed])[order], displayed
 
 
 class AssetTerms(NamedTuple):
