@@ -20,6 +20,7 @@ from typing import IO
 
 from snapo.case.error import CaseError
 from snapo.problem.carry.latest import LATEST, NAME, RUNS, followed, target
+from snapo.report.record import RunRecord, entries_of
 
 from .. import run_folder
 from ..domain import GOOD
@@ -128,9 +129,8 @@ def folders(home: Path) -> list[Path]:
 
 def _began(folder: Path) -> str:
     """When a run began, as text that sorts; empty where nothing was written."""
-    record = run_folder.read_table(folder / run_folder.RUN) or {}
-    provenance = record.get("provenance")
-    exact = provenance.get("began_utc") if isinstance(provenance, dict) else None
+    record = entries_of(RunRecord, run_folder.read_table(folder / run_folder.RUN))
+    exact = record.origin.began_utc
     if isinstance(exact, str):
         return exact
     files = [file for file in folder.iterdir() if file.name != LOCK]
