@@ -26,7 +26,7 @@ from snapo.solver.tables import write_text
 HEADER = ("what", "input", "label", "number", "standard_error", "low", "high")
 
 
-class ValueTable(NamedTuple):
+class MovedValue(NamedTuple):
     """The value at the moved inputs, and its change from the run, with standard errors."""
 
     value: float | None = None
@@ -81,7 +81,7 @@ def page_rows(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
 
 def _numbers(tables: PageTables) -> Iterator[Sequence[Any]]:
     """The rows, without the columns that end them empty."""
-    table = entries_of(ValueTable, tables.value)
+    table = entries_of(MovedValue, tables.value)
     yield ("value", "", "", table.value, table.standard_error)
     yield ("change", "", "", table.change, table.change_error)
     for name, value in (tables.chosen or {}).items():
@@ -277,4 +277,4 @@ def _compared(records: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Any]]:
     for record in records:
         tables = entries_of(PageTables, record)
         moved = " ".join(sorted([*record["values"], *(tables.chosen or {})]))
-        yield (record["name"], *entries_of(ValueTable, tables.value), moved, record["made"])
+        yield (record["name"], *entries_of(MovedValue, tables.value), moved, record["made"])

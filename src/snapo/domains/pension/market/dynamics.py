@@ -18,11 +18,10 @@ from ..records.market import SuppliedScenarios
 from .assets.asset_class import AssetMixture, Now, Scene, by_kind, in_order
 from .assets.swaps import fixed_legs, swap_mixture, swap_returns, swap_schedule
 from .bonds.strips import gain
-from .currencies import currency_terms
 from .curve import log_bond
 from .factors import MarketFactors, Moments, factors, moments, nominal, real, shape, shift, slope
 from .shocks import Slots, covariance, factor, slots
-from .spreads import next_spread, spread_now, spread_terms
+from .spreads import currency_terms, next_spread, spread_now, spread_terms
 from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
 
 

@@ -1,4 +1,4 @@
-"""All asset classes and models of the short rate: a file for each, which registers its kind."""
+"""All asset classes and models of the short rate, which the files of two folders register."""
 
 import pkgutil
 from importlib import import_module

@@ -15,9 +15,8 @@ from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import EXACT, Exact
 
 from ..fund.observation import RATIO, slots
-from ..fund.swap_limits import limit_unit
 from ..records.case import PensionCase
-from .limits import AllocationLimits, logits_of, present
+from .limits import AllocationLimits, limit_unit, logits_of, present
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
 MINIMUM = 1e-3  # a class of less weight is tuned from this one, where it can still learn

@@ -26,13 +26,12 @@ from ..fund.observation import FEATURES
 from ..fund.simulator import OUTPUTS
 from ..market.assets.asset_class import AssetNames
 from ..market.correlation import all_names
-from ..pots.outputs import POT_OUTPUTS, pensions
 from ..pots.read import check_pots, read_pots
-from ..records.case import ObjectiveTerm, PensionCase
+from ..records.case import PARTS, ObjectiveTerm, PensionCase, missing_parts
 from ..records.inputs import every_given
-from ..records.parts import PARTS, missing_parts
 from ..records.plan import PensionPlan
 from ..records.plausible import unit_slips
+from ..records.pots import POT_OUTPUTS, pensions
 from ..regulation.bases import read_funding
 from ..regulation.in_force import read_regulation
 from . import people, plan, tables, tables_people

@@ -20,7 +20,7 @@ from ..market.assets.swaps import swap_gains
 from ..market.bonds.payments import curve_prices
 from ..records.case import PensionCase
 from ..records.regulation import MARKETS, Regulation, Rules
-from .due import Due, due
+from .bases import Due, due
 
 
 @dataclass(frozen=True)
