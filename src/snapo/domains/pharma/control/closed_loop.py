@@ -29,9 +29,8 @@ from ..flowsheet.case import PharmaCase
 from ..flowsheet.inputs import pharma_inputs
 from ..flowsheet.stiffness import with_stiff_steps
 from ..given import Form
-from .policy import Feedback
+from .policy import Feedback, history_length
 from .records import Goal
-from .sensors import history_length
 from .stages import Stage
 from .staging import LoopRecord, decided, staged
 

@@ -30,8 +30,8 @@ from ..time.dynamics import Dynamics
 from ..time.profile import values_at
 from ..time.runge_kutta import runge_kutta
 from ..units.operation import Timed, Unit, timed
+from .policy import initial_history, reading, shifted
 from .records import Control
-from .sensors import initial_history, reading, shifted
 from .staging import LoopRecord, Varied, decided, drawn, staged
 
 PLAIN_STEPS = 64  # of a unit between stages, per piece; the native engine takes no more

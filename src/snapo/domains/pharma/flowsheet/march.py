@@ -25,9 +25,8 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
 from ..given import Entry, Form
-from ..time.dynamics import Dynamics
+from ..time.dynamics import Dynamics, Numerics
 from ..time.mesh import break_up, edges_of, local_points, steps_per_piece
-from ..time.numerics import Numerics
 from ..time.rosenbrock import push, rosenbrock
 from ..time.runge_kutta import runge_kutta
 from ..time.stiff import limit_of, size_of_error, steps_of

@@ -1,14 +1,46 @@
-"""Streams between units: the material of one batch, in amounts."""
+"""Streams between units: the material of one batch, in amounts; the grid of sizes on which crystals
+are counted is part of their structure.
+"""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from .grid import NO_CRYSTALS, Sizes
+
+@dataclass(frozen=True)
+class Grid:
+    """`edges`: [N + 1] m, rising, of N cells; () of a stream that has no crystals."""
+
+    edges: tuple[float, ...]
+
+    @classmethod
+    def of(cls, edges: np.ndarray) -> "Grid":
+        return cls(tuple(float(edge) for edge in edges))
+
+    @property
+    def cells(self) -> int:
+        return max(0, len(self.edges) - 1)
+
+    @property
+    def array(self) -> np.ndarray:
+        return np.array(self.edges)
+
+
+NO_CRYSTALS = Grid(())
+# Of crystals of which only the moments are known there is no grid.
+Sizes = Grid | None
+
+
+def together(sizes: tuple[Sizes, ...]) -> Sizes:
+    """On which grid crystals of several streams are counted together; None where they are not."""
+    some = {size for size in sizes if size != NO_CRYSTALS}
+    return NO_CRYSTALS if not some else some.pop() if len(some) == 1 else None
+
 
 MOMENTS = 6
 

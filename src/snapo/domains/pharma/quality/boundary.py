@@ -17,8 +17,8 @@ from jaxtyping import Float
 from snapo.study.chapter import Number
 
 from ..flowsheet.case import PharmaCase
+from .batches import AttributeLimits
 from .interval import LEVEL, interval
-from .limits import AttributeLimits
 
 PARTS = 16  # of a cell of the map, between which the share is straight
 FAR = 1e6  # margins: of a draw without a finite result, and of an attribute without limits

@@ -15,7 +15,7 @@ from snapo.case.table import TableContext, parse
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.feed import Feed
-from ..time.numerics import Numerics
+from ..time.dynamics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import TYPES, read_units
 from .entries import EntryNumbers

@@ -12,9 +12,9 @@ from snapo.case.table import CaseTable, TableContext, parse
 from ..control.records import PI, Cascade, Control, ControlRule, Manipulated, Measurement
 from ..units.operation import Unit, timed
 from .entries import EntryNumbers
-from .fields import TextKey, quantity, tables, word
 from .numbers import NOT_NEGATIVE, POSITIVE, listed, suggest
 from .numbers import quantity as number
+from .reader import TextKey, quantity, tables, word
 from .tables import (
     ControlTable,
     ManipulatedTable,

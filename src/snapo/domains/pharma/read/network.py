@@ -15,9 +15,9 @@ from snapo.case.table import TableContext, parse
 
 from ..flowsheet.case import Connection
 from ..flowsheet.feed import Feed
-from ..flowsheet.grid import NO_CRYSTALS, Sizes
 from ..flowsheet.network import FlowNetwork
 from ..flowsheet.order import groups, in_order, settled
+from ..flowsheet.stream import NO_CRYSTALS, Sizes
 from ..units.operation import Inlet, Instant, Unit
 from .declared import values
 from .names import check_name

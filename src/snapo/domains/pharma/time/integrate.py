@@ -18,9 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .dynamics import Dynamics, Track
+from .dynamics import Dynamics, Numerics, Track
 from .mesh import Mesh, edges_of, make_mesh
-from .numerics import Numerics
 from .profile import values_at
 from .runge_kutta import final_state, runge_kutta
 from .step_choice import own_steps

@@ -17,9 +17,8 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 from snapo.case.table import TableContext
 
-from ..flowsheet.grid import NO_CRYSTALS, Grid
 from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import MOMENTS, Stream
+from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, Stream
 from ..given import absent, fixed, use
 from ..read.declared import (
     ABSOLUTE,

@@ -16,14 +16,13 @@ from jaxtyping import Array
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import FlowNetwork, fastest_rate, rate_constants, rates
-from ..flowsheet.stream import Stream, clear
+from ..flowsheet.stream import NO_CRYSTALS, Stream, clear
 from ..given import use
 from ..read.declared import ABSOLUTE, FLOW, TIME, VOLUME, TableRecord, UnitQuantity, inner, key
-from ..read.fields import whole
 from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..read.reader import whole
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile, flow_of, mean_value
 from .operation import Inlet, Timed

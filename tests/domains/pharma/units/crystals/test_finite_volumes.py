@@ -21,7 +21,7 @@ from tests.domains.pharma.process_cases import (
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.time.numerics import Numerics
+from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.units.crystals.population import (
     NUMBER,
     SIZE,

@@ -36,7 +36,6 @@ from ...read.declared import (
     inner,
     values,
 )
-from ...read.fields import TextKey, Texts
 from ...read.numbers import (
     POSITIVE,
     SHARE,
@@ -49,7 +48,7 @@ from ...read.numbers import (
     with_units,
 )
 from ...read.quantities import UnitError, conversion
-from ...read.reader import Reader
+from ...read.reader import Reader, TextKey, Texts
 
 ROUNDS = 60  # of bisection: to round-off
 MINIMUM = -60.0  # ln x below which nothing is searched
