@@ -1,7 +1,18 @@
-"""Closed forms of known problems: optimal weights under CRRA."""
+"""Closed forms of known problems: optimal weights under CRRA, and a policy that follows them."""
 
 import math
 from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from snapo.domains.pension.fund.observation import slots
+from snapo.domains.pension.policies.limits import AllocationLimits
+from snapo.domains.pension.records.case import PensionCase
+from snapo.problem.policy import Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 
 def merton(excess: float, volatility: float, risk_aversion: float) -> float:
@@ -49,3 +60,36 @@ def vasicek_stock_bond(
     requested -= (1 - 1 / risk_aversion) * rate_volatility * reach(horizon)
     left = requested - stock * volatility * correlation
     return StockAndBond(stock, -left / (rate_volatility * reach(maturity)))
+
+
+class StockBond(Policy):
+    """The rule of `vasicek_stock_bond` for one stock and one bond, by time left; the rest is cash.
+
+    `weights` [years, 2] of stock and bond with 0, 1, 2 … years left, linear between.
+    """
+
+    limits: AllocationLimits
+    weights: Array
+    stock: int = eqx.field(static=True)
+    bond: int = eqx.field(static=True)
+    cash: int = eqx.field(static=True)
+    slot: int = eqx.field(static=True)
+    years: float = eqx.field(static=True)
+
+    def __init__(self, case: PensionCase, rule, stock: int, bond: int):
+        self.limits, self.stock, self.bond = AllocationLimits(case), stock, bond
+        self.cash = case.assets.cash
+        self.slot, self.years = slots(case)["time"].start, case.steps * case.step
+        left = np.arange(math.ceil(self.years) + 1)
+        self.weights = jnp.asarray([rule(float(item)) for item in left], jnp.float32)
+
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
+        left = self.years * (1 - observation[self.slot]) / 2
+        table = self.weights.astype(observation.dtype)
+        nodes = np.arange(table.shape[0])
+        near = jnp.maximum(1 - jnp.abs(left - nodes), 0.0) @ table
+        positions = np.arange(self.limits.low.array.shape[0])
+        requested = near[0] * (positions == self.stock) + near[1] * (positions == self.bond)
+        requested = requested + (1 - near[0] - near[1]) * (positions == self.cash)
+        return self.limits.nearest(requested, smooth)
