@@ -22,9 +22,8 @@ from ..derivatives.convergence import (
     on_finer_cells,
 )
 from ..flowsheet.flow import leaving, sources
-from ..flowsheet.ledger import Ledger
 from ..flowsheet.process import Process
-from ..flowsheet.stream import Stream
+from ..flowsheet.stream import Ledger, Stream
 from ..quality.design_space import in_case_unit
 from ..shared import SOUND, open_loop, process
 from .attribution import ATTRIBUTION

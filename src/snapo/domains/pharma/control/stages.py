@@ -21,10 +21,9 @@ from snapo.problem.simulator import Schedule, Simulator
 from ..flowsheet.case import Flowsheet
 from ..flowsheet.feed import feed
 from ..flowsheet.flow import crystal_sizes, sources, through, yields
-from ..flowsheet.ledger import LedgerFinish
 from ..flowsheet.order import groups
 from ..flowsheet.possible import smallest
-from ..flowsheet.stream import Stream, blank, flat, unflat
+from ..flowsheet.stream import LedgerFinish, Stream, blank, flat, unflat
 from ..given import Form, fixed
 from ..time.dynamics import Dynamics
 from ..time.profile import values_at

@@ -13,8 +13,7 @@ from ..flowsheet.case import PharmaCase
 from ..given import Entry
 from . import batches
 from .batches import AttributeLimits
-from .boundary import Boundary, boundaries, distances
-from .interval import interval
+from .boundary import Boundary, boundaries, distances, interval
 from .records import Parameter
 
 if TYPE_CHECKING:

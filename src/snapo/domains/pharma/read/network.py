@@ -20,13 +20,13 @@ from ..flowsheet.order import groups, in_order, settled
 from ..flowsheet.stream import NO_CRYSTALS, Sizes
 from ..units.operation import Inlet, Instant, Unit
 from .declared import values
-from .names import check_name
 from .numbers import (
     ANY,
     NOT_NEGATIVE,
     POSITIVE,
     absent,
     case_input,
+    check_name,
     position,
     quantity,
     suggest,

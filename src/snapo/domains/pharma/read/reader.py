@@ -11,8 +11,7 @@ from pydantic import Field
 from snapo.case.quantity import Range
 from snapo.case.table import CaseTable, TableContext, parse
 
-from .names import check_name
-from .numbers import suggest
+from .numbers import check_name, suggest
 
 PROBABILITY = Range(0.0, 1.0, "()", noun="a probability")
 TextKey = Annotated[str, Field(min_length=1)]

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..flowsheet.ledger import LedgerFinish
+from ..flowsheet.stream import LedgerFinish
 from .profile import Profile
 
 

@@ -17,8 +17,7 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 from snapo.case.table import TableContext
 
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, Stream
+from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Stream, ledger
 from ..given import absent, fixed, use
 from ..read.declared import (
     ABSOLUTE,

@@ -18,9 +18,8 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 
 from ..flowsheet.feed import Feed
-from ..flowsheet.ledger import LedgerFinish
 from ..flowsheet.network import FlowNetwork
-from ..flowsheet.stream import Grid, Sizes, Stream
+from ..flowsheet.stream import Grid, LedgerFinish, Sizes, Stream
 from ..read.declared import TableOf, values
 from ..read.reader import Reader
 from ..time.dynamics import Dynamics, Numerics, Track

@@ -16,9 +16,8 @@ from jaxtyping import Array
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import FlowNetwork, fastest_rate, rate_constants, rates
-from ..flowsheet.stream import NO_CRYSTALS, Stream, clear
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger
 from ..given import use
 from ..read.declared import ABSOLUTE, FLOW, TIME, VOLUME, TableRecord, UnitQuantity, inner, key
 from ..read.numbers import NOT_NEGATIVE, POSITIVE

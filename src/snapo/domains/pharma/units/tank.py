@@ -7,8 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from pydantic import Field
 
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import Stream, together
+from ..flowsheet.stream import LedgerFinish, Stream, ledger, together
 from ..read.reader import Texts
 from .operation import Inlet, Instant
 

@@ -22,8 +22,7 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import NO_CRYSTALS, clear
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger
 from ..given import use
 from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, TableRecord, UnitQuantity, inner, values
 from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, with_units

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
 
-from ..flowsheet.ledger import LedgerFinish, ledger
+from ..flowsheet.stream import LedgerFinish, ledger
 from ..given import fixed, use
 from ..read.declared import LENGTH, POWER, RATE, SPEED, TIME, UnitQuantity
 from ..read.numbers import POSITIVE
