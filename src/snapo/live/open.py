@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 class AboutRun(NamedTuple):
-    """What the page shows of a study's `about`: title, days and step of its axis of time, and the
-    name of the number that is shown in place of the value."""
+    """Entries of a study's `about`: title, days and step of its axis of time, and the name of the
+    number that replaces the value."""
 
     title: str | None = None
     days: list[str] | None = None

@@ -36,7 +36,7 @@ class MovedValue(NamedTuple):
 
 
 class PageTables(NamedTuple):
-    """What a page shows, or a scenario keeps: None where it is not known.
+    """The tables of a page or a scenario: None where one is not known.
 
     - `values`, `chosen`: the moved inputs and choices by name; `policy`: its number or file.
     - `value`, `deltas`, `fans`, `today`, `sections`: the tables of `Moves.stages`.
@@ -51,6 +51,11 @@ class PageTables(NamedTuple):
     fans: Sequence[Mapping[str, Any]] | None = None
     today: Mapping[str, Any] | None = None
     sections: Sequence[Mapping[str, Any]] | None = None
+
+    @property
+    def choices(self) -> dict[str, Any]:
+        """The moved choices, none where they are not known."""
+        return self.chosen or {}
 
 
 def csv_of(rows: Iterable[Sequence[Any]]) -> str:
@@ -84,7 +89,7 @@ def _numbers(tables: PageTables) -> Iterator[Sequence[Any]]:
     table = entries_of(MovedValue, tables.value)
     yield ("value", "", "", table.value, table.standard_error)
     yield ("change", "", "", table.change, table.change_error)
-    for name, value in (tables.chosen or {}).items():
+    for name, value in tables.choices.items():
         yield ("chosen", name, str(value), None, None)
     for name, numbers in (tables.values or {}).items():
         for i, number in enumerate(numbers):
@@ -135,7 +140,7 @@ class Refused(ValueError):
 
 
 class PageOrder(NamedTuple):
-    """What a page asks for, unchecked: to `do` something for its move of number `n`.
+    """An order of a page, unchecked: to `do` something for its move of number `n`.
 
     - `values`, `chosen`, `policy`: of the move, as in `PageTables`; `name`, `id`: of a scenario.
     """
@@ -276,5 +281,5 @@ def _compared(records: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Any]]:
     yield ("scenario", "value", "standard_error", "change", "change_error", "inputs_moved", "made")
     for record in records:
         tables = entries_of(PageTables, record)
-        moved = " ".join(sorted([*record["values"], *(tables.chosen or {})]))
+        moved = " ".join(sorted([*record["values"], *tables.choices]))
         yield (record["name"], *entries_of(MovedValue, tables.value), moved, record["made"])

@@ -95,7 +95,7 @@ class Downloads:
         tables = entries_of(PageTables, self._asked(request)[1])
         book = request.match_info["kind"] == "xlsx"
         order = {"do": "write", "page": "", "n": next(self._numbers), "workbook": book}
-        order |= {"values": tables.values or {}, "chosen": tables.chosen or {}}
+        order |= {"values": tables.values or {}, "chosen": tables.choices}
         order["policy"] = tables.policy
         done = asyncio.get_running_loop().create_future()
         with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
@@ -276,10 +276,10 @@ class Server:
         """One request of a page; an invalid one is answered, and has no effect."""
         n = -1
         try:
-            asked = json.loads(text)
-            if not isinstance(asked, dict):
+            request = json.loads(text)
+            if not isinstance(request, dict):
                 raise Refused("this is not an order")
-            order = entries_of(PageOrder, asked)
+            order = entries_of(PageOrder, request)
             n = order.n if isinstance(order.n, int) and not isinstance(order.n, bool) else -1
             match order.do:
                 case "move":

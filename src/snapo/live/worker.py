@@ -91,7 +91,7 @@ class Post:
 
 
 class WorkerOrder(NamedTuple):
-    """What the server asks for: `do` it for a page's move of number `n`.
+    """An order of the server: to `do` something for a page's move of number `n`.
 
     - `values`, `chosen`: the moved inputs and choices by name; `policy`: a number of one that was
       trained here, or a file.
@@ -106,6 +106,11 @@ class WorkerOrder(NamedTuple):
     policy: int | str | None = None
     folder: str = ""
     workbook: bool = False
+
+    @property
+    def choices(self) -> Mapping[str, Any]:
+        """The moved choices, none where they are not given."""
+        return self.chosen or {}
 
 
 class Desk:
@@ -161,11 +166,11 @@ def serve(
             elif order.do == "train" and isinstance(valuation, Valuation):
                 _train(valuation, desk, post, order, shown)
             elif order.do == "bound" and isinstance(valuation, Valuation):
-                result = valuation.bound_here(order.values, order.chosen or {})
+                result = valuation.bound_here(order.values, order.choices)
                 result = shown.table("bounded", result)
                 post(page=order.page, n=order.n, stage="bounded", table=result)
             elif order.do == "explain":
-                rows = valuation.explained(order.values, order.chosen or {})
+                rows = valuation.explained(order.values, order.choices)
                 rows = shown.table("explained", rows)
                 post(page=order.page, n=order.n, stage="explained", table=rows)
             elif order.do == "write":
@@ -176,7 +181,7 @@ def serve(
         except CaseError as error:
             post(page=order.page, n=order.n, stage="refused", message=in_words(error))
         except Exception as error:
-            moved = [*order.values, *(order.chosen or {})]
+            moved = [*order.values, *order.choices]
             text = stopped(error, moved, module)
             post(page=order.page, n=order.n, stage="refused", message=text)
 
@@ -185,7 +190,7 @@ def _move(
     valuation: WhatIf, desk: Desk, post: Post, order: WorkerOrder, shown: HeadlineTables
 ) -> None:
     started, stage = time.perf_counter(), ("", None)
-    stages = valuation.stages(order.values, order.chosen or {})
+    stages = valuation.stages(order.values, order.choices)
     while not desk.stale(order):
         stage = next(stages, None)
         seconds = time.perf_counter() - started
@@ -201,7 +206,7 @@ def _move(
 
 def _write(valuation: WhatIf, order: WorkerOrder) -> None:
     """The case in a folder; or as a workbook in it, with the files that no sheet can hold."""
-    files, folder = valuation.files(order.values, order.chosen or {}), order.folder
+    files, folder = valuation.files(order.values, order.choices), order.folder
     if not order.workbook:
         files.write(Path(folder))
         return
@@ -231,7 +236,7 @@ def _train(
         post(**address, stage="training", table={"step": step, "of": of})
 
     try:
-        result = valuation.train_again(order.values, report, order.chosen or {})
+        result = valuation.train_again(order.values, report, order.choices)
     except Cancelled:
         post(**address, stage="cancelled")
     else:

@@ -87,7 +87,7 @@ class RunSettings(NamedTuple):
 class RunRecord(NamedTuple):
     """The tables of run.json.
 
-    - `about`: what the study says of itself; `parts`: {name: state}, each read with `PartState`.
+    - `about`: the description of the study; `parts`: {name: state}, each read with `PartState`.
     - `beside`: seconds outside parts, by name; `result`: the checksum of result.json.
     """
 

@@ -180,13 +180,13 @@ def measure(run: StudyRun) -> Attributions:
     """Every sensitivity of the matrix by path, and the check that the paths add up."""
     complete, available = process(run), MATRIX.of(run)
     assert available is not None
-    whole = split(complete.case, local(complete), available.raw)
-    effects = by_unit(complete.case, whole)
+    splits = split(complete.case, local(complete), available.raw)
+    effects = by_unit(complete.case, splits)
     return Attributions(
-        closure=float(whole.closure.max()),
+        closure=float(splits.closure.max()),
         paths=tuple(
             PathShare(*names, path.units, path.value)
-            for names, ways in whole.paths.items()
+            for names, ways in splits.paths.items()
             for path in ways
         ),
         by_unit=tuple(UnitEffect(*names, value) for names, value in effects.items()),
