@@ -104,9 +104,12 @@ def shapes() -> list[str]:
     contracts = [
         *rows(2),
         rows(5)[4] | {"name": "shared"},
-        *[row | {"name": f"judged {row['name']}"} for row in rows(4)[2:]],
-        {"name": "other dates", "contract.start": "2021-05-01", "contract.end": "2022-05-01"},
+        # The days before a start carry noise: of starts after the valuation date, 2 to 32 days are
+        # one shape.
+        {"name": "later", "contract.start": "2021-05-01", "contract.end": "2022-04-21"},
+        {"name": "other dates", "contract.start": "2021-05-11", "contract.end": "2022-05-01"},
         {"name": "other days", "contract.start": "2021-04-01", "contract.end": "2022-03-02"},
+        *[row | {"name": f"judged {row['name']}"} for row in rows(4)[2:]],
     ]
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CACHE_HOME"] = folder
@@ -116,8 +119,8 @@ def shapes() -> list[str]:
         for contract, name in zip(
             book.contracts,
             (
-                "first", "further", "with its policy", "first judged", "judged", "other dates",
-                "other number of days",
+                "first", "further", "with its policy", "first later start", "other dates",
+                "other number of days", "first judged", "judged",
             ),
         ):  # fmt: skip
             judged = name.endswith("judged")
@@ -144,9 +147,9 @@ def shapes() -> list[str]:
     needed = {
         "further": f"{further / cold:.2f} of the first (needed 0.20)",
         "with its policy": f"{table[2].cpu_seconds / cold:.2f} of the first",
-        "other dates": f"{table[5].cpu_seconds / cold:.2f} of the first (needed 0.25)",
-        "other number of days": f"{table[6].cpu_seconds / cold:.2f} of the first (needed 0.67)",
-        "a stress": f"{table[7].cpu_seconds / further:.2f} of a further contract (needed 0.50)",
+        "other dates": f"{table[4].cpu_seconds / cold:.2f} of the first (needed 0.25)",
+        "other number of days": f"{table[5].cpu_seconds / cold:.2f} of the first (needed 0.67)",
+        "a stress": f"{table[8].cpu_seconds / further:.2f} of a further contract (needed 0.50)",
     }
     return [
         "one process, the gas storage template; processor seconds",

@@ -24,9 +24,10 @@ def programs(problem: Problem):
     with jax.enable_x64(True):
         simulator, schedule = problem.simulator, problem.schedule
         leaves, structure = jax.tree.flatten(simulator)
+        rest, on_step = jax.tree.flatten(simulator.on_paths().on_step())
 
         def rolled(leaves, constants, now, *noise):
-            own = jax.tree.unflatten(structure, leaves)
+            own = jax.tree.unflatten(on_step, leaves)
             return path(own, None)(constants, now, *noise)
 
         prepared = text(
@@ -38,7 +39,7 @@ def programs(problem: Problem):
         now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)
         constants = jax.tree.map(jnp.asarray, schedule.constants)
         vectors = [jnp.zeros(size) for size in sizes]
-        return prepared, text(rolled, leaves, constants, now, *vectors)
+        return prepared, text(rolled, rest, constants, now, *vectors)
 
 
 def same_programs(problems: Iterable[Problem], enough: int) -> int:

@@ -324,13 +324,16 @@ def test_how_near_a_policy_is_to_its_best_in_words(page):
         [3, 2, 1]].map(([gradient, noise, at_training]) => m.nearness({ gradient, noise, at_training })))"""
     )
     assert [each["far"] for each in found] == [False, True, False, True, False]
-    assert "tells: 1 times that where it was trained, with a noise of 0.1" in found[0]["words"]
     assert (
-        "its gradient is 3 times that where it was trained, with a noise of 0.1"
+        "shows: it is 1 times as large as at the inputs of training, with a noise of 0.1"
+        in found[0]["words"]
+    )
+    assert (
+        "its gradient is 3 times as large as at the inputs of training, with a noise of 0.1"
         in found[1]["words"]
     )
-    assert "tells: no more than noise, as where" in found[2]["words"]
-    assert "stands out of its noise" in found[3]["words"]
+    assert "shows: it is no more than noise, as at" in found[2]["words"]
+    assert "is above its noise" in found[3]["words"]
 
 
 def test_what_is_shown_is_taken_away_and_the_best_is_bounded(page):

@@ -26,7 +26,7 @@ ABOUT = {
     "restart": 'Start it again with "snapo open mine/run".',
     "trains": True, "meaning": "", "result": {"value": 455.0, "standard_error": 0.5},
 }  # fmt: skip
-REASON = "of the inputs before"
+REASON = "for the previous inputs"
 CARDS = ("value", "best", "today", "deltas", "fans")  # and the sections of the domain
 
 

@@ -212,11 +212,11 @@ def test_every_role_says_which_paths_it_has():
     supplied = Supplied(np.zeros((3, 1_000, 1)))
     roles = Sources.of(supplied).roles(64, 4_096, 65_536, 16_384)
     assert roles == {
-        "training": "64 drawn from the supplied paths 1 to 600; other ones at every step",
+        "training": "64 drawn from the supplied paths 1 to 600; new ones at every step",
         "validation": "200 of the supplied paths 601 to 800; the same at every validation",
-        "evaluation": "200 of the supplied paths 801 to 1,000; used for nothing before",
+        "evaluation": "200 of the supplied paths 801 to 1,000; used for the results only",
         "sensitivities": "200 of the evaluation's",
     }
     roles = Sources.of(Sobol(1)).roles(65, 128, 256, 128)
-    assert roles["training"].startswith("66 pseudo-random paths, in pairs of opposite signs; other")
-    assert roles["evaluation"] == "256 Sobol points in 32 scrambles; used for nothing before"
+    assert roles["training"].startswith("66 pseudo-random paths, in antithetic pairs; new")
+    assert roles["evaluation"] == "256 Sobol points in 32 scrambles; used for the results only"

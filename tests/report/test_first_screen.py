@@ -67,7 +67,7 @@ def test_the_policy_and_its_start_are_compared_on_common_paths():
         {"currency": "EUR", "solution": {"selected": "newest", "gain": 50.0, "gain_error": 10.0}}
     )
     assert plain(common_paths(gained)[0].text) == (
-        "On common paths the policy is worth EUR +50 ± 20 against its start."
+        "On common paths the policy earns EUR 50 ± 20 more than the rule that it began with."
     )
     assert common_paths(run()) == []
 

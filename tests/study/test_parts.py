@@ -66,7 +66,7 @@ def test_what_never_moves_is_a_sentence_and_no_picture(tmp_path):
     picture, sentence = doubled(run).blocks
     assert isinstance(picture, Chart) and picture.caption.startswith("Sold (output of one step)")
     assert isinstance(sentence, Text)
-    assert sentence.text == "Cost (output of one step) is 1\N{NO-BREAK SPACE}EUR at every week."
+    assert sentence.text == "Cost (output of one step) is 1\N{NO-BREAK SPACE}EUR in every week."
 
 
 def test_an_input_moves_by_its_own_move_or_by_a_share():
@@ -187,7 +187,7 @@ def test_sections_of_a_whole_run(tmp_path):
     run = write(tmp_path, parts, result, states)
     page = render(Page("A run", [], [section(run) for section in SECTIONS]))
     for words in ("1,000.0", "± 4.3".replace(" ", "\N{NO-BREAK SPACE}"), "trained to the end",
-                  "a remark", "of a week", "Water (state), 40 paths", "Cash: total of a path",
+                  "a remark", "of a week", "Water (state) on 40 paths", "Cash: the total of a path",
                   "its method <code>slack</code> names none", "12.00 more, 12.80 less",
                   ">12.40<"):  # fmt: skip
         assert words in page, words

@@ -100,7 +100,7 @@ class RunTable(CaseTable):
 
     seed: int = Field(0, ge=0, le=2**32 - 1, description="of all contracts, 0 or more")
     processor: Literal["", "x86-64-v2", "x86-64-v3", "x86-64-v4"] = Field(
-        "", description="the processor for which all workers compile; left out: that of this one"
+        "", description="the processor for which all workers compile; default: that of this machine"
     )
 
 

@@ -35,7 +35,7 @@ class Only:
         reason = f"this key has a meaning only {self.when}"
         if self.instead is None:
             return reason
-        return f"{self.instead(tables)} has no use for this key; it has a meaning only {self.when}"
+        return f"{self.instead(tables)} does not use this key; it has a meaning only {self.when}"
 
 
 def conditions(field: FieldInfo) -> Iterator[Only]:

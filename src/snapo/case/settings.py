@@ -12,7 +12,7 @@ MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machin
 MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 IN_MEMORY = Range(1, MAX_PATHS, note=": more do not fit in memory")
 STEPS = Range(1, noun="a number of steps")
-EVERY = STEPS._replace(note=", or left out: 50, and in a short training a quarter of its steps")
+EVERY = STEPS._replace(note="; by default 50, and in a short training a quarter of its steps")
 UP_TO_ONE = Range(0, 1, "(]")
 PathCount = Annotated[int, IN_MEMORY._replace(low=64)]
 MaxPaths = Annotated[int, Range(0, MAX_PATHS, note=": at most so many are taken, none with 0")]
@@ -43,7 +43,7 @@ class TrainingTable(CaseTable):
 
 @optional(
     "steps", "paths", "learning_rate", "decay", "exploration", "starts",
-    note=", or left out: then it is chosen from the problem",
+    note="; by default it is chosen from the problem",
 )  # fmt: skip
 class FollowingTable(TrainingTable):
     """`[training]` of a plant or of a user-defined simulator: six keys are chosen from the problem.

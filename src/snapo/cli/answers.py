@@ -37,6 +37,12 @@ def _half(error: float | None) -> str:
     return "" if error is None else f" {plus_minus(error)}"
 
 
+def _two_digits(value: float) -> str:
+    from snapo.solver.statistics import rounded
+
+    return rounded(value, 2)
+
+
 def summary(result: Mapping[str, Any]) -> str:
     """The result for a reader: the value, the further figures, and the folder of the run."""
     seeds = by_seed(result["seeds"]) if result.get("seeds") else []
@@ -52,7 +58,7 @@ def summary(result: Mapping[str, Any]) -> str:
             small = (result.get("bound") or {}).get("says_little") if name == "upper_bound" else ""
             note = f"   {small}" if small else ""
             error = (result.get("reference_errors") or {}).get(name)
-            note += "" if error is None else f"   finer grids move it by {error:,.2g}"
+            note += "" if error is None else f"   finer grids move it by {_two_digits(error)}"
             lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}{note}")
     lines += result.get("description") or []
     start = result.get("start") or {}

@@ -120,7 +120,7 @@ def add_explain(commands) -> None:
     run = "a run folder, or a case, which means its latest run"
     explain = commands.add_parser(
         "explain",
-        help="part the change of value between two runs of a gas store into its causes",
+        help="split the change of value between two runs of a gas store into its causes",
         epilog="snapo explain mystore/runs/2026-11-24T0800-7f3a mystore",
     )
     explain.add_argument("first", metavar="RUN_A", type=Path, help=f"the earlier one: {run}")

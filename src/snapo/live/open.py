@@ -68,16 +68,16 @@ def server_of(
     simulator: tuple[str, str] | None = None,
     paths: int | None = None,
     engine: str = "auto",
-    problem: Path | None = None,
+    problem: bytes = b"",
 ) -> "Server":
-    """The server of a run's page, not started; `problem`: the file of a problem in Python.
+    """The server of a run's page, not started; `problem`: a problem in Python, pickled.
 
     **Raises:** `CaseError` where there is no such run; `ModuleNotFoundError` without aiohttp.
     """
     from .server import Server
 
     about = about_run(run, simulator)
-    if problem is not None:
+    if problem:
         about["folder"] = "solved in Python"
         about["restart"] = "Call open() of the solution in Python again."
     worker = [sys.executable, "-m", "snapo.live.worker", str(run), "--engine", engine]
@@ -85,9 +85,9 @@ def server_of(
         worker += ["--simulator", ":".join(simulator)]
     if paths is not None:
         worker += ["--paths", str(paths)]
-    if problem is not None:
-        worker += ["--problem", str(problem)]
-    return Server(run, about, worker)
+    if problem:
+        worker += ["--problem", str(len(problem))]
+    return Server(run, about, worker, problem)
 
 
 async def served(

@@ -13,10 +13,13 @@ Hear = Callable[[dict[str, Any]], Awaitable[None]]
 
 
 class WorkerProcess:
-    """One worker process. Its latest state is kept for pages that come later."""
+    """One worker process. Its latest state is kept for pages that come later.
 
-    def __init__(self, command: Sequence[str], hear: Hear):
-        self.command, self.hear = command, hear
+    - `first`: bytes that every worker receives before its orders.
+    """
+
+    def __init__(self, command: Sequence[str], hear: Hear, first: bytes = b""):
+        self.command, self.hear, self.first = command, hear, first
         self.state: dict[str, Any] = {"stage": "starting"}
         self.process: asyncio.subprocess.Process | None = None
         self._waiting: dict[str, dict[str, Any]] = {}  # the newest move of each page
@@ -83,7 +86,9 @@ class WorkerProcess:
         )  # fmt: skip
         if self._closed:  # while the process began, so that it could not be killed
             self._kill()
-        assert self.process.stdout is not None
+        assert self.process.stdin is not None and self.process.stdout is not None
+        with suppress(ConnectionError, RuntimeError):
+            self.process.stdin.write(self.first)
         async for line in self.process.stdout:
             message = json.loads(line)
             if message["stage"] in ("ready", "failed"):

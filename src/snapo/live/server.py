@@ -190,14 +190,17 @@ ASKED = ("values", "chosen", "policy")
 class Server:
     """One run, one worker, any number of pages.
 
-    - `about`: the run, from its files; `worker`: the command that starts the calculation.
+    - `about`: the run, from its files; `worker`: the command that starts the calculation;
+      `problem`: bytes that it reads first, a problem in Python.
     """
 
-    def __init__(self, run: Path, about: Mapping[str, Any], worker: Sequence[str]):
+    def __init__(
+        self, run: Path, about: Mapping[str, Any], worker: Sequence[str], problem: bytes = b""
+    ):
         self.token, self.port = new_token(), 0
         self.scenarios = SavedScenarios(run)
         self.about = dict(about) | {"last": self.scenarios.last()}
-        self.workers = WorkerProcess(worker, self.hear)
+        self.workers = WorkerProcess(worker, self.hear, problem)
         self.pages: dict[str, web.WebSocketResponse] = {}
         self._numbers = count(1)
         self._last: dict[tuple[str, int], dict[str, Any]] = {}  # the tables of the last moves

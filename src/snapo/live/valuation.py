@@ -136,7 +136,7 @@ class Valuation(WhatIf):
         yield "deltas", self._deltas(setup, rollout, differs)
         if study.today is not None:
             yield "today", study.today(setup, policy)._asdict()
-        yield "fans", fans(rollout.tables)
+        yield "fans", fans(rollout.tables, study.names)
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
         """How near the policy is to its best at the numbers that were valued last."""
@@ -329,8 +329,9 @@ def _alike(one: Policy, other: Policy) -> bool:
     return shapes[0] == shapes[1] and jax.tree.structure(one) == jax.tree.structure(other)
 
 
-def fans(displayed: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Bands over time of every number of state and outputs, and of the actions."""
+def fans(displayed: Mapping[str, Any], names: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Bands over time of every number of state and outputs, and of the actions, but of those that
+    have an empty name."""
     results = []
     for kind in KINDS:
         for name, values in leaves(displayed[kind]).items():
@@ -340,6 +341,8 @@ def fans(displayed: Mapping[str, Any]) -> list[dict[str, Any]]:
                 continue
             for i in range(values.shape[2]):
                 full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
+                if names.get(full) == "":
+                    continue
                 lines = {line: x.tolist() for line, x in bands(values[:, :, i]).items()}
                 results.append({"name": full, "kind": kind, **lines})
     return results

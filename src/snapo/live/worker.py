@@ -5,6 +5,7 @@ moves of one page only the newest is answered: a newer one ends the work on the 
 """
 
 import argparse
+import io
 import json
 import os
 import pickle
@@ -253,11 +254,11 @@ def _short(error: CaseError) -> str:
     return str(CaseError(file, error.where, error.value, error.allowed))
 
 
-def _unpickled(file: Path) -> Domain:
-    """The domain of a problem in Python, as the process that opened the page wrote it."""
-    with file.open("rb") as stream:
-        sys.path[:] = pickle.load(stream)  # the user's modules, by which the rest is read
-        return pickle.load(stream)
+def _unpickled(data: bytes) -> Domain:
+    """The domain of a problem in Python, from the process that opened the page."""
+    stream = io.BytesIO(data)
+    sys.path[:] = pickle.load(stream)  # the user's modules, by which the rest is read
+    return pickle.load(stream)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -267,7 +268,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--simulator")
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--paths", type=int)
-    parser.add_argument("--problem", type=Path)  # that `pickled` wrote for this process
+    parser.add_argument("--problem", type=int, default=0)  # bytes, before the orders
     options = parser.parse_args(arguments)
     # Output of a user's code must not appear between the lines of the answers.
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
@@ -278,7 +279,7 @@ def main(arguments: list[str] | None = None) -> int:
     use_every_core()
     code = tuple(options.simulator.split(":")) if options.simulator else None
     counts = None if options.paths is None else PathCounts.of(options.paths)
-    domain = _unpickled(options.problem) if options.problem else None
+    domain = _unpickled(sys.stdin.buffer.read(options.problem)) if options.problem else None
     try:
         valuation = open_run(options.run, code, options.engine, counts, domain)  # pyright: ignore
     except CaseError as error:

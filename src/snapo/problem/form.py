@@ -78,6 +78,15 @@ def formed(record: T) -> T:
     return jax.tree.map(without_numbers, record)
 
 
+def without_uses(tree: PyTree) -> PyTree:
+    """The tree without its `Use`s, whose shapes are often those of dates: what a step reads."""
+
+    def uses(leaf: Any) -> bool:
+        return isinstance(leaf, Use)
+
+    return jax.tree.map(lambda leaf: None if uses(leaf) else leaf, tree, is_leaf=uses)
+
+
 def form_of(tree: PyTree) -> Hashable:
     """All that code compiled for a tree depends on: its structure with all static fields, and the
     shapes and types of its arrays."""

@@ -86,7 +86,7 @@ class Pseudo(Scenarios):
         return requested + requested % 2 if self.antithetic else requested
 
     def describe(self, paths: int) -> str:
-        pairs = ", in pairs of opposite signs" if self.antithetic else ""
+        pairs = ", in antithetic pairs" if self.antithetic else ""
         return f"{self.available(paths):,} pseudo-random paths{pairs}"
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
@@ -329,9 +329,9 @@ class Sources:
     ) -> dict[str, str]:
         """{role: description of its paths} for these numbers of paths."""
         return {
-            "training": f"{self.training.batch_words(training)}; other ones at every step",
+            "training": f"{self.training.batch_words(training)}; new ones at every step",
             "validation": f"{self.validation.describe(validation)}; the same at every validation",
-            "evaluation": f"{self.evaluation.describe(evaluation)}; used for nothing before",
+            "evaluation": f"{self.evaluation.describe(evaluation)}; used for the results only",
             "sensitivities": f"{self.evaluation.available(sensitivities):,} of the evaluation's",
         }
 

@@ -9,7 +9,7 @@ import abc
 from collections.abc import Callable, Mapping
 from dataclasses import FrozenInstanceError, fields
 from functools import wraps
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -96,6 +96,14 @@ class Simulator(eqx.Module):
 
     def on_paths(self) -> "Simulator":
         """This simulator as used by the engines: without the arrays that only `prepare` reads."""
+        return self
+
+    def on_step(self) -> "Simulator":
+        """This simulator as `initial`, `observe`, `step` and `terminal` read it on one path.
+
+        Without whatever depends on the number of steps or on their dates, its `horizon` too: the
+        native engine's code then serves every horizon.
+        """
         return self
 
     @abc.abstractmethod
@@ -202,10 +210,15 @@ class Around(Simulator):
         return self.inner.prepare(inputs)
 
     def on_paths(self):
-        local = self.inner.on_paths()
-        return (
-            self if local is self.inner else eqx.tree_at(lambda around: around.inner, self, local)
-        )
+        return self._around(self.inner.on_paths())
+
+    def on_step(self):
+        return self._around(self.inner.on_step())
+
+    def _around(self, inner: Simulator) -> Self:
+        if inner is self.inner:
+            return self
+        return eqx.tree_at(lambda around: around.inner, self, inner)
 
     def initial(self, constants, noise):
         return self.inner.initial(constants, noise)

@@ -208,7 +208,7 @@ def _growth(run: RunFiles, leaves: list[str]) -> str:
     if clip is not None:
         summary += f" At its end training bounded each path's adjoint at {number(clip)}."
     if keep is not None and keep < 1:
-        summary += f" A share of {number(keep)} of it was passed on at every step."
+        summary += f" Every backward step kept only a share of {number(keep)} of it."
     return summary
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .checksums import changed_files
-from .quantity import array, finite, money, plus_minus
+from .quantity import array, finite, money, plus_minus, readable
 from .record import PartState, RunRecord, entries_of
 
 RESULT = "result.json"
@@ -18,6 +18,7 @@ NUMBERS = (
     "value", "standard_error", "smoothing_gap", "policy_gradient_norm", "policy_gradient_noise",
 )  # fmt: skip
 PLANNED, LEFT_OUT = "planned", "left_out"  # names of parts, in the `about` of a run
+NAMES = "names"  # of states, decisions and outputs, there too; an empty one is not shown
 SENSITIVITIES = (
     "input", "label", "unit", "source", "value", "low", "high", "sampling", "policy", "held",
     "held_error", "smooth", "smooth_error", "moved", "moved_error",
@@ -184,6 +185,10 @@ class RunFiles:
     def unit(self) -> str:
         """The unit of the value, or the currency."""
         return str(self.get("unit", self.currency))
+
+    def title_of(self, name: str) -> str:
+        """The name of a state, decision or output as text; empty for one that is not shown."""
+        return str(self.get(NAMES, {}).get(name, readable(name)))
 
     def money(self, value: Any, digits: int | None = None, sign: bool = False) -> str:
         return money(value, self.currency, digits, sign)

@@ -37,11 +37,12 @@ class Missing:
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing with a caption on how to read it."""
+    """A drawing with a caption on how to read it; `folded` as of a `Table`."""
 
     kind: ClassVar[str] = "chart"
     svg: Markup
     caption: str
+    folded: str = ""
 
 
 @dataclass(frozen=True)

@@ -179,7 +179,7 @@ def derivative_unit(value: str, unit: str) -> str:
 
 def readable(name: str) -> str:
     """A name of code as text: "cash_flow" as "Cash flow", "plant.mass" as "Plant mass"."""
-    text = name.replace("_", " ").replace(".", " ")
+    text = re.sub(r"\bmwh\b", "MWh", name.replace("_", " ").replace(".", " "))
     return text[:1].upper() + text[1:]
 
 

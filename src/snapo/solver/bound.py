@@ -30,7 +30,15 @@ from snapo.problem.smooth import Exact
 
 from .adjoint import float64
 from .relaxations.stop import Relaxation, relaxation_of
-from .statistics import critical, independent, mean, plus_minus, skewed_mean, with_error
+from .statistics import (
+    critical,
+    independent,
+    mean,
+    plus_minus,
+    rounded,
+    skewed_mean,
+    with_error,
+)
 from .tables import paragraph, table
 
 Penalty = Literal["none", "value", "trained"]
@@ -89,7 +97,7 @@ class Bound:
         gap, error = self.gap.value, self.upper.standard_error
         if gap <= MAX_GAP * value and error <= MAX_ERROR * value:
             return ""
-        summary = f"a gap of {gap:,.3g} {plus_minus(error)}"
+        summary = f"a gap of {rounded(gap, 3)} {plus_minus(error)}"
         share = f" ({gap / value:.2%} of the value)" if value else ""
         few = ", which a few paths that gain much by foresight decide" if self.few else ""
         return f"says little: {summary}{share}{few}"

@@ -221,11 +221,11 @@ def _note(limit: LimitFound) -> str:
         return ""
     if limit.multiplier and limit.at_level:
         return (
-            f"Limit without a price, though it leaves no room: {limit.name}. All decisions "
+            f"Limit without a price, though it is met exactly: {limit.name}. All decisions "
             "are at bounds of their set, where none has a derivative. Training ended at a price "
             f"of {limit.multiplier:,.4g} for it."
         )
-    room = f"Limit with room, and so without a price: {limit.name}, and it is {limit.value:,.6g}."
+    room = f"Limit with slack, and so without a price: {limit.name}, and it is {limit.value:,.6g}."
     if limit.multiplier:
         room += (
             f" Training ended at a price of {limit.multiplier:,.4g} for it: its decisions "

@@ -64,9 +64,8 @@ class Seeds:
         ]
         for seed, solution in self.solutions.items():
             behind = self.behind(seed)
-            below = (
-                f"{behind.value:.3g} {statistics.plus_minus(behind.standard_error)} below the best"
-            )
+            amount = statistics.rounded(behind.value, 3)
+            below = f"{amount} {statistics.plus_minus(behind.standard_error)} below the best"
             lines.append(
                 f"  seed {seed}: {solution.value:.6g} "
                 f"{statistics.plus_minus(solution.standard_error)}, "

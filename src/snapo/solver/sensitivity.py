@@ -35,7 +35,7 @@ from .derivatives.bump import FEWEST, one_percent
 from .derivatives.by_block import DerivativePass
 from .derivatives.interval import Interval, Reported
 from .derivatives.verdict import Verdict, plain
-from .statistics import Estimate, plus_minus
+from .statistics import Estimate, plus_minus, rounded
 from .tables import frame, table
 
 
@@ -226,7 +226,7 @@ def _error(number: float) -> str:
 
 def _half(width: float) -> str:
     """A half-width; that of an interval without one of its parts is a nought."""
-    return f"{width:,.2g}" if np.isfinite(width) else ""
+    return rounded(width, 2) if np.isfinite(width) else ""
 
 
 @takes_problem

@@ -24,7 +24,7 @@ from .learning.conditioning import Growth
 from .learning.progress import Record
 from .limits import LimitFound
 from .sensitivity import Sensitivities, SensitivityRow
-from .statistics import plus_minus
+from .statistics import plus_minus, rounded
 from .tables import (
     TRAINING,
     SheetTable,
@@ -203,7 +203,7 @@ class Solution:
 
     def lines(self) -> list[str]:
         """A summary of the value and the training, in a few lines."""
-        gap = f"smooth {self.smooth_value:,.4g}, gap {self.smoothing_gap:,.3g}"
+        gap = f"smooth {rounded(self.smooth_value, 6)}, gap {rounded(self.smoothing_gap, 3)}"
         if np.isfinite(self.smoothing_gap_error):
             gap = f"{gap} {plus_minus(self.smoothing_gap_error)}"
         status = ", ".join(filter(None, (self.status, self.convergence)))

@@ -30,7 +30,12 @@ def half_width(error: float, degrees: float = np.inf) -> float:
 
 def plus_minus(error: float, digits: int = 2, degrees: float = np.inf) -> str:
     """ "± 41": half of the 95 % interval, from a standard error."""
-    return f"± {float(f'{half_width(error, degrees):.{digits}g}'):,.12g}"
+    return f"± {rounded(half_width(error, degrees), digits)}"
+
+
+def rounded(value: float, digits: int) -> str:
+    """A number to so many significant digits, large ones without a power of ten: "16,040"."""
+    return f"{float(f'{value:.{digits}g}'):,.12g}"
 
 
 def with_error(value: float, error: float) -> str:

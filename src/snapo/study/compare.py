@@ -13,7 +13,7 @@ from snapo.report.folder import RunResult
 from snapo.solver import checkpoint, statistics
 from snapo.solver.derivatives.interval import Interval, Reported
 from snapo.solver.solution import SOLUTION, Solution
-from snapo.solver.statistics import Estimate
+from snapo.solver.statistics import Estimate, rounded
 
 from . import run_folder
 from .run_folder import GROUPS, Difference, differences, in_words
@@ -98,14 +98,14 @@ class Comparison:
 
     def _sensitivities(self) -> Iterator[str]:
         if not self.sensitivities:
-            yield "no sensitivity of an input that both have differs"
+            yield "the sensitivities to the inputs of both runs are equal"
             return
         yield "sensitivities that differ most (first, second, difference, error of the policies):"
         for sensitivity in self.sensitivities[:MAXIMUM]:
             name = f"{sensitivity.input} {sensitivity.label}".strip()
             numbers = f"{_figure(sensitivity.first):>14}{_figure(sensitivity.second):>14}"
             last = f"{_figure(sensitivity.difference):>14} {_error(sensitivity.standard_error)}"
-            room = f" and {sensitivity.policy:,.2g}" if sensitivity.policy > 0 else ""
+            room = f" and {rounded(sensitivity.policy, 2)}" if sensitivity.policy > 0 else ""
             yield f"  {name:<32}{numbers}{last}{room} per {sensitivity.unit or '1'}"
         if len(self.sensitivities) > MAXIMUM:
             yield f"  and {len(self.sensitivities) - MAXIMUM} smaller differences"

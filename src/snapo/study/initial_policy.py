@@ -199,7 +199,7 @@ def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
     **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
     """
     if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
-        message = f"{file} trains no policy, so that an initial one has no use"
+        message = f"{file} trains no policy, so an initial policy cannot be used"
         raise CaseError("--policy", "", str(values.source), message)
 
     def adopt(setup: Setup) -> Setup:

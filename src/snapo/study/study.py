@@ -15,6 +15,7 @@ from snapo.engine import Engines
 from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.report.folder import NAMES
 from snapo.solver import statistics
 from snapo.solver.learning.progress import INTERRUPTED, Interrupted
 from snapo.solver.learning.settings import TrainingPlan
@@ -197,7 +198,7 @@ class Study:
 
     - `kind`: of the domain.
     - `about`: known before any work: title, currency, dates, notes …, for the report; "units" and
-      "names" of series by name, for the live page.
+      "names" of series for report and live page: empty, not shown.
     - `parts`: in the order in which they are done.
     - `result`: the content of result.json, from the run so far: "value", "standard_error",
       "status" …
@@ -239,6 +240,11 @@ class Study:
                 raise ValueError(f"Study: two parts are called {part.name!r}.")
             if unknown := set(part.needs) - set(names[:position]):
                 raise ValueError(f"Study: {part.name!r} needs {sorted(unknown)} before it.")
+
+    @property
+    def names(self) -> Mapping[str, str]:
+        """Names of states, decisions and outputs for a reader; an empty one is not shown."""
+        return self.about.get(NAMES) or {}
 
 
 @dataclass(eq=False)

@@ -15,7 +15,7 @@ from snapo.solver.learning.practice import refused
 from snapo.solver.learning.progress import Interrupted
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import HISTORY, Solution
-from snapo.solver.statistics import half_width, plus_minus, with_error
+from snapo.solver.statistics import half_width, plus_minus, rounded, with_error
 from snapo.solver.tables import write_csv
 from snapo.solver.train import Progress, Record, initial_progress
 from snapo.solver.verdict.convergence import CONVERGED, SIGNIFICANT, UNDECIDED, without_advice
@@ -107,9 +107,9 @@ def _beaten(advantages: Iterable[Advantage]) -> str:
         return ""
     name, more, error = max(certain, key=lambda entry: entry[1])
     return (
-        f"The classical rule “{name}” does better than the trained policy, by {more:,.3g} "
-        f"{plus_minus(error or 0.0)} on the same paths: take that rule, or train for longer "
-        "(training.steps)."
+        f"The classical rule “{name}” does better than the trained policy, by "
+        f"{rounded(more, 3)} {plus_minus(error or 0.0)} on the same paths: take that rule, "
+        "or train for longer (training.steps)."
     )
 
 

@@ -116,6 +116,42 @@ def test_an_open_page_ends_with_close(tmp_path):
     assert "closed" in repr(page) and "closed" in page._repr_html_()
 
 
+LISTENS = """
+import json, sys
+first = sys.stdin.buffer.read(int(sys.argv[1]))
+print(json.dumps({"stage": "ready", "first": list(first[-3:])}), flush=True)
+print(json.dumps({"stage": "done", "page": "p", "n": json.loads(sys.stdin.readline())["n"]}))
+"""
+
+
+def test_a_problem_passes_through_the_pipe_of_its_worker():
+    """A megabyte of bytes of all values, before the first order; and no file holds it."""
+    pytest.importorskip("aiohttp", reason="the page needs the extra `live`")
+    from snapo.live.process import WorkerProcess
+
+    problem, messages = bytes(range(256)) * 4096 + b"\n\r\0", []
+
+    async def work():
+        done = asyncio.Event()
+
+        async def hear(message):
+            messages.append(message)
+            if message["stage"] == "done":
+                done.set()
+
+        command = [sys.executable, "-S", "-c", LISTENS, str(len(problem))]
+        worker = WorkerProcess(command, hear, problem)
+        await worker.ask({"do": "move", "page": "p", "n": 7})  # waits until it is ready
+        worker.start()
+        async with asyncio.timeout(60):
+            await done.wait()
+        await worker.close()
+
+    asyncio.run(work())
+    assert messages[0] == {"stage": "ready", "first": [10, 13, 0]}
+    assert messages[1] == {"stage": "done", "page": "p", "n": 7}
+
+
 def test_a_page_names_the_extra_that_is_missing(solution, monkeypatch):
     monkeypatch.setitem(sys.modules, "aiohttp", None)
     monkeypatch.delitem(sys.modules, "snapo.live.server", raising=False)

@@ -80,12 +80,12 @@ def ended(times, window=None, clip=None, keep=1.0):
     "how, said",
     [({"clip": 12.3}, "bounded, at 12.3 in the end (Training(clip=None) never does)"),
      ({"window": 25}, "From step 20 of the training on it used windows of 25 steps"),
-     ({"clip": 2.0, "keep": 0.9}, "a share of 0.9 of it was passed on at every backward step"),
+     ({"clip": 2.0, "keep": 0.9}, "every backward step kept only a share of 0.9 of it"),
      ({}, "Training did nothing about it")],
 )  # fmt: skip
 def test_large_growth_is_told_with_step_state_and_bound(how, said):
     (told,) = start_notes(ended(5000.0, **how))
-    assert "5e+03-fold" in told and "before step" in told and "'angle'" in told
+    assert "5,000-fold" in told and "before step" in told and "'angle'" in told
     assert said in told and ("step 20 of the training" in told or not how)
 
 

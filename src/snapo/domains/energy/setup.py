@@ -17,6 +17,7 @@ from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
 from ..gas_storage.prices.process import GaussianFactors, PriceProcess
+from .core.intraday import IntradayPolicy, IntradaySimulator, without_trades
 from .core.policy import UnitValuePolicy
 from .core.simulator import EnergySimulator, simulator_of
 from .methods.fitted import FittedContract, fit, surprises, unit_value_table
@@ -29,7 +30,8 @@ MAX_FACTORS = 3  # of a fitted value, next to those that move all prices in prop
 
 def bare_problem(case: EnergyCase) -> Problem:
     """The contract without a fitted value."""
-    return Problem(EnergySimulator.of(case), case.inputs(), make_objective(case.objective, OUTPUT))
+    kind = EnergySimulator if case.scheduled is None else IntradaySimulator
+    return Problem(kind.of(case), case.inputs(), make_objective(case.objective, OUTPUT))
 
 
 def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
@@ -38,9 +40,8 @@ def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = fitted_problem(replace(bare_problem(case), sources=sources, rebuild=rebuilt))
-    policy = UnitValuePolicy(
-        simulator_of(problem).layout, problem.features, key=jax.random.key(seed)
-    )
+    rule = UnitValuePolicy if case.scheduled is None else IntradayPolicy
+    policy = rule(simulator_of(problem).layout, problem.features, key=jax.random.key(seed))
     return Setup(
         problem, policy, training, evaluation, engines_for(engine, problem, policy), case=case
     )
@@ -69,24 +70,29 @@ def rebuilt(problem: Problem) -> Problem:
 
 
 def _bare(problem: Problem) -> Problem:
-    return replace(
-        problem, simulator=replace(simulator_of(problem), unit_values=None, surprises=None)
-    )
+    simulator = replace(simulator_of(problem), unit_values=None, surprises=None)
+    if isinstance(simulator, IntradaySimulator):
+        simulator = replace(simulator, scheduled_values=None)
+    return replace(problem, simulator=simulator)
 
 
 def fitted_problem(problem: Problem, apart: np.ndarray | None = None) -> Problem:
     """The problem with the unit values that its policy starts from, and with a control variate
     where its prices have no other risks than its factors'. `apart`: of nodes, see `grid_of`."""
-    levels = len(simulator_of(problem).layout.levels)
-    result = fitted_value(problem, np.zeros(levels) if apart is None else apart)
+    simulator, layout = simulator_of(problem), simulator_of(problem).layout
+    apart = np.zeros(len(layout.levels)) if apart is None else apart
+    result = fitted_value(problem, apart)
     if result is None:
         return problem
-    simulator, layout = simulator_of(problem), simulator_of(problem).layout
+    if isinstance(simulator, IntradaySimulator):
+        scheduled = fitted_value(without_trades(problem, scheduled=True), apart)
+        assert scheduled is not None  # its prices have the same factors
+        table = unit_value_table(layout, scheduled.fitted)
+        simulator = replace(simulator, scheduled_values=table)
     control = surprises(layout, result.fitted) if result.factors.exact else None
     unit_values = unit_value_table(layout, result.fitted)
-    return replace(
-        problem, simulator=replace(simulator, unit_values=unit_values, surprises=control)
-    )
+    simulator = replace(simulator, unit_values=unit_values, surprises=control)
+    return replace(problem, simulator=simulator)
 
 
 class FactorFit(NamedTuple):

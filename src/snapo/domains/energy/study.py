@@ -1,6 +1,6 @@
 """The study of a contract: the parts of a run, and the headline of its result."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -8,10 +8,11 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.problem import Problem
+from snapo.report.quantity import readable
 from snapo.study.chapters.bound import BOUND
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
-from snapo.study.chapters.profile import profile
+from snapo.study.chapters.profile import MAX_ENTRIES, profile
 from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
 from snapo.study.study import Setup, Study, StudyRun
@@ -22,7 +23,9 @@ from .chapters.ladder import METHODS
 from .chapters.products import PRODUCT_DELTAS, VEGA
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
+from .core.contract import ContractLayout
 from .core.feasibility import first_fault
+from .core.intraday import TRADED
 from .core.simulator import simulator_of
 from .methods.grid import grid_of
 from .methods.hindsight import EnergyRelaxation
@@ -92,7 +95,7 @@ def _relaxation(prepared: "_Prepared", problem: Problem) -> Callable[[], EnergyR
     if kind != "mean":
         return f'only a mean is bounded from above, and the objective is "{kind}"'
     if not grid_of(simulator_of(problem).layout, problem.schedule).exact:
-        return "its volumes have no common measure with few enough nodes: bounds would be too low"
+        return "its volumes have no common divisor with few enough nodes: bounds would be too low"
     return lambda: EnergyRelaxation(prepared.setup.problem)
 
 
@@ -113,12 +116,14 @@ def _about(case: EnergyCase) -> dict[str, Any]:
     unit = money if case.objective.keeps_unit else ""
     units = {flow.name: flow.unit for flow in layout.flows}
     units |= dict.fromkeys(layout.reported, "1")
+    units |= {} if case.scheduled is None else {TRADED: case.volume_unit}
     return {
         "title": case.title,
         "unit": unit,
         "value_unit": unit,
         "currency": money,
         "volume_unit": case.volume_unit,
+        "names": _names(layout),
         "units": units | {"cash_flow": money, "shortfall": money, "levels": case.volume_unit},
         "valuation_date": case.valuation_date.isoformat(),
         "start": case.days[0].isoformat(),
@@ -130,6 +135,28 @@ def _about(case: EnergyCase) -> dict[str, Any]:
         "notes": list(case.notes),
         "forward": np.asarray(case.market.forward_curve.used()),
     }
+
+
+def _names(layout: ContractLayout) -> dict[str, str]:
+    """{state, decision or output: its name in a report}; empty for what is not shown: factors of
+    the price model, the only mode of a contract, shares of flows, and the control variate."""
+
+    def numbered(key: str, names: Sequence[str]) -> dict[str, str]:
+        keys = [key] if len(names) == 1 else [f"{key}.{i}" for i in range(len(names))]
+        return dict(zip(keys, names))
+
+    modes = [f"In mode: {name}" for name in layout.modes] if layout.modes[1:] else [""]
+    decisions = [""] * len(layout.pairs)  # the flows themselves are outputs
+    decisions += [f"Decision: {layout.moves[m].name}" for m in layout.choices]
+    levels = [readable(level.name) for level in layout.levels]
+    price = {name: "" for name in ("price", *(f"price.{i}" for i in range(8)))}
+    return (
+        {**numbered("levels", levels), **numbered("mode", modes), **numbered("action", decisions)}
+        | price
+        | {"value_surprise": ""}
+        | ({"mode": ""} if len(modes) > MAX_ENTRIES else {})
+        | ({"action": ""} if len(decisions) > MAX_ENTRIES else {})
+    )
 
 
 def _result(run: StudyRun) -> dict[str, Any]:

@@ -152,9 +152,8 @@ def open_page(
         domain = _domain(solution, problem, "open")
         made = Path(tempfile.mkdtemp(prefix="snapo-open-"))
         atexit.register(shutil.rmtree, made, ignore_errors=True)
-        _pickle(domain, made / "problem.pickle")
         _carry_out(solution, domain, made, every=False)
-        server = server_of(made, problem=made / "problem.pickle")
+        server = server_of(made, problem=_pickled(domain))
         page = LivePage(server, lambda: shutil.rmtree(made, ignore_errors=True))
     if browser:
         webbrowser.open(page.address)
@@ -213,10 +212,11 @@ def _table(entry: Input) -> dict[str, Any]:
     return {key: item for key, item in table.items() if item not in (None, "", [])}
 
 
-def _pickle(domain: PythonDomain, file: Path) -> None:
-    """Writes a domain for the worker of its page, with the path on which modules are found."""
+def _pickled(domain: PythonDomain) -> bytes:
+    """A domain for the worker of its page, with the path on which modules are found.
+
+    It passes through the worker's pipe; no file is written, and none is unpickled.
+    """
     import cloudpickle  # classes of a notebook are in no module that a worker could import
 
-    with file.open("wb") as stream:
-        pickle.dump(sys.path, stream)
-        cloudpickle.dump(domain, stream)
+    return pickle.dumps(sys.path) + cloudpickle.dumps(domain)

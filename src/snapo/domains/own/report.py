@@ -19,7 +19,7 @@ from snapo.study.domain import Report
 CAVEAT = (
     "Met nearly: missed by less than the half width of the interval, or by a thousandth of one "
     "path's deviation. One more of the level changes the objective by its shadow price, from "
-    "derivatives on fresh paths with respect to the policy; a limit with room has none. "
+    "derivatives on fresh paths with respect to the policy; a limit with slack has none. "
     "Sensitivities are those of the best value within the limits."
 )
 

@@ -105,7 +105,7 @@ class NativeCall:
         self.paths = draws.size
         self.start = jax.tree.map(lambda x: cast(x, engine.dtype), start)
         self.version = of_rollout(simulator, policy, schedule, smooth)
-        shared = (policy, schedule.constants, smooth, simulator)
+        shared = (policy, schedule.constants, smooth, simulator.on_step())
         self.shared = SharedTree(shared, engine.dtype)
         self.steps = SharedTree(schedule.steps, engine.dtype)
 

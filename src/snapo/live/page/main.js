@@ -184,11 +184,11 @@ const isCompiled = () => !Object.keys(chosen()).length || compiled.has(JSON.stri
 
 // Why the numbers on the page are not of its inputs.
 function reason() {
-  if (refusal) return "of the inputs before: these are refused";
-  if (!page.ready) return "of the inputs before: the calculation is starting";
-  if (page.valued === page.n) return "of the inputs before: this follows";
+  if (refusal) return "for the previous inputs: these are refused";
+  if (!page.ready) return "for the previous inputs: the calculation is starting";
+  if (page.valued === page.n) return "for the previous inputs: this follows";
   const time = seconds() >= LONG ? `, ${seconds()} s` : "";
-  return isCompiled() ? `of the inputs before: being valued${time}` : `of the inputs before: this choice is compiled, once${time}`;
+  return isCompiled() ? `for the previous inputs: being valued${time}` : `of the inputs before: this choice is compiled, once${time}`;
 }
 
 // Every stale number is dimmed; the value is shown to first order, where that is known.

@@ -38,14 +38,14 @@ const DECIDED = ["converged", "start kept", "", undefined, null]; // verdicts wi
 // training; where that is not settled, a small gradient here says no more than there.
 export function nearness({ gradient, noise, at_training: before }, run = {}) {
   const away = gradient > 2 * noise && gradient > 2 * before, open = !DECIDED.includes(run.convergence);
-  const times = before ? `${shown(gradient / before, 2)} times that where it was trained, with a noise of ${shown(noise / before, 2)}` : "";
+  const times = before ? `${shown(gradient / before, 2)} times as large as at the inputs of training, with a noise of ${shown(noise / before, 2)}` : "";
   const verdict = run.verdict || (open ? `the training is “${run.convergence}”` : "");
   const said = verdict ? ` The verdict on the run itself: ${verdict.replace(/[.]$/, "")}.` : "";
   const near = open
     ? `The policy is about as near its best here as at the run's inputs: its gradient is ${times || "no more than noise, as there"}. That is not settled there either.`
-    : `The policy is near its best here, as far as its gradient tells: ${times || "no more than noise, as where it was trained"}.`;
+    : `The policy is near its best here, as its gradient shows: it is ${times || "no more than noise, as at the inputs of training"}.`;
   const words = away
-    ? `The policy is no longer near its best here: its gradient ${times ? `is ${times}` : "stands out of its noise, and did not where it was trained"}. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains.`
+    ? `The policy is no longer near its best here: its gradient ${times ? `is ${times}` : "is above its noise, and was not at the inputs of training"}. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains.`
     : near;
   return { far: away || open, words: words + said };
 }

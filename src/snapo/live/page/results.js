@@ -63,7 +63,7 @@ export function deltas(found) {
   const scaled = (table) => table.find((each) => each.input === name && (!of || each.of === of)).rows.map((row) => ({ ...row, ...Object.fromEntries(["value", "low", "high"].map((key) => [key, row[key] === null ? null : row[key] / input.factor])) }));
   const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
   drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
-  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${page.unit || "Value"} per ${per}; lines: 95 % intervals of sampling and policy; outlines: the run's inputs.${reported(input)}`;
+  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${quotient(page.unit || "Value", per)}; lines: 95 % intervals of sampling and policy; outlines: the run's inputs.${reported(input)}`;
   const number = alike([...rows, ...base].map((row) => row.value));
   const head = element("tr", {}, ...["", "now", "low", "high", "the run's"].map((text) => element("th", { scope: "col" }, text)));
   at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), ...[row.value, row.low, row.high, base[i].value].map(number)].map((text) => element("td", {}, text)))));
@@ -71,6 +71,9 @@ export function deltas(found) {
   effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
   drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, short: label(input), effect: each.effect, low: each.low, high: each.high, shown: signed(each.effect, 4) }))));
 }
+
+// The unit of a derivative: "MWh" for EUR per EUR/MWh.
+const quotient = (top, per) => (per === "1" ? top : per.startsWith(`${top}/`) ? per.slice(top.length + 1) : `${top} per ${per}`);
 
 // Where the derivative of an input comes from, unless it is that with the decisions held.
 const reported = (input) => ({
@@ -89,5 +92,5 @@ export function fans(found) {
   const days = page.about.days, step = page.about.step;
   drawn(at("fan-chart"), (width) => fan(width, series, base, (at) => (days ? days[Math.min(at, days.length - 1)] : `${step} ${at}`)));
   const unit = unitWords(page.units[name] ?? "");
-  at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and the bands that hold half and nine tenths of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
+  at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and bands with 50 % and 90 % of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
 }

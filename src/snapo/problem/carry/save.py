@@ -113,6 +113,7 @@ KINDS = {
     **dict.fromkeys(("GRU", "LastObservations"), "snapo.problem.policies.memory"),
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
     "UnitValuePolicy": "snapo.domains.energy.core.policy",
+    "IntradayPolicy": "snapo.domains.energy.core.intraday",
     "PensionPolicy": "snapo.domains.pension.policies.limits",
     "AllocationLimits": "snapo.domains.pension.policies.limits",
     "Cover": "snapo.domains.pension.policies.limits",

@@ -39,6 +39,8 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
+from ..statistics import rounded
+
 FIRST = 20  # steps of training after which the norms are judged
 ERRATIC = 0.3  # typical change of a norm's logarithm: below .15 on tame problems, above .4 in chaos
 GROWTH = 100.0  # times that the adjoint grows from the last step to where it is largest
@@ -211,14 +213,14 @@ class Growth(NamedTuple):
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
         if not self.large:
-            return f"Adjoints grow {times:,.3g}-fold on their way back: no more than usual."
+            return f"Adjoints grow {rounded(times, 3)}-fold on their way back: no more than usual."
         half = _explodes(largest, position)
         state = max(self.leaves, key=lambda name: self.leaves[name][position], default="state")
         apart = largest[position] / max(self.usual[position], np.finfo(float).tiny)
         return (
-            f"Adjoints grow {times:,.2g}-fold on their way back from the last step to step "
+            f"Adjoints grow {rounded(times, 2)}-fold on their way back from the last step to step "
             f"{position} of {largest.size}, a hundredfold before step {half}, most in the state "
-            f"{state!r}; there the largest of the paths is {apart:,.2g} times the usual one."
+            f"{state!r}; there the largest of the paths is {rounded(apart, 2)} times the usual one."
         )
 
     def table(self) -> list[tuple]:

@@ -81,8 +81,8 @@ def went_back(progress: Progress) -> str:
     if progress.keep < 1:
         since = _before(record.keep < 1 for record in history)
         ways.append(
-            f"from step {since} of the training on a share of {progress.keep:.3g} of it was passed "
-            "on at every backward step (Training(keep=1.0) keeps all)"
+            f"from step {since} of the training on, every backward step kept only a share of "
+            f"{progress.keep:.3g} of it (Training(keep=1.0) keeps all)"
         )
     if not ways:
         return "Training did nothing about it; Training(clip=…) or Training(keep=…) would."

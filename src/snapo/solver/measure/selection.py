@@ -133,11 +133,12 @@ class Selection(NamedTuple):
         """One sentence for the report; empty where nothing was compared."""
         if not np.isfinite(self.gain):
             return ""
+        half = statistics.half_width(self.error)
         if self.kind == START:
             side = "below" if self.gain < 0 else "above"
-            amount = f"{abs(self.gain):,.3g} {statistics.plus_minus(self.error)} {side} it"
+            amount = f"{statistics.with_error(abs(self.gain), half)} {side} it"
             return f"The starting rule was kept: on fresh paths the trained policy is {amount}."
-        amount = f"{self.gain:,.3g} {statistics.plus_minus(self.error)}"
+        amount = statistics.with_error(self.gain, half)
         return f"Training gained {amount} over the rule that it began with, on fresh paths."
 
 

@@ -78,7 +78,7 @@ class Gain(NamedTuple):
         return Gain(-self.value, self.error).is_significant
 
     def __str__(self) -> str:
-        return f"{self.value:,.3g} {statistics.plus_minus(self.error)}"
+        return f"{statistics.rounded(self.value, 3)} {statistics.plus_minus(self.error)}"
 
 
 NONE = Gain(0.0, 0.0)  # over itself
@@ -196,7 +196,7 @@ def _improving(progress: Progress, training: TrainingPlan, more: Further) -> str
     return (
         f"{STILL}the steps after {compared_step(progress, training)} of "
         f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many steps again would "
-        f"bring about {more.more:,.2g}; try steps={2 * progress.step}."
+        f"bring about {statistics.rounded(more.more, 2)}; try steps={2 * progress.step}."
     )
 
 

@@ -7,7 +7,7 @@ from snapo.report.drawing import LIGHT, draw, number_axis
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Section, Text
 from snapo.report.quantity import decimals, finite, number, percent
-from snapo.report.rows import Column, table
+from snapo.report.rows import Column, WithError, table
 from snapo.solver import bound as solver
 from snapo.solver.bound import Penalty
 
@@ -107,15 +107,14 @@ def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
     rows = [("Trained policy", result.lower), ("Upper bound", result.upper)]
     columns = [
         Column("", lambda row: row[0]),
-        Column("Value", lambda row: row[1].value, run.unit),
-        Column("95 % from", lambda row: row[1].low, run.unit),
-        Column("to", lambda row: row[1].high, run.unit),
+        Column("Value", lambda row: WithError(row[1].value, row[1].standard_error), run.unit),
     ]
-    caption = f"Bounds on {number(result.paths, 0)} paths"
+    caption = f"On {number(result.paths, 0)} paths; ± is half of a 95 % interval"
+    all_rows = [*rows, ("Gap, path by path", result.gap)]
     blocks: list[Block] = [
         Text(sentence(run, result, digits)),
         _chart(run, result, rows, digits),
-        table([*rows, ("Gap, path by path", result.gap)], columns, caption, decimal_places=digits),
+        table(all_rows, columns, caption, folded="Bounds and gap", decimal_places=digits),
     ]
     low, high = result.sure
     if low is not None and high is not None:
@@ -131,11 +130,11 @@ def sentence(run: RunFiles, result: ValueBounds, digits: int) -> str:
         return "There are too few paths for an interval."
     if small := result.says_little:
         return f"This bound {small}. No policy earns more than {run.value_text(top, None, digits)}."
-    share = f", {percent(gap / abs(low), 2)} of its value," if low else ""
+    share = f", {percent(gap / abs(low), 2)} of its value" if low else ""
     return (
-        f"No policy earns more than {run.value_text(top, None, digits)}, and the "
-        f"trained one leaves at most {run.value_text(gap, None, digits)}{share} on the table (95 "
-        "% intervals)."
+        f"No policy earns more than {run.value_text(top, None, digits)}: the best one earns at "
+        f"most {run.value_text(gap, None, digits)} more than the trained one{share} (95 % "
+        "intervals)."
     )
 
 

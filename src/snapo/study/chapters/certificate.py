@@ -203,7 +203,9 @@ def limit_table(
         for row in result.feasibility
     ]
     head = [("Limit", ""), ("", ""), ("Smallest slack", unit), ("Path", ""), (step, "")]
-    caption = f"Limits over all paths and {step.lower()}s, exact simulator (slack: room to a limit)"
+    caption = (
+        f"Limits over all paths and {step.lower()}s, exact simulator (slack: distance to a limit)"
+    )
     verdicts = [row.passed for row in result.feasibility if row.passed is not None]
     folded = f"Limits over all paths and {step.lower()}s: {sum(verdicts)} of {len(verdicts)} hold"
     return Table(head, body, caption, 2, folded=folded)

@@ -111,11 +111,15 @@ def distributed(
 def show(run: RunFiles, result: OutputTotals) -> list[Block]:
     """A histogram for each of the first outputs, and one table for all of them."""
     first = run.get("objective_output")
-    totals = [total for total in result.distribution if total.paths]
+    totals = [total for total in result.distribution if total.paths and run.title_of(total.name)]
     totals.sort(key=lambda total: total.name != first)
-    pictures = [histogram(f"distribution-{i}", total) for i, total in enumerate(totals[:PICTURES])]
+    varying = [total for total in totals if total.name == first or total.standard_deviation]
+    pictures = [
+        histogram(f"distribution-{i}", total, run.title_of(total.name))
+        for i, total in enumerate(varying[:PICTURES])
+    ]
     head = (
-        Column("Output", lambda total: readable(total.name)),
+        Column("Output", lambda total: run.title_of(total.name)),
         Column("Unit", lambda total: unit_words(total.unit)),
     )
     blocks = [*pictures, table(totals, (*head, *COLUMNS), "Totals of a path", by_row=True)]
@@ -139,12 +143,12 @@ def _plain_mean(run: RunFiles, totals: Sequence[OutputTotal], first: str) -> lis
     return [Text(PLAIN, caveat=True)] if differs else []
 
 
-def histogram(anchor: str, total: OutputTotal) -> Chart:
+def histogram(anchor: str, total: OutputTotal, title: str = "") -> Chart:
     """The histogram of a total with its mean and the 5 % and 95 % quantiles."""
     marks = [("mean", total.mean), ("5 %", total.quantiles.get("p05"))]
     marks.append(("95 %", total.quantiles.get("p95")))
     drawn = [(text, x) for text, x in marks if x is not None and np.isfinite(x)]
-    name, paths = readable(total.name), number(total.paths, 0)
+    name, paths = title or readable(total.name), number(total.paths, 0)
     mean = quantity(total.mean, total.unit)
     alt = f"Histogram of {name} over {paths} paths; its mean is {mean}."
     label = with_unit(name, total.unit)
@@ -155,8 +159,8 @@ def histogram(anchor: str, total: OutputTotal) -> Chart:
         220,
     )
     caption = (
-        f"{name}: total of a path, {paths} paths of the exact simulator. Paths outside of the "
-        "edges are in the outermost bins."
+        f"{name}: the total of a path, for {paths} paths under the exact rules. The outermost bins "
+        "contain the paths outside of the edges, too."
     )
     return Chart(svg, caption)
 

@@ -33,8 +33,11 @@ def headline(run: RunFiles) -> Section:
     error = run.result.standard_error
     digits = decimals([value], 6) if not error else max(0, decimals([error], 2))
     text = f"{number(value, digits)}{SPACE}{unit}".rstrip(SPACE)
+    if unit and unit == run.currency:
+        text = run.money(value, digits)
     objective = str(run.get("objective", "the objective"))
-    note = f"{objective}, of the exact simulator on fresh paths; {PLUS_MINUS}"
+    objective = objective[:1].upper() + objective[1:]
+    note = f"{objective}, under the exact rules on fresh paths; {PLUS_MINUS}"
     available = plus_minus(error, digits)
     top = Headline("Value", text, available, note, marks=marks(run), context=optimum(run))
     blocks: list[Block] = [top, *notes(run)]
@@ -51,9 +54,11 @@ def common_paths(run: RunFiles) -> list[Text]:
         return [Text(f"{text}: on common paths their difference is 0.")]
     if gain is None:
         return []
-    value, half = measured(gain, error, max(0, decimals([error or gain], 2)), sign=True)
+    more = "more" if gain >= 0 else "less"
+    value, half = measured(abs(gain), error, max(0, decimals([error or gain], 2)))
     unit = f"{run.unit} " if run.unit else ""
-    return [Text(f"On common paths the policy is worth {unit}{value} {half} against its start.")]
+    sentence = f"the policy earns {unit}{value} {half} {more} than the rule that it began with"
+    return [Text(f"On common paths {sentence}.")]
 
 
 def marks(run: RunFiles) -> list[Mark]:

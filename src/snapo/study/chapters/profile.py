@@ -13,7 +13,7 @@ from snapo.report.bands import quantile_fan
 from snapo.report.drawing import draw
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Text
-from snapo.report.quantity import number, quantity, readable, with_unit
+from snapo.report.quantity import number, quantity, with_unit
 
 from ..chapter import Chapter, Floats, Number, floats
 from ..study import Setup, StudyRun
@@ -106,10 +106,10 @@ def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
     series, notes, paths = [], [], 0
     for kind, name, values in recorded(run.setup, run.solution.policy, requested):
         _, paths, entries = values.shape
-        if kind == "state" and name in without:
+        if (kind == "state" and name in without) or run.study.names.get(name) == "":
             continue
         if entries > MAX_ENTRIES:
-            notes.append(f"{name} has {entries} numbers and no band.")
+            notes.append(f"{name} has {entries} numbers, too many for a chart.")
             continue
         for i in range(entries):
             full = name if entries == 1 else f"{name}.{i}"
@@ -171,27 +171,27 @@ def show(
     factor: Callable[[RunFiles, BandSeries], float] = lambda run, series: 1.0,
 ) -> Sequence[Block]:
     """A fan for every number of the state, of the decision and of the outputs."""
-    series = [x.times(factor(run, x)) for x in result.series]
+    series = [x.times(factor(run, x)) for x in result.series if run.title_of(x.name)]
     step, paths = str(run.get("step", "step")), number(result.paths, 0)
     blocks: list[Block] = []
     for kind in HEADINGS:
         of_kind = [x for x in series if x.kind == kind]
         varying = [x for x in of_kind if x.constant is None]
         blocks += [
-            _fan(f"fan-{kind}-{i}", x, step, paths) for i, x in enumerate(varying[:PICTURES])
+            _fan(run, f"fan-{kind}-{i}", x, step, paths) for i, x in enumerate(varying[:PICTURES])
         ]
         if len(varying) > PICTURES:
             blocks.append(Text(f"{len(varying) - PICTURES} more of this kind are not drawn.", True))
         for x in of_kind:
             if (level := x.constant) is not None:
                 size = quantity(level, x.unit)
-                sentence = f"{readable(x.name)} ({HEADINGS[kind]}) is {size} at every {step}."
+                sentence = f"{run.title_of(x.name)} ({HEADINGS[kind]}) is {size} in every {step}."
                 blocks.append(Text(sentence, caveat=True))
     return [*blocks, *(Text(note, caveat=True) for note in result.notes)]
 
 
-def _fan(anchor: str, series: BandSeries, step: str, paths: str) -> Chart | Text:
-    name, lines = readable(series.name), series.lines
+def _fan(run: RunFiles, anchor: str, series: BandSeries, step: str, paths: str) -> Chart | Text:
+    name, lines = run.title_of(series.name), series.lines
     if "mean" not in lines:
         return Text(f"{name} is finite on no path.", caveat=True)
     when = np.arange(len(lines["mean"]))
@@ -201,7 +201,7 @@ def _fan(anchor: str, series: BandSeries, step: str, paths: str) -> Chart | Text
         anchor, alt, lambda axes: quantile_fan(axes, when, lines, label, None, step.capitalize()),
         230,
     )  # fmt: skip
-    return Chart(svg, f"{name} ({HEADINGS[series.kind]}), {paths} paths of the exact simulator.")
+    return Chart(svg, f"{name} ({HEADINGS[series.kind]}) on {paths} paths, under the exact rules.")
 
 
 PROFILE = profile()

@@ -102,8 +102,11 @@ class InputMove(ReportedInterval):
         """By how much the input moves, as text."""
         if self.amount is None:
             return f"+{percent(0.01 if self.share is None else self.share, 0)}"
+        if self.unit.startswith("1/"):
+            return f"+{number(self.amount)} per {unit_words(self.unit[2:])}"
         single = self.amount == 1 and self.unit == "points"
-        return f"+{quantity(self.amount, 'point' if single else self.unit)}"
+        unit = "" if self.unit == "1" else "point" if single else self.unit
+        return f"+{quantity(self.amount, unit)}"
 
 
 @dataclass(frozen=True)
@@ -242,7 +245,7 @@ def _moves(run: RunFiles, moves: Sequence[InputMove]) -> Table:
         for move in moves
     ]
     head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Change", run.unit),
-            ("95 % low", run.unit), ("high", run.unit), ("of it sampling", run.unit),
+            ("95 % low", run.unit), ("high", run.unit), ("Half-width: sampling", run.unit),
             ("policy", run.unit), ("Source", ""), ("Bump", run.unit), ("", "")]  # fmt: skip
     return Table(head, rows, "Change of the value for a move of an input", frozenset({0, 1, 2, 8}))
 

@@ -22,7 +22,6 @@ NAMES = [
     "profile",
     "inventory",
     "deltas",
-    "daily",
     "risk",
     "what-if",
     "history",
@@ -157,7 +156,8 @@ def test_the_values_by_method_are_a_table_without_bars(full):
 
 def test_the_change_of_a_delta_in_training_is_folded_and_explained(full):
     section = full.split('<section id="deltas"')[1].split("</section>")[0]
-    shown, folded = section.split("<details>")
+    shown, by_day, folded = section.split("<details>")
+    assert "<summary>Deltas by delivery day</summary>" in by_day and "<svg" in by_day
     assert "Moved" not in section and "Change in training" not in shown
     assert "Change in training" in folded and "the error of the policy is in the interval" in folded
     assert "not the gas in store" in shown
@@ -248,7 +248,7 @@ def test_long_contracts_name_fewer_months_and_move_quarters(tmp_path):
     assert all(
         f"Q{quarter} {year}" in text for quarter in range(1, 5) for year in range(2021, 2026)
     )
-    drawing_of_deltas = html[html.index('id="deltas"') : html.index('id="daily"')]
+    drawing_of_deltas = html[html.index('id="deltas"') :].split("<details>")[0]
     assert drawing_of_deltas.count(">Jul<") == 5
     assert ">Feb<" not in drawing_of_deltas
 

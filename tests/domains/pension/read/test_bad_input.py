@@ -59,7 +59,7 @@ MISTAKES = {
     ),
     "rate without use": (
         "case.toml", 'basis = "spread"', 'basis = "risk-free"',
-        ["liability.rate", "0.002", "no use"],
+        ["liability.rate", "0.002", "does not use"],
     ),
     "key of another contribution": (
         "case.toml", "spread_factor = 0.06", "spread_factor = 0.06\ntarget_ratio = 1.1",

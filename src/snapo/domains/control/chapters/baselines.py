@@ -106,8 +106,11 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
         reward = f"In Gymnasium's own {real.name} it earns {mean} {error}"
         starts = f"over {number(real.starts, 0)} starts (reset with the seeds 0, 1, …)."
         blocks.append(Text(f"{reward} {starts}"))
-    regulator = "Riccati's for the plant around its target, clipped to the limits."
-    return [*blocks, Text(f"The linear regulator is {regulator}")]
+    regulator = (
+        "The linear regulator solves the Riccati equation of the plant around its target; its "
+        "decisions are clipped to the limits."
+    )
+    return [*blocks, Text(regulator)]
 
 
 BASELINES = Chapter("rivals", "Comparison with classical rules", Baselines, measure, show)
@@ -158,7 +161,7 @@ def _check_same(plant: Plant, values: Any) -> None:
                 allowed = f"{plant.twin} has {usual[group][name]:g}; leave --reference out"
                 raise CaseError("--reference", f"{group}.{name}", float(value), allowed)
     if values["noise"] or values["measurement"] or plant.time_feature:
-        allowed = f"{plant.twin} has no disturbances, no measurement noise and shows no clock; "
+        allowed = f"{plant.twin} has no disturbances, no noise and no observed time; "
         allowed += "leave --reference out"
         raise CaseError("--reference", "", None, allowed)
 

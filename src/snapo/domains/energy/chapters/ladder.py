@@ -22,6 +22,7 @@ from ...gas_storage.ladder.flat import Side
 from ...gas_storage.ladder.methods import DeskMethods
 from ...gas_storage.ladder.products import usual_products
 from ..core.contract import ContractLayout
+from ..core.intraday import IntradaySimulator
 from ..core.policy import UnitValuePolicy
 from ..core.simulator import simulator_of
 from ..methods.hindsight import EnergyRelaxation
@@ -35,7 +36,7 @@ from .reference import measure as measure_reference
 def no_flat_volumes(layout: ContractLayout) -> str:
     """Why the volumes of a contract have no flat ones over products; "" where they do."""
     if layout.indexed:
-        return "this method is for contracts whose money does not follow an index"
+        return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()
     if layout.moves or not (len(layout.flows) == 1 or opposite) or len(layout.levels) > 1:
         return "this method is for contracts of at most one level, and of one flow or two opposite"
@@ -171,9 +172,16 @@ class EnergyMethods(ContractMethods):
     def layout(self) -> ContractLayout:
         return simulator_of(self.run.setup.problem).layout
 
+    @property
+    def intraday(self) -> bool:
+        """Whether differences from a schedule are traded."""
+        return isinstance(self.run.setup.problem.simulator, IntradaySimulator)
+
     @cached_property
     def desk(self) -> DeskMethods:
         setup = self.run.setup
+        if self.intraday:
+            raise ValueError("this method has no schedules with trades of the differences")
         case, schedule = case_of(setup), setup.problem.schedule
         contract, (spots, states) = FlatVolumes(self.layout, schedule), self.on_paths
         return DeskMethods(
@@ -191,7 +199,7 @@ class EnergyMethods(ContractMethods):
 
     def least_squares(self) -> np.ndarray:
         """Of a contract of several levels or modes: the fitted value, on the same paths."""
-        if no_flat_volumes(self.layout):
+        if no_flat_volumes(self.layout) or self.intraday:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()
         levels = levels[:, :, None][:, :, : len(self.layout.levels)]
@@ -215,6 +223,11 @@ class EnergyMethods(ContractMethods):
             return money - self.relaxation.charged(other, draws, self.scale)
 
         return self.paths.joined(earned)
+
+    def lattice(self) -> Estimated:
+        if self.intraday:
+            raise ValueError("a schedule and the levels are too many for a lattice")
+        return super().lattice()
 
     def reference(self) -> ReferenceValue:
         return REFERENCE.of(self.run) or measure_reference(self.run)

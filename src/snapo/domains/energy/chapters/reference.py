@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 
+from snapo.problem.problem import Problem
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 
+from ..core.intraday import IntradaySimulator, without_trades
 from ..core.simulator import simulator_of
 from ..methods.lattice import lattice, refined
 from ..setup import factors_of
@@ -32,12 +34,27 @@ def measure_intrinsic(run: StudyRun) -> Intrinsic:
 
 
 def measure(run: StudyRun) -> ExactValue:
-    """The lattice in one or two price factors, where they are the whole process."""
+    """The lattice in one or two price factors, where they are the whole process, and no schedule is
+    a part of the state."""
     problem = run.setup.problem
     factors = factors_of(problem)
-    if factors is None or not factors.exact:
+    if factors is None or not factors.exact or isinstance(problem.simulator, IntradaySimulator):
         return ExactValue()
     return ExactValue(*refined(simulator_of(problem).layout, problem.schedule, factors))
+
+
+def around(problem: Problem) -> tuple[float, float] | None:
+    """The exact values that a contract with schedules and trades is between: of schedules that are
+    never left, and without auctions; None of other contracts."""
+    if not isinstance(problem.simulator, IntradaySimulator):
+        return None
+    layout = problem.simulator.layout
+    both = [without_trades(problem, scheduled) for scheduled in (True, False)]
+    try:
+        low, high = (refined(layout, x.schedule, factors_of(x)).value for x in both)
+    except ValueError:  # too many levels or price factors for a lattice
+        return None
+    return low, high
 
 
 INTRINSIC = Chapter("intrinsic value", "Intrinsic value", Intrinsic, measure_intrinsic,

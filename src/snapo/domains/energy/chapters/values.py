@@ -13,7 +13,7 @@ from snapo.study.chapters.headline import common_paths
 from snapo.study.study import StudyRun
 
 from ..core.policy import UnitValuePolicy
-from .reference import INTRINSIC, REFERENCE
+from .reference import INTRINSIC, REFERENCE, around
 
 PATHS = 16384
 
@@ -55,6 +55,10 @@ def measure(run: StudyRun) -> MethodValues:
         moved = reference.dynamic_programming_error or 0.0
         note = f"lattice; finer grids move it by {moved:,.2g}"
         rows.append(MethodValue("Dynamic programming", reference.dynamic_programming, None, note))
+    if reference is not None and (values := around(setup.problem)) is not None:
+        notes = "lattice; no schedule is left: a bound from below", "lattice; a bound from above"
+        names = "Auctions only", "Without auctions"
+        rows += [MethodValue(*x[:2], None, x[2]) for x in zip(names, values, notes)]
     if (bounds := BOUND.of(run)) is not None:
         above, note = bounds.upper, "perfect foresight with a penalty: no policy earns more"
         rows.append(MethodValue("Upper bound", above.value, above.standard_error, note))
@@ -68,7 +72,7 @@ def show(run: RunFiles, result: MethodValues) -> Sequence[Block]:
         Column("Meaning", lambda row: row.note),
         Column("Value", lambda row: WithError(row.value, row.standard_error), run.unit),
     ]
-    caption = "Present values of the same contract; a policy is below the best one."
+    caption = "Present values. The value of a policy is a lower bound on the optimum."
     rows = result.value_ladder
     strong = frozenset(i for i, row in enumerate(rows) if row.name == "Trained policy")
     values = replace(table(rows, columns), texts=2, strong=strong)

@@ -23,8 +23,17 @@ from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
 
 from ...gas_storage.prices.process import use
-from ..core.contract import ContractLayout, EnergyContract, EnergyFlow, Level, StepTerms, Terms
+from ..core.contract import (
+    ContractLayout,
+    EnergyContract,
+    EnergyFlow,
+    Intraday,
+    Level,
+    StepTerms,
+    Terms,
+)
 from ..methods.measure import common_measure
+from ..read.auction import AUCTION
 from ..read.hours import HourlyContractTable
 
 NARROWEST, WIDEST = 0.01, 0.1  # of the energy: a wider bump would be no derivative
@@ -53,16 +62,25 @@ class DischargeTable(CaseTable):
 
 
 class CyclesTable(CaseTable):
-    """{ day = 1.5, term = 60.0 }: most of each calendar day, and of the whole term."""
+    """{ day = 1.5, term = 60.0 }: limits of each calendar day, and of the whole term."""
 
-    day: CaseInput | None = CYCLES("most of a calendar day", None, name="cycles_day")
+    day: CaseInput | None = CYCLES("limit of a calendar day", None, name="cycles_day")
     term: CaseInput | None = CYCLES("most of the whole term", None, name="cycles_term")
+
+
+class IntradayTable(CaseTable):
+    """{ half_spread = 2.0 }: differences from the schedule are traded at the spot price of the
+    hour, plus the half spread where they are bought, and less it where they are sold."""
+
+    half_spread: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
+        "for each MWh that differs from the schedule"
+    )
 
 
 class BatteryTable(HourlyContractTable):
     """`[contract]` of kind "battery"."""
 
-    energy: CaseInput = ENERGY("most energy in store")
+    energy: CaseInput = ENERGY("largest energy in store")
     stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)("energy at the start", 0.0)
     charge: dict = Field(description="a table like { power = 1.0, efficiency = 0.9 }")
     discharge: dict = Field(description="a table like { power = 1.0, efficiency = 0.95 }")
@@ -70,6 +88,8 @@ class BatteryTable(HourlyContractTable):
         "for each MWh taken from the store", 0.0
     )
     cycles: dict | None = Field(None, description="a table like { day = 1.5 }")
+    auction: dict | None = Field(None, description=AUCTION)
+    intraday: dict | None = Field(None, description="a table like { half_spread = 2.0 }")
 
 
 class BatteryContract(EnergyContract):
@@ -85,6 +105,7 @@ class BatteryContract(EnergyContract):
     cycles_day: CaseInput | None
     cycles_term: CaseInput | None
     day_ends: Bool[np.ndarray, " T"]
+    half_spread: CaseInput | None
     layout: ContractLayout = eqx.field(static=True)
 
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
@@ -102,6 +123,11 @@ class BatteryContract(EnergyContract):
             again.append(jnp.zeros(count, bool))
         none = jnp.zeros((count, len(high)))
         start = jnp.zeros(len(high)).at[0].set(use(inputs, self.stored))
+        intraday = None
+        if self.half_spread is not None:
+            sold = jnp.stack([-one / into, one * out], axis=1)
+            spread = use(inputs, self.half_spread) * one
+            intraday = Intraday(spread, paid * one, sold)
         steps = StepTerms(
             jnp.zeros((count, 2)),
             jnp.stack([charge * into * one, discharge * one], axis=1),
@@ -113,6 +139,7 @@ class BatteryContract(EnergyContract):
             none,
             jnp.stack(again, axis=1),
             jnp.zeros((count, 1)),
+            intraday=intraday,
         )
         return Terms(start, steps)
 
@@ -157,6 +184,11 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
     charge = where.nested(ChargeTable, table.charge, "charge")
     discharge = where.nested(DischargeTable, table.discharge, "discharge")
     cycles = where.nested(CyclesTable, table.cycles or {}, "cycles")
+    intraday = table.intraday
+    if intraday is not None:
+        intraday = where.nested(IntradayTable, intraday, "intraday")
+        unit = f"{table.currency}/{table.volume_unit}"
+        intraday = replace(intraday.half_spread, unit=unit)
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
         raise where.error("stored", stored, f"allowed is at most energy, {energy:g}")
@@ -174,6 +206,7 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         day,
         term,
         np.array(ends, bool),
+        intraday,
         layout=layout_of(  # pyright: ignore[reportCallIssue]
             cycles.day is not None, cycles.term is not None
         ),

@@ -67,10 +67,10 @@ class ParkAndLoanTable(CaseTable):
     currency: FileName = Field("EUR", description='a name such as "EUR"')
     start: DateKey = Field(description=DATE)
     end: DateKey = Field(description=DATE)
-    max_park: CaseInput = LIMIT("most that is parked at the end of a day", 0.0)
-    max_loan: CaseInput = LIMIT("most that is on loan at the end of a day", 0.0)
-    max_deliver: CaseInput = RATE("most that is delivered a day, to park or to repay")
-    max_take: CaseInput = RATE("most that is taken a day, back or on loan")
+    max_park: CaseInput = LIMIT("largest volume parked at the end of a day", 0.0)
+    max_loan: CaseInput = LIMIT("largest volume on loan at the end of a day", 0.0)
+    max_deliver: CaseInput = RATE("largest volume delivered a day, to park or to repay")
+    max_take: CaseInput = RATE("largest volume taken a day, back or on loan")
     deliver_window: dict | None = Field(
         None, description="a table like { first = 2026-07-01, last = 2026-07-31 }"
     )

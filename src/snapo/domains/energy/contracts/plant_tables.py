@@ -29,7 +29,7 @@ class PowerTable(CaseTable):
 
     market: Literal["power"] = Field("power", description='"power"')
     min: CaseInput = POWER("least of an hour on", 0.0, name="power_min")
-    max: CaseInput = POWER("most of an hour on", range=POSITIVE, name="power_max")
+    max: CaseInput = POWER("largest power of an hour on", range=POSITIVE, name="power_max")
 
 
 class FuelTable(CaseTable):
@@ -74,7 +74,7 @@ class PowerPlantTable(HourlyContractTable):
     power: dict = Field(description='a table like { market = "power", min = 50.0, max = 110.0 }')
     fuel: dict = Field(description='a table like { market = "gas", idle = 45.0, per_mwh = 1.6 }')
     emission: dict | None = Field(None, description="a table like { per_fuel = 0.2, price = 70.0 }")
-    other_cost: CaseInput = BY_MWH("other money for each MWh of power", 0.0)
+    other_cost: CaseInput = BY_MWH("other costs of each MWh of power", 0.0)
     starts: list[Any] = Field([], description=STARTS)
     min_up: int = Field(1, ge=1, le=LONGEST, description=HOURS)
     min_down: int = Field(1, ge=1, le=LONGEST, description=HOURS)
@@ -137,7 +137,9 @@ def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
     ]  # fmt: skip
     for i, start in enumerate(starts):
         if not i and start.off > table.min_down:
-            message = f"allowed is at most min_down = {table.min_down}: all starts have a class"
+            message = (
+                f"allowed is at most min_down = {table.min_down}, so that every start has a class"
+            )
             raise where.error("starts.1.off", start.off, message)
         if i and start.off <= starts[i - 1].off:
             message = f"allowed is more than that of the class before, {starts[i - 1].off}"

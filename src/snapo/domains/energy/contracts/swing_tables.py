@@ -34,7 +34,7 @@ class AnnualTable(CaseTable):
     """{ min = 200.0, max = 300.0 }: of each contract year."""
 
     min: CaseInput = ANNUAL("least of a contract year", 0.0, name="annual_min")
-    max: CaseInput | None = ANNUAL("most of a contract year", None, name="annual_max")
+    max: CaseInput | None = ANNUAL("maximum of a contract year", None, name="annual_max")
 
 
 class RightsTable(CaseTable):
@@ -56,7 +56,7 @@ class CarryTable(CaseTable):
     """{ years = 1, max = 8.0 }: units above the minimum lower that of the next year."""
 
     years: int = Field(1, ge=1, le=1, description="1")
-    max: CaseInput = TAKEN("most that is carried forward", name="carry_forward_max")
+    max: CaseInput = TAKEN("largest volume carried forward", name="carry_forward_max")
     units: CaseInput = TAKEN(
         "carried forward into this contract year", 0.0, name="carry_forward_units"
     )
@@ -107,7 +107,7 @@ class SwingTable(CaseTable):
     start: DateKey = Field(description=DATE)
     end: DateKey = Field(description=DATE)
     side: Literal["call", "put"] = Field("call", description='"call" or "put"')
-    max_daily: CaseInput = RATE("most volume a day")
+    max_daily: CaseInput = RATE("largest volume a day")
     min_daily: CaseInput = RATE("volume that must be taken each day", 0.0)
     strike: Any = custom(_strike, STRIKES, types=("number", "string", "object"))
     year_begins: str | None = Field(None, description='a day of the year such as "10-01"')

@@ -171,6 +171,18 @@ def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
     return sum(parts[1:], parts[0])
 
 
+class Intraday(NamedTuple):
+    """Trades of differences from a schedule, see `intraday.py`; in units of a market.
+
+    - `half_spread`: money for each unit of the difference; `discount`: of it.
+    - `sold`: units sold for each unit of a flow, negative where they are bought.
+    """
+
+    half_spread: Float[Array, " T"]
+    discount: Float[Array, " T"]
+    sold: Float[Array, "T flows"]
+
+
 class StepTerms(NamedTuple):
     """The numbers of every step: leaves [T, flows] or [T, levels].
 
@@ -180,7 +192,7 @@ class StepTerms(NamedTuple):
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
     - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
-      none. `promises`, `bank`, `of_levels`: None without any.
+      none. `promises`, `bank`, `of_levels`, `intraday`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -198,6 +210,7 @@ class StepTerms(NamedTuple):
     bank: Bank | None = None
     of_levels: LevelMoney | None = None
     fixed_index: Float[Array, "T moves"] | None = None
+    intraday: Intraday | None = None
 
 
 class StepPrices(NamedTuple):

@@ -14,6 +14,9 @@ class Step(NamedTuple):
     - `time`: years from the valuation date; `forward`: of the commodity.
     - `price`: the row of the price process; `ahead`: the shape of the curve.
     - `unit_values`, `surprise`: tables of the fitted value, None without one.
+    - `auction`, `begins`, `scheduled_values`: where flows are scheduled at auctions and the
+      differences are traded, the row of the prices of the auction, whether it is on this step, and
+      the table of the fitted value of schedules that are never left.
     """
 
     time: Array
@@ -24,10 +27,14 @@ class Step(NamedTuple):
     ahead: Array
     unit_values: Any = None
     surprise: Any = None
+    auction: PyTree = None
+    begins: Array | None = None
+    scheduled_values: Any = None
 
 
 class Constants(NamedTuple):
-    """`start`: of the levels; `price`: constants of the price process; scales of the features."""
+    """`start`: of the levels; `price`, `auction`: constants of the price processes; scales of the
+    features."""
 
     start: Float[Array, " levels"]
     price: PyTree
@@ -35,11 +42,18 @@ class Constants(NamedTuple):
     volume_scale: Array
     last_time: Array
     first_value: Any = None
+    auction: PyTree = None
 
 
 class State(NamedTuple):
-    """Levels at the start of a step, the weight of each mode (one of them 1), and the prices."""
+    """Levels at the start of a step, the weight of each mode (one of them 1), and the prices.
+
+    Where flows are scheduled at auctions, `scheduled`: the levels at the start of the step as they
+    were scheduled, and `auction_price`: the state of the prices at the last auction.
+    """
 
     levels: Float[Array, " levels"]
     mode: Float[Array, " modes"]
     price: PyTree
+    scheduled: Any = None
+    auction_price: PyTree = None

@@ -106,6 +106,9 @@ class EnergySimulator(PricedSimulator):
         bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])
         return replace(self, **dict(zip(names, bare)))
 
+    def on_step(self):
+        return replace(super().on_step(), time=None, first=0)
+
     @property
     def horizon(self) -> int:
         return len(self.time)

@@ -15,6 +15,7 @@ from snapo.problem.problem import Problem
 
 from ...gas_storage.bounds.regression import product
 from ..core.contract import StepPrices
+from ..core.intraday import GAIN
 from ..core.simulator import simulator_of
 from ..setup import fitted_value, price_schedule
 from .grid import arrived, best, corners, flow_signs, grid_of
@@ -37,7 +38,7 @@ class EnergyRelaxation:
         self.factors = None if result is None else result.factors
         self.grid = grid_of(self.layout, self.schedule) if result is None else result.fitted.grid
         if not self.grid.exact:
-            raise ValueError("its volumes have no common measure with few enough nodes for a bound")
+            raise ValueError("its volumes have no common divisor with few enough nodes for a bound")
 
     @property
     def terms(self) -> int:
@@ -61,7 +62,9 @@ class EnergyRelaxation:
         record, end = rollout.record["state"], rollout.state
         levels = self._path(record.levels, end.levels)
         mode = np.argmax(self._path(record.mode, end.mode), axis=2)
-        return self.charged_along(rollout, levels, mode, scale)
+        charge = self.charged_along(rollout, levels, mode, scale)
+        # The gain of a schedule has mean zero, and no part in the inner problem.
+        return charge + np.asarray(rollout.totals.get(GAIN, 0.0), float)
 
     def charged_along(self, rollout, levels, mode, scale: np.ndarray) -> np.ndarray:
         """[N] penalties of other levels [T + 1, N, levels] and modes [T + 1, N] on these prices."""

@@ -254,7 +254,7 @@ def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | No
     of_levels = partial(lattice, layout, schedule, factors, slow=slow)
     first = of_levels()
     if len(layout.levels) > 2 and not first.grid.exact:
-        raise ValueError("there is no lattice of three levels without a practical common measure")
+        raise ValueError("there is no lattice of three levels without a practical common divisor")
     of_prices = partial(of_levels, grid=first.grid)
     finer: list[Callable[[int], Lattice]] = []
     if not first.grid.exact:

@@ -39,6 +39,7 @@ from ..contracts.battery import (
     ChargeTable,
     CyclesTable,
     DischargeTable,
+    IntradayTable,
     read_battery,
 )
 from ..contracts.park_and_loan import ParkAndLoanTable, WindowTable, read_park_and_loan
@@ -61,6 +62,7 @@ from ..contracts.swing_tables import (
     read_swing,
 )
 from ..core.contract import EnergyContract
+from .auction import AuctionTable, at_auctions, check_auction
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 from .pair import (
     GasMarketTable,
@@ -129,7 +131,13 @@ KINDS: dict[str, ContractKind] = {
         BatteryTable,
         read_battery,
         "Battery",
-        {"charge": ChargeTable, "discharge": DischargeTable, "cycles": CyclesTable},
+        {
+            "charge": ChargeTable,
+            "discharge": DischargeTable,
+            "cycles": CyclesTable,
+            "auction": AuctionTable,
+            "intraday": IntradayTable,
+        },
         hourly=True,
     ),
     "park-and-loan": ContractKind(
@@ -167,6 +175,8 @@ class EnergyCase:
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
       [T]: in years; `first_step`: steps from the valuation date to the first.
     - `products`: the traded products; None where the case names none.
+    - `scheduled`: the prices at auctions, of a contract that trades differences from its schedules
+      intraday; else None, and `model` is the prices of all decisions.
     """
 
     kind: str
@@ -187,6 +197,7 @@ class EnergyCase:
     evaluation: EvaluationTable
     notes: tuple[str, ...] = ()
     products: TradedProducts | None = None
+    scheduled: PriceProcess | None = None
 
     def numbers(self) -> Iterator[CaseInput]:
         """Every number of contract, market and prices."""
@@ -215,7 +226,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     valuation, where = market_table.valuation_date, TableContext(file, "contract", notes)
     section, unit = TableContext(file, "market", notes), f"{table.currency}/{table.volume_unit}"
     delivery: Any
-    second = None
+    second = at_auction = None
     if kind.hourly:
         hours = hours_of(where, table, valuation)
         if kind.pair:
@@ -224,6 +235,11 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
             market = read_hourly(section, market_table, hours, unit)
         days, delivery = hours.days, replace(hours, curve=market.forward_curve)
         time = np.array(hours.ahead[:-1]) / HOURS
+        if not kind.pair:
+            auctioned = at_auctions(where, table, delivery)
+            delivery, at_auction = (
+                (auctioned, None) if table.intraday is None else (delivery, auctioned)
+            )
     else:
         days = decision_days(where, table.start, table.end, valuation)
         moving = np.ones(len(days), bool)
@@ -251,6 +267,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     check_window(training, [objective.kind], name)
     if not kind.hourly:
         check_nomination(where, table, objective.kind, products)
+    elif not kind.pair:
+        check_auction(where, table, objective.kind)
     day = np.array([(date - valuation).days for date in days], np.int64)
     return EnergyCase(
         top.kind,
@@ -271,6 +289,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         read_evaluation(top.evaluation, name),
         tuple(notes),
         products,
+        None if at_auction is None else replace(model, delivery=at_auction.times),  # pyright: ignore
     )
 
 

@@ -47,7 +47,9 @@ class Hours:
     """The decision hours, and the delivery of a price process (see `Delivery`).
 
     - `instants` [T]: in UTC; `days` [T]: the local date of each; `end`: that of the end.
-    - `ahead` [T + 1]: hours from midnight of the valuation date, local time.
+    - `ahead` [T + 1]: hours from midnight of the valuation date, local time, to each hour, or to
+      the auction at which its flow is fixed; `notice`: hours from there to the hour, where there
+      are auctions.
     - `curve`: the forward price of each hour, once it is read.
     """
 
@@ -58,10 +60,11 @@ class Hours:
     valuation: datetime.date
     ahead: tuple[int, ...]
     curve: Any = None
+    notice: tuple[int, ...] | None = None
 
     @property
     def nominated(self) -> None:
-        """Flows are decided in their hour."""
+        """No flow is fixed days before its hour."""
         return None
 
     @property
@@ -80,7 +83,8 @@ class Hours:
         years, before = np.array(self.ahead) / HOURS, self.ahead[0]
         rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
         age = (before - 1 - np.arange(max(rows, 1))) / HOURS
-        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows)
+        notice = None if self.notice is None else np.array(self.notice) / HOURS
+        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, notice)
 
 
 def hours_of(where: TableContext, table: Any, valuation: datetime.date) -> Hours:

@@ -10,7 +10,7 @@ from snapo.report import charts
 from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.missing import why_missing
-from snapo.report.page import Block, Chart, Section, Table
+from snapo.report.page import Block, Chart, Table
 from snapo.report.quantity import SPACE, decimals, long_month, number
 from snapo.solver.derivatives.interval import Reported
 from snapo.study.chapter import Chapter, Floats, Number, floats
@@ -175,7 +175,8 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
         " the rule buys at low prices and sells at high ones, and a volume counts with its price"
         " over the curve's."
     )
-    return [Chart(svg, caption), _month_table(run, months), _parts_table(run, months)]
+    days = _daily(run, deltas.deltas_daily)
+    return [Chart(svg, caption), _month_table(run, months), *days, _parts_table(run, months)]
 
 
 def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
@@ -250,14 +251,11 @@ def _parts_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
     return Table(head, rows, caption, strong=frozenset([len(rows) - 1]), folded=folded)
 
 
-def daily(run: StorageRun) -> Section:
+def _daily(run: StorageRun, by_day: DailyDeltas) -> Sequence[Chart]:
     """The same deltas by delivery day: one thin bar a day."""
-    title, short = "Deltas by delivery day", "Daily deltas"
-    deltas, days = DELTAS.of(run), run.days
-    by_day = DailyDeltas() if deltas is None else deltas.deltas_daily
-    values = by_day.undiscounted
+    values, days = by_day.undiscounted, run.days
     if days is None or not np.isfinite(values).any():
-        return Section("daily", title, short, [why_missing(run, DELTAS.name)])
+        return ()
     half, compare = None, None
     if by_day.low.size and by_day.discounted.size:
         discounted = by_day.discounted
@@ -276,10 +274,10 @@ def daily(run: StorageRun) -> Section:
         height=220,
     )
     caption = (
-        "One sensitivity per day of the forward curve, all from one adjoint pass; whiskers are"
-        " 95 % intervals. The numbers are in sensitivities.csv."
+        "Volumes to trade in futures of each delivery day. Whiskers: 95 % intervals. The numbers"
+        " are in profile.csv."
     )
-    return Section("daily", title, short, [Chart(svg, caption)])
+    return (Chart(svg, caption, folded="Deltas by delivery day"),)
 
 
 DELTAS = Chapter("deltas", "Deltas by delivery month", CurveDeltas, measure, show, "Deltas",

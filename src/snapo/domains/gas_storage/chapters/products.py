@@ -17,7 +17,7 @@ from ..setup import case_of
 from .deltas import futures_along
 
 TEXT = (
-    "By how much the value changes where the price of one product changes by 1 on all its days. "
+    "Change of the value if the price of one product rises by 1 on all its days. "
     "Each day belongs to the shortest product that trades on the valuation date, so that these "
     "deltas sum to those by day. Undiscounted, they are the volumes of futures that hedge the "
     "position: a positive one is sold, and the volume a day is the same on each of them."

@@ -16,8 +16,8 @@ from .deltas import futures_along
 from .run import StorageRun
 
 TEXT = (
-    "By how much the value changes where the price of one quoted product changes by 1 and all "
-    "other quotes stay. The daily curve is linear in the quotes, so these are the deltas by day, "
+    "Change of the value if the price of one quoted product rises by 1 and all other quotes stay "
+    "the same. The daily curve is linear in the quotes, so these are the deltas by day, "
     "with the curve's own weights. Undiscounted, they are the volumes of futures that hedge the "
     "position: a positive one is sold."
 )

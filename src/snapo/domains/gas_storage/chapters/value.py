@@ -228,7 +228,7 @@ def cash_flow(run: StorageRun) -> Section:
         lambda axes: charts.histogram(axes, cash.edges, cash.counts, marks, unit),
     )  # fmt: skip
     caption = (
-        "Earnings of only the storage on one path, unhedged; trading the deltas above removes "
+        "Earnings of the storage on one path, unhedged; trading the deltas below removes "
         "most of this spread."
     )
     return Section("cash-flow", title, short, [Chart(svg, caption), Facts(facts)])

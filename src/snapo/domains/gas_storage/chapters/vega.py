@@ -31,11 +31,12 @@ from ..setup import case_of
 GROUP = "volatility"  # of the inputs that are volatilities
 FILE = "vega.csv"
 TEXT = (
-    "By how much the value changes where the volatility of all prices delivered in a month is "
-    "higher by one, in the unit of the column, with the decisions held. The volatility of other "
-    "months stays. The sum over the "
-    "months is the derivative with respect to the volatility of all days. Of a factor that moves "
-    "all prices, the month's vega is that of its effect on the prices of the month."
+    "Change of the value if the volatility of all prices delivered in a month rises by one, in the "
+    "unit of the column, while the volatility of other months and the decisions stay the same. A "
+    "factor that moves all prices changes the prices of this month only. The sum over the months "
+    "is the derivative with respect to the volatility of all days. The interval contains the "
+    "sampling error only; that of the sum in the table of sensitivities also contains the error "
+    "of the policy."
 )
 
 

@@ -110,6 +110,10 @@ class StorageSimulator(PricedSimulator):
         bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])
         return replace(self, **dict(zip(names, bare)))
 
+    def on_step(self):
+        hedge = None if self.hedge is None else np.zeros(())
+        return replace(super().on_step(), day=None, hedge=hedge)
+
     @property
     def horizon(self) -> int:
         return len(self.day)

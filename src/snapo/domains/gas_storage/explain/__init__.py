@@ -13,5 +13,5 @@ NOTES = {
     CONTRACT: "other terms of the contract",
     POLICY: "the policy of the second run on the same paths",
     REST: "third order of the curve, error of the policy, other paths",
-    CASH: "minus the money of the days between",
+    CASH: "minus the cash flow of the days between",
 }

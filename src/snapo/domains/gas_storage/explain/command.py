@@ -245,8 +245,8 @@ def _flows(change: ExplainedChange) -> Section:
         Column("Cash", "cash", change.currency, decimal_places=change.digits),
     ]
     text = (
-        "Net volumes into the store on the days between the two valuation dates, and their money "
-        f"discounted to the second one. The part “{CASH}” takes it out of the value."
+        "Net volumes into the store on the days between the two valuation dates, and their cash "
+        f"flow discounted to the second one. The part “{CASH}” subtracts it from the value."
     )
     blocks = [table(change.flows, columns), Text(text)]
     return Section("flows", "Days between", "Days between", blocks)

@@ -18,7 +18,7 @@ from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range, on_dates
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.form import Use
+from snapo.problem.form import Use, without_uses
 from snapo.problem.process import Gaps, Process
 from snapo.problem.scenarios import Sources
 from snapo.problem.simulator import Simulator
@@ -267,6 +267,9 @@ class PricedSimulator(Simulator):
     """A simulator whose only noise is that of the prices of its `process`."""
 
     process: eqx.AbstractVar[PriceProcess]
+
+    def on_step(self):
+        return without_uses(self)
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -69,7 +69,7 @@ def _forward(
 ) -> tuple[CaseInput, QuotedCurve | None]:
     """The forward price of each of `days`, from a curve or from quotes."""
     if (table.forward_curve is None) == (table.quotes is None):
-        message = "[market] has one of both: forward_curve, a CSV file with columns date,price, or "
+        message = "[market] has one of the two: forward_curve, a CSV file of date,price, or "
         raise section.error("quotes", table.quotes, f"{message}quotes, one with product,price")
     if table.forward_curve is not None:
         if table.curve is not None:

@@ -23,10 +23,10 @@ LEVEL = Quantity(
     meaning="inventories of the ratchet rows",
 )  # fmt: skip
 INJECTION = replace(
-    LEVEL, unit=FLOW, column="max_injection", meaning="most injection per day, by inventory"
+    LEVEL, unit=FLOW, column="max_injection", meaning="largest injection per day, by inventory"
 )
 WITHDRAWAL = replace(
-    LEVEL, unit=FLOW, column="max_withdrawal", meaning="most withdrawal per day, by inventory"
+    LEVEL, unit=FLOW, column="max_withdrawal", meaning="largest withdrawal per day, by inventory"
 )
 
 

@@ -34,7 +34,7 @@ def nominated_on(
         return None
     nomination = where.nested(NominationTable, table.nomination, "nomination")
     where.notes.append(
-        "contract.nomination: flows are fixed days before them. Prices and money on paths are "
+        "contract.nomination: flows are fixed days before them. Prices and cash flows on paths are "
         "those seen then, and spread less than on the days of the flows."
     )
     if nomination.calendar == "every-day":
@@ -51,7 +51,7 @@ def check_nomination(where: TableContext, table: Any, objective: str, products: 
         return
     if objective != "mean":
         message = (
-            "the money of a flow counts at the forward price of its nomination, so that the "
+            "a flow is paid at the forward price of its nomination, so that the "
             f'objective "{objective}" is not known; allowed is the objective "mean"'
         )
         raise where.error("nomination", None, message)

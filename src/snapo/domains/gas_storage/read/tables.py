@@ -110,10 +110,10 @@ class ContractTable(CaseTable):
     start: DateKey = Field(description=DATE)
     end: DateKey = Field(description=DATE)
     inventory: CaseInput = STOCK("gas in store at the start")
-    max_inventory: CaseInput = LIMIT("most gas in store")
+    max_inventory: CaseInput = LIMIT("largest volume of gas in store")
     min_inventory: CaseInput = LIMIT("least gas in store", 0.0, before=0.0)
-    max_injection: CaseInput | None = RATE("most injection per day", None)
-    max_withdrawal: CaseInput | None = RATE("most withdrawal per day", None)
+    max_injection: CaseInput | None = RATE("largest injection per day", None)
+    max_withdrawal: CaseInput | None = RATE("largest withdrawal per day", None)
     ratchets: FileName | None = Field(
         None,
         description="a CSV file with columns date,inventory,max_withdrawal,max_injection",

@@ -86,7 +86,7 @@ def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
     def numbers(row: RuleResult) -> str:
         return ", ".join(f"{name} {number(value, 1)}" for name, value in row.numbers.items())
 
-    def dearer(row: RuleResult) -> WithError:
+    def excess(row: RuleResult) -> WithError:
         gap = row.difference
         return WithError(None if gap is None else -gap, row.difference_error)
 
@@ -97,7 +97,7 @@ def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
         Column("Rule", lambda row: row.rule[:1].upper() + row.rule[1:]),
         Column("Numbers", numbers),
         Column("Cost", lambda row: WithError(-row.value, row.standard_error), run.unit),
-        Column("Dearer by", dearer, run.unit, sign=True),
+        Column("Excess cost", excess, run.unit, sign=True),
         Column("", share),
     )
     text = (

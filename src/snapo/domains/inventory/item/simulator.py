@@ -19,6 +19,7 @@ as possible, and derivatives through a sharp threshold explode. (Rules trained t
 % more than the best one, and the initial rule was kept.)
 """
 
+from dataclasses import replace
 from typing import Any, Self
 
 import equinox as eqx
@@ -133,6 +134,9 @@ class InventorySimulator(Simulator):
 
     def on_paths(self):
         return jax.tree.map(lambda leaf: None, self)
+
+    def on_step(self):
+        return replace(self, horizon=None)
 
     def _stock(self, inputs, level, mean):
         """Given, or the level less the orders on their way."""

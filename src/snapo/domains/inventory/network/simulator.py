@@ -16,6 +16,7 @@ A place has to cover `lead_time + 1` periods of demand before its next order can
 supplied by it as many more: the line of Clark and Scarf (1960) with lead times longer by one.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
 import equinox as eqx
@@ -112,6 +113,9 @@ class NetworkSimulator(Simulator):
 
     def on_paths(self):
         return jax.tree.map(lambda leaf: None, self)
+
+    def on_step(self):
+        return replace(self, horizon=None)
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

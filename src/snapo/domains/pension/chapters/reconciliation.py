@@ -150,10 +150,12 @@ def show(run: PensionRun, result: Reconciliation) -> Sequence[Block]:
         ("Convexity", number(local.convexity, 1), "years², of a parallel shift"),
         ("Duration of assets", number(local.asset_duration, 2), "years, with swaps"),
         ("Hedge ratio", percent(local.hedge_ratio, 0), "of a parallel shift"),
-        ("Inflation hedge", "none due" if hedge is None else percent(hedge, 0),
-         "of a rise of all break-evens"),
-        ("Inflation +1 bp", run.large(local.inflation01, 3, True), "change of L"),
-    ]  # fmt: skip
+    ]
+    if hedge is not None:  # a liability without inflation has none
+        facts += [
+            ("Inflation hedge", percent(hedge, 0), "of a rise of all break-evens"),
+            ("Inflation +1 bp", run.large(local.inflation01, 3, True), "change of the liability"),
+        ]
     blocks.append(Facts(facts))
     if local.regulation is not None:
         blocks += _regulation(run, local.regulation)
@@ -205,7 +207,7 @@ def _cash_flow(run: PensionRun, flow: np.ndarray) -> Chart | Text:
     )
     caption = (
         "Expected payments of the rights accrued today, with mortality as expected and no future"
-        f" indexation; in all {run.large(flow.sum())}. Points on the way: "
+        f" indexation; in all {run.large(flow.sum())}; for example "
         + ", ".join(f"year {y} {run.large(flow[y - 1])}" for y in (1, 10, 20) if y <= len(flow))
         + "."
     )

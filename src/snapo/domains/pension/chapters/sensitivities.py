@@ -58,7 +58,7 @@ def usual_move(entry: Input) -> UsualMove:
     if not size.any():
         # There is no per cent of nothing.
         return UsualMove(np.ones(size.size), "1 unit")
-    return UsualMove(size, f"{100 * SHARE:g} % of itself")
+    return UsualMove(size, f"{100 * SHARE:g} % (relative)")
 
 
 @dataclass(frozen=True)

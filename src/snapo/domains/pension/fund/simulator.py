@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.actions import Box
+from snapo.problem.form import without_uses
 from snapo.problem.simulator import Schedule, Simulator
 
 from ..market.dynamics import move, noise_size
@@ -138,6 +139,9 @@ class PensionSimulator(Simulator):
 
     def on_paths(self):
         return replace(self, model=jax.tree.map(lambda leaf: None, self.model))
+
+    def on_step(self):
+        return replace(self, model=replace(without_uses(self.model), steps=None))
 
     @property
     def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

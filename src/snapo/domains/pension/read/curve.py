@@ -136,7 +136,7 @@ def quotes(
         text = "annual rates were converted to continuous; sensitivities are per continuous rate."
         section.notes.append(f"{values.file}: {text}")
     if (table.ultimate is None) != (table.extrapolation == "flat-forward"):
-        message = 'extrapolation "ultimate" needs this key, "flat-forward" has no use for it'
+        message = 'extrapolation "ultimate" needs this key, "flat-forward" does not use it'
         stated = None if table.ultimate is None else table.ultimate.written
         raise section.error("ultimate", stated, message)
     far = empty(values.far, ())

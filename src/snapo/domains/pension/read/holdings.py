@@ -32,7 +32,7 @@ CREDIT = (
         "default_loss", "the share of a holding lost per year at the mean spread"
     ),
 )
-NOT_HEDGED = "the hedged share does not feel it"
+NOT_HEDGED = "the hedged share is not affected"
 CURRENCY = (
     SHOCK.in_column("volatility", f"volatility of a currency; {NOT_HEDGED}"),
     FEE.of("premium", range=Range(-1.0, 1.0)).in_column(

@@ -26,7 +26,7 @@ SALARY = PEOPLE.in_column(
     "salary", "the salary of each member, and with it contributions and accrual"
 )
 FACTOR = PEOPLE.of("people", unit="1", blank=1.0).in_column(
-    "mortality", "the death probabilities of a cohort rise by 1 % of themselves"
+    "mortality", "the death probabilities of a cohort rise by a relative 1 %"
 )
 FLOW = PEOPLE.in_column("amount", "an expected payment", range=ANY)
 

@@ -184,7 +184,7 @@ class MortalityTable(CaseTable):
         "the yearly fall of death rates", 0.0, group="people", by=BY_AGE
     )
     multiplier: CaseInput | Name = AMOUNT(
-        "death probabilities at these ages rise by 1 % of themselves", 1.0, unit="1",
+        "death probabilities at these ages rise by a relative 1 %", 1.0, unit="1",
         range=POSITIVE, group="people", by=BY_AGE, name="mortality_multiplier",
     )  # fmt: skip
 

@@ -172,7 +172,7 @@ def _states(unit: UnitStatement, table: dict[str, np.ndarray]) -> Chart:
 
 
 ONE_BATCH = Chapter(
-    BATCH, "Every unit: measures and courses", BatchResult, measure, units, "Units", needs=(),
+    BATCH, "Every unit: results and profiles", BatchResult, measure, units, "Units", needs=(),
     key="run"
 )  # fmt: skip
 

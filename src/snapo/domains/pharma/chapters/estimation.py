@@ -261,9 +261,10 @@ def _use(reasons: Sequence[str]) -> str:
     if reasons:
         return "Since not all numbers are identified, no fitted.csv is written."
     return (
-        "The other parts of this run use the numbers of the case. fitted.csv of this run has the "
-        "fitted ones with their covariance: copied to the folder of the case and named there, "
-        'fitted = "fitted.csv", it replaces these numbers and their [[uncertainty]].'
+        "The other parts of this run use the numbers of the case. The fitted numbers and their "
+        "covariance are in the file fitted.csv of this run. To use them, copy it to the folder of "
+        'the case and write fitted = "fitted.csv" there: it replaces these numbers and their '
+        "[[uncertainty]]."
     )
 
 

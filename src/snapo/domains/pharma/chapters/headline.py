@@ -138,7 +138,7 @@ def headline(run: RunFiles) -> Section:
 def _note(run: RunFiles) -> str:
     if run.result.verdict:
         return f"{run.result.verdict} {PLUS_MINUS}, in percentage points."
-    who = "of the trained policy" if CLOSED_LOOP.of(run) else "of the recipe as given"
+    who = "With the trained policy" if CLOSED_LOOP.of(run) else "With the recipe of the case"
     return (
         f"{who}, over the batch-to-batch variation that the case states; {PLUS_MINUS}, in "
         "percentage points."
@@ -192,11 +192,11 @@ def _facts(run: RunFiles) -> list[tuple[str, str, str]]:
     if matrix and matrix.ranking and matrix.ranking[0].attribute:
         first = matrix.ranking[0]
         share, attribute = percent(first.share, 0), first.attribute
-        note = f"its normal range uses {share} of the room that batches leave to {attribute}"
+        note = f"its normal range uses {share} of the margin that batches leave to {attribute}"
         if first.outside:
             note = f"{attribute} is beyond its limit"
         elif first.spent:
-            note = f"for {attribute}, of which its variation takes all the room"
+            note = f"for {attribute}, of which its variation uses all of the margin"
         facts.append(("Most critical parameter", first.parameter, note))
     if space and space.box:
         volume = percent(space.box.volume, 0)
@@ -222,7 +222,7 @@ def _table(case: Statement, batch: BatchResult) -> Table:
                 quantity(room, unit) if attribute.limited else "–",
             )
         )  # fmt: skip
-    names = ("Attribute", "Limit", "Position", "", "Value", "Room to the limit")
+    names = ("Attribute", "Limit", "Position", "", "Value", "Margin to the limit")
     caption = "Quality attributes of one batch at the set point"
     return Table([(name, "") for name in names], rows, caption, 4)
 

@@ -348,8 +348,8 @@ def _tables(result: Statement) -> list[Block]:
         for x in result.numbers
         for label, unit in [_of_power(x.label, x.unit)]
     ]
-    names = ("Parameter", "What it is", "Source", "Set point", "Normal range", "Studied range",
-             "Varies")  # fmt: skip
+    names = ("Parameter", "Number of the case", "Source", "Set point", "Normal range",
+             "Studied range", "Varies")  # fmt: skip
     head = [(name, "") for name in names]
     texts = frozenset({0, 1, 2, 6})
     blocks: list[Block] = [Table(head, parameters, "Process parameters", texts)]

@@ -119,10 +119,10 @@ def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
         "from the set point to each of the four corners of their proven ranges: up to this share "
         "of both ranges no corner breaks a limit (100 %: the ranges may be used together). "
         "Interaction: half of the difference that one parameter makes to the effect of the other, "
-        "between the ends of the normal ranges, of the attribute whose room it uses most."
+        "between the ends of the normal ranges, of the attribute whose margin it uses most."
     )
     if len(result) > SHOWN:
-        caption += f" The {SHOWN} pairs with the least room of {len(result)}."
+        caption += f" The {SHOWN} pairs with the least margin of {len(result)}."
     return [Table([(name, "") for name in head], rows, caption, frozenset({0, 2, 5, 6}))]
 
 
@@ -158,7 +158,7 @@ def _interaction(case: Statement, pair: Pair) -> str:
     if not effect:
         return "none"
     size = quantity(effect, attribute.shown_unit)
-    return f"{attribute.name} {size}, {percent(pair.used)} of its room"
+    return f"{attribute.name} {size}, {percent(pair.used)} of its margin"
 
 
 RANGES = Chapter(

@@ -150,7 +150,7 @@ def show(run: RunFiles, result: SensitivityMatrix) -> list[Block]:
 
 
 def _heat(case: Statement, result: SensitivityMatrix) -> Chart:
-    """Cells by their share of the room to the limit, which makes rows comparable."""
+    """Cells by their share of the margin to the limit, which makes rows comparable."""
     rows, share = case.attribute_names, result.share
     texts = [[_cell(x) for x in row] for row in share]
     depths = np.nan_to_num(share, nan=0.0, posinf=1.0, neginf=-1.0)
@@ -158,12 +158,12 @@ def _heat(case: Statement, result: SensitivityMatrix) -> Chart:
     def paint(axes):
         pictures.heat(axes, depths, texts, rows, case.parameter_names, np.ones(len(rows)))
 
-    svg = draw("matrix", "Share of the room to each limit that each parameter uses.", paint,
+    svg = draw("matrix", "Share of the margin to each limit that each parameter uses.", paint,
                60 + 28 * len(rows))  # fmt: skip
     caption = (
-        "Change of an attribute over half the normal range of a parameter, as a share of the room "
-        "to its nearest limit. Orange raises the attribute, blue lowers it; 0 is exact: nothing "
-        "connects the two."
+        "Change of an attribute over half the normal range of a parameter, as a share of the "
+        "margin to its nearest limit. Orange raises the attribute, blue lowers it; 0 is exact: "
+        "nothing connects the two."
     )
     return Chart(svg, caption)
 
@@ -183,7 +183,7 @@ def _forms(case: Statement, result: SensitivityMatrix) -> Table:
         for form, values, label in (
             ("per unit of the parameter", result.raw, unit),
             ("over half the normal range", result.scaled, unit),
-            ("share of the room to the limit", result.share, ""),
+            ("share of the margin to the limit", result.share, ""),
         ):
             cells = ["0" if x == 0 else number(x) for x in values[q]]
             rows.append((attribute.name, form, label, *cells))
@@ -201,15 +201,15 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
             x.parameter, x.attribute or "–",
             "–" if x.outside or x.spent else percent(x.share, 1), percent(x.variance, 0),
             "attribute beyond its limit" if x.outside
-            else "its variation uses all the room" if x.spent else "",
+            else "its variation uses all of the margin" if x.spent else "",
         )
         for x in ranks
     ]  # fmt: skip
-    names = ("Parameter", "Most critical for", "Share of the room used", "Of its variance", "")
+    names = ("Parameter", "Most critical for", "Share of the margin used", "Of its variance", "")
     caption = (
-        "Criticality: the largest share of any limit's room that half the normal range uses; room "
-        "is the distance to the limit less two standard deviations of the batches. Last, the "
-        "share of that attribute's variance due to the parameter"
+        "Criticality: the largest share of any limit's margin that half the normal range uses; "
+        "margin is the distance to the limit less two standard deviations of the batches. Last, "
+        "the share of that attribute's variance due to the parameter"
     )
     return Table([(name, "") for name in names], rows, caption, frozenset({0, 1, 4}))
 
@@ -223,7 +223,7 @@ def _criticality(case: Statement, result: CriticalityTable) -> Table:
     ]
     caption = (
         "Which parameter moves which attribute: half the change as the parameter goes over its "
-        "normal range, as a share of the room to the nearest limit; in brackets 5 to 95 % of it "
+        "normal range, as a share of the margin to the nearest limit; in brackets 5 to 95 % of it "
         f"over {number(result.draws, 0)} draws of the variation"
     )
     return Table([("Parameter", ""), *((name, "") for name in case.attribute_names)], rows, caption)

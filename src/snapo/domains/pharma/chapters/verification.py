@@ -187,10 +187,10 @@ def _balances(run: RunFiles, result: tuple[Balance, ...]) -> list[Block]:
         )
         for x in result
     ]  # fmt: skip
-    names = ("Unit", "Balance of", "", "In", "Made", "Out", "Stays", "Relative gap")
+    names = ("Unit", "Balance of", "", "In", "Produced", "Out", "Left in unit", "Relative gap")
     caption = (
-        "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Made: by "
-        "reactions, below 0 where they use a species; of mass, the error of rounded molar masses"
+        "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Produced: by "
+        "reactions, below 0 if they consume a species; for mass, the error of rounded molar masses"
     )
     return [Table([(name, "") for name in names], rows, caption, 3)]
 
@@ -220,7 +220,7 @@ def _convergence(run: RunFiles, result: Convergence) -> list[Block]:
              "Adaptive gap")  # fmt: skip
     text = (
         f"{'With' if controlled else 'On'} {finer.lower()} no value or derivative moves by more "
-        f"than {power(worst)} (values relative to themselves, "
+        f"than {power(worst)} (relative to each value, "
         "derivatives to the largest in their row); the "
         f"error-controlled solution differs by at most {power(other)}."
     )
@@ -281,7 +281,7 @@ def verification(run: RunFiles) -> Section:
     loops = [
         Text(
             f"The loop {x.loop} is at its steady state: one more turn changes its torn "
-            f"streams by {power(x.change)} of themselves, after {x.rounds} rounds of "
+            f"streams by a relative {power(x.change)}, after {x.rounds} rounds of "
             "Newton's method."
         )
         for x in (batch.loops if batch else ())

@@ -72,8 +72,8 @@ def choose(
     if mode != "auto":
         return mode, f"{mode} mode was asked for"
     selected = "adjoint" if adjoint < forward else "forward"
-    counted = f"{rows} adjoint passes cost about as much as {adjoint:.3g} forward tangents"
-    return selected, f"{counted}, and forward {columns} are needed: {selected} mode"
+    counted = f"{rows} adjoint passes cost about as much as {adjoint:.3g} forward passes"
+    return selected, f"{counted}; forward mode needs {columns} of these"
 
 
 def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndarray]:

@@ -176,7 +176,7 @@ class Process:
         for name, loop in loops.items():
             if not loop.converged:
                 text = entry_words(self.form.record, name)[int(loop.worst)]
-                size = f"by {loop.change:.2g} of itself"
+                size = f"by a relative {loop.change:.2g}"
                 size = size if np.isfinite(loop.change) else "without end"
                 return (
                     f"the loop {name} has not reached a steady state after {loop.rounds} "

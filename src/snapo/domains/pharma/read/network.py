@@ -117,7 +117,7 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
     if gap > ROUND_OFF:
         notes.append(
             f"Reaction {name} conserves mass to {gap:.1e} only, as its molar masses are given; the "
-            "balance of mass shows this as made by the reaction."
+            "balance of mass shows this as produced by the reaction."
         )
     order = left.copy()
     for item, exponent in table.order.items():
