@@ -7,8 +7,8 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
-from snapo.domains.gas_storage.references.linear_program import black_call
 from tests.domains.energy.energy_cases import HOME, battery, best_plan, case_at, exact
+from tests.domains.gas_storage.references.linear_program import black_call
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.lattice import refined
