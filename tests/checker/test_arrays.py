@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from snapo.checker.check import check
 from snapo.checker.findings import Notes, StopCheck
-from snapo.checker.indices import moving_indices
+from snapo.checker.indices import moving_indices, outside, short_slices, tables
 from snapo.checker.methods import Method
-from snapo.checker.slices import outside, short_slices, tables
 from snapo.checker.watch import SamplePoints
 from snapo.problem.problem import prepare
 from snapo.problem.simulator import Schedule

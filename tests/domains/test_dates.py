@@ -14,7 +14,7 @@ from tests.domains.pension.read.test_cash_plan import plan
 
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.table import TableContext
-from snapo.domains.inventory.read.season import read_season
+from snapo.domains.inventory.read.settings import read_season
 from snapo.domains.own.read import read_inputs
 from snapo.domains.pension.read.cells import TimeGrid
 from snapo.domains.pension.read.scenarios import _step

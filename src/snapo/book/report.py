@@ -10,6 +10,7 @@ from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
 from snapo.report.quantity import decimals, measured, number, readable, seconds, with_unit
+from snapo.report.record import EMPTY, LibraryVersions, entries_of
 from snapo.report.rows import Column, WithError, table
 
 from .axes import number_of
@@ -18,6 +19,34 @@ BASE = "base"
 COLOURS = ("main", "withdraw", "inject", "limit", "good", "other")
 MAX_DRAWN = 8  # outputs that have a picture over the axes
 MAX_ROWS = 40  # rows of a table of stresses, and bars of a picture
+
+
+class BookRecord(NamedTuple):
+    """Tables of book.json: the axes of a sweep, none of a book, and the versions."""
+
+    axes: Sequence[Mapping[str, str]] = ()
+    versions: Mapping[str, str] = EMPTY
+
+
+class BookResult(NamedTuple):
+    """Tables of result.json that not every book has: the points of the axes, the outputs by day,
+    and the number of policies that were trained."""
+
+    points: Sequence[Mapping[str, Any]] = ()
+    exposure: Any = None
+    policies: int = 1
+
+
+class StressSum(NamedTuple):
+    """The sum of the book under a stress, and its change, in part explained by derivatives."""
+
+    stress: str = ""
+    value: float | None = None
+    standard_error: float | None = None
+    change: float | None = None
+    change_error: float | None = None
+    explained: float | None = None
+    unexplained: float | None = None
 
 
 class StressRow(NamedTuple):
@@ -33,16 +62,17 @@ class StressRow(NamedTuple):
 def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
     """The whole report."""
     sums = {row["stress"]: row for row in result["sums"]}
-    axes = record.get("axes", [])
+    typed, answers = entries_of(BookRecord, record), entries_of(BookResult, result)
+    axes = typed.axes
     sections = [_points(result, axes)] if axes else [_headline(result, sums[BASE])]
     # The points of the axes are stresses where a policy is held at all of them.
-    held = any(point["change"] is not None for point in result.get("points", ()))
+    held = any(point["change"] is not None for point in answers.points)
     if len(sums) > 1 and not held:
         sections.append(_stresses(result))
     if result["by"]:
         sections.append(_groups(result))
-    if result.get("exposure"):
-        sections.append(_exposure(result["exposure"]))
+    if answers.exposure:
+        sections.append(_exposure(answers.exposure))
     if any(x["held"] for x in result["deltas"]):
         sections.append(_deltas(result))
     if result["shared_policies"]:
@@ -51,13 +81,13 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
         sections.append(_failures(result))
     sections.append(_cost(result))
     about = [
-        *([("Points of the axes", f"{len(result['points']):,}")] if axes else []),
+        *([("Points of the axes", f"{len(answers.points):,}")] if axes else []),
         ("Contracts", f"{len(record['cases']):,}"),
         *([("Stresses", f"{len(record['stresses']):,}")] if not held and len(sums) > 1 else []),
-        *([("Policy", _policy(record["tasks"]))] if result.get("policies", 1) else []),
+        *([("Policy", _policy(record["tasks"]))] if answers.policies else []),
         ("Paths", f"{record['tasks']['paths']:,}"),
     ]
-    version = record["versions"].get("snapo", "")
+    version = entries_of(LibraryVersions, typed.versions).snapo
     footer = f"Made by snapo {version} from the files of a book; the page needs and sends nothing."
     return Page(str(result["title"]), about, sections, footer)
 
@@ -101,14 +131,14 @@ RISK = (
 def _rows(sums: Sequence[Mapping[str, Any]]) -> list[StressRow]:
     return [
         StressRow(
-            row["stress"],
-            WithError(row["value"], row["standard_error"]),
-            WithError(row["change"], row["change_error"]),
-            row.get("explained"),
-            row.get("unexplained"),
+            row.stress,
+            WithError(row.value, row.standard_error),
+            WithError(row.change, row.change_error),
+            row.explained,
+            row.unexplained,
         )
-        for row in sums
-        if row["stress"] != BASE and row["change"] is not None
+        for row in (entries_of(StressSum, entry) for entry in sums)
+        if row.stress != BASE and row.change is not None
     ]
 
 
@@ -192,8 +222,8 @@ class PointRow(NamedTuple):
         """The value of an output, "" for the value itself."""
         if not output:
             return self.value
-        entry = self.outputs.get(output, {})
-        return WithError(entry.get("value"), entry.get("standard_error"))
+        entry = entries_of(StressSum, self.outputs.get(output))
+        return WithError(entry.value, entry.standard_error)
 
 
 def _points(result: Mapping[str, Any], axes: Sequence[Mapping[str, str]]) -> Section:

@@ -32,11 +32,10 @@ from snapo.problem.unseen import note
 from .bumps import bumped
 from .effects import reached, stopped_once, used
 from .findings import Findings, Notes, StopCheck
-from .indices import moving_indices, within
+from .indices import TABLE, moving_indices, short_slices, tables, within
 from .jumps import jumps
 from .rollout import CheckedRollout, observed, rollouts
 from .shapes import Shapes, declared, one_step, prepared, require
-from .slices import TABLE, short_slices, tables
 from .traces import loops, lost_derivatives, repeatable
 from .watch import moments
 

@@ -8,9 +8,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from snapo.case.error import CaseError
+from snapo.report.record import RunRecord, entries_of
 from snapo.study import run_folder
 from snapo.study.commands import domain_of_run
 from snapo.study.study import ProgressCallback
@@ -18,6 +19,16 @@ from snapo.study.training import no_policy
 
 if TYPE_CHECKING:
     from .server import Server
+
+
+class AboutRun(NamedTuple):
+    """Entries of a study's `about`: title, days and step of its axis of time, and the name of the
+    number that replaces the value."""
+
+    title: str | None = None
+    days: list[str] | None = None
+    step: Any = None
+    headline: str = ""
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
@@ -33,19 +44,17 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
     missing = trains and not (run / run_folder.POLICY).is_file()
     if missing or result.get("value") is None:
         raise no_policy(run, record)
-    about = record.get("about", {})
-    step = about.get("step")
-    # A value that is shown as another number follows with the calculation.
-    headline = about.get("headline", "")
+    about = entries_of(AboutRun, entries_of(RunRecord, record).about)
     keys = ("value", "standard_error", "status", "convergence", "verdict", "bound", "paths")
     return {
-        "title": about.get("title", run.name),
+        "title": run.name if about.title is None else about.title,
         "kind": record["kind"],
-        "days": about.get("days"),
-        "step": step if isinstance(step, str) else "step",
+        "days": about.days,
+        "step": about.step if isinstance(about.step, str) else "step",
         "trains": trains,
-        "meaning": headline or result.get("meaning", ""),
-        "follows": bool(headline),
+        # A value that is shown as another number follows with the calculation.
+        "meaning": about.headline or result.get("meaning", ""),
+        "follows": bool(about.headline),
         "folder": str(run),
         "restart": f'Start it again with "snapo open {run}": the page that it opens offers the '
         "inputs of this page.",

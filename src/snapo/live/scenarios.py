@@ -10,6 +10,7 @@ import csv
 import datetime
 import io
 import json
+import math
 import re
 import shutil
 import unicodedata
@@ -17,11 +18,44 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from snapo.report.record import EMPTY, entries_of
 from snapo.solver.tables import write_text
 
 HEADER = ("what", "input", "label", "number", "standard_error", "low", "high")
+
+
+class MovedValue(NamedTuple):
+    """The value at the moved inputs, and its change from the run, with standard errors."""
+
+    value: float | None = None
+    standard_error: float | None = None
+    change: float | None = None
+    change_error: float | None = None
+
+
+class PageTables(NamedTuple):
+    """The tables of a page or a scenario: None where one is not known.
+
+    - `values`, `chosen`: the moved inputs and choices by name; `policy`: its number or file.
+    - `value`, `deltas`, `fans`, `today`, `sections`: the tables of `Moves.stages`.
+    """
+
+    id: str | None = None
+    values: dict[str, Any] | None = None
+    chosen: dict[str, Any] | None = None
+    policy: int | str = 0
+    value: Mapping[str, Any] | None = None
+    deltas: Sequence[Mapping[str, Any]] | None = None
+    fans: Sequence[Mapping[str, Any]] | None = None
+    today: Mapping[str, Any] | None = None
+    sections: Sequence[Mapping[str, Any]] | None = None
+
+    @property
+    def choices(self) -> dict[str, Any]:
+        """The moved choices, none where they are not known."""
+        return self.chosen or {}
 
 
 def csv_of(rows: Iterable[Sequence[Any]]) -> str:
@@ -46,38 +80,37 @@ def page_rows(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
     has the limits of its interval instead of a standard error.
     """
     yield HEADER
-    for row in _numbers(tables):
+    for row in _numbers(entries_of(PageTables, tables)):
         yield (*row, *(None,) * (len(HEADER) - len(row)))
 
 
-def _numbers(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+def _numbers(tables: PageTables) -> Iterator[Sequence[Any]]:
     """The rows, without the columns that end them empty."""
-    table = tables.get("value") or {}
-    yield ("value", "", "", table.get("value"), table.get("standard_error"))
-    yield ("change", "", "", table.get("change"), table.get("change_error"))
-    for name, value in (tables.get("chosen") or {}).items():
+    table = entries_of(MovedValue, tables.value)
+    yield ("value", "", "", table.value, table.standard_error)
+    yield ("change", "", "", table.change, table.change_error)
+    for name, value in tables.choices.items():
         yield ("chosen", name, str(value), None, None)
-    for name, numbers in (tables.get("values") or {}).items():
+    for name, numbers in (tables.values or {}).items():
         for i, number in enumerate(numbers):
             yield ("moved", name, str(i + 1), number, None)
     yield from _sections(tables)
-    for item in tables.get("deltas") or []:
+    for item in tables.deltas or []:
         of = f"{item['of']} by {item['input']}" if "of" in item else item["input"]
         yield ("move", of, "", item["effect"], None, item["low"], item["high"])
         for row in item["rows"]:
             yield ("delta", of, row["label"], row["value"], None, row["low"], row["high"])
-    for item in tables.get("fans") or []:
+    for item in tables.fans or []:
         for key in ("mean", "p05", "p25", "p75", "p95"):
             for i, number in enumerate(item[key]):
                 yield (f"{key} over time", item["name"], str(i), number, None)
 
 
-def _sections(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+def _sections(tables: PageTables) -> Iterator[Sequence[Any]]:
     """Today's decision and the domain's sections: every number with its column's name."""
-    today = tables.get("today") or {}
-    for name, number, unit in today.get("facts", ()):
+    for name, number, unit in (tables.today or {}).get("facts", ()):
         yield ("today", name, unit, number, None)
-    for item in tables.get("sections") or []:
+    for item in tables.sections or []:
         names = [f"{name}, {unit}" if unit else name for name, unit in item["columns"]]
         for row in item["rows"]:
             for name, cell in zip(names[1:], row[1:], strict=True):
@@ -98,11 +131,57 @@ def zipped(folder: Path, name: str) -> bytes:
 
 FOLDER, FILE, CASE, LAST = "scenarios", "scenario.json", "case", "page.json"
 LONGEST, MAXIMUM = 60, 200  # letters of a name; scenarios of a run
+MAX_NUMBERS, MAX_CHOICES = 100_000, 100  # of a move
 KEPT = ("chosen", "policy", "value", "sections", "deltas", "today", "fans")
 
 
 class Refused(ValueError):
     """Something that the page asked for and does not get; the message has the reason."""
+
+
+class PageOrder(NamedTuple):
+    """An order of a page, unchecked: to `do` something for its move of number `n`.
+
+    - `values`, `chosen`, `policy`: of the move, as in `PageTables`; `name`, `id`: of a scenario.
+    """
+
+    do: Any = None
+    n: Any = -1
+    values: Any = None
+    chosen: Any = EMPTY
+    policy: Any = 0
+    name: Any = ""
+    id: Any = ""
+
+
+def values_of(inputs: Any) -> dict[str, list[float]]:
+    """{input: numbers} of a message; the case's reader decides whether they suit the case."""
+    if not isinstance(inputs, dict):
+        raise Refused("a move is a table of inputs")
+    values, size = {}, 0
+    for name, numbers in inputs.items():
+        if not isinstance(numbers, list):
+            raise Refused(f"{name}: an input is a list of numbers")
+        size += len(numbers)
+        if size > MAX_NUMBERS:
+            raise Refused(f"a move has {MAX_NUMBERS} numbers at most")
+        for number in numbers:
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                raise Refused(f"{name}: an input is a list of numbers")
+            if not math.isfinite(number):
+                raise Refused(f"{name}: every number must be finite")
+        values[name] = [float(number) for number in numbers]
+    return values
+
+
+def chosen_of(values: Any) -> dict[str, str | bool]:
+    """{key: another value} of a message; its reader decides whether the case can have it."""
+    if not isinstance(values, Mapping) or len(values) > MAX_CHOICES:
+        raise Refused("choices are a table of texts and switches")
+    for name, value in values.items():
+        if not isinstance(value, str | bool) or len(str(value)) > 100:
+            raise Refused(f"{name[:60]}: a choice is a word or a switch")
+    return dict(values)
 
 
 class SavedScenarios:
@@ -145,8 +224,9 @@ class SavedScenarios:
             shown = json.loads((self.folder.parent / LAST).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        parts = isinstance(shown, dict) and [shown.get("values"), shown.get("chosen")]
-        return shown if parts and all(isinstance(item, dict) for item in parts) else None
+        parts = entries_of(PageTables, shown)
+        both = isinstance(parts.values, dict) and isinstance(parts.chosen, dict)
+        return shown if both else None
 
     def forget(self, result: str) -> None:
         """Removes a scenario and its case."""
@@ -192,14 +272,14 @@ def _read(file: Path) -> dict[str, Any] | None:
         record = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    valid = isinstance(record, dict) and record.get("id") == file.parent.name
-    return record if valid and isinstance(record.get("values"), dict) else None
+    tables = entries_of(PageTables, record)
+    valid = tables.id == file.parent.name and isinstance(tables.values, dict)
+    return record if valid else None
 
 
 def _compared(records: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Any]]:
     yield ("scenario", "value", "standard_error", "change", "change_error", "inputs_moved", "made")
-    keys = ("value", "standard_error", "change", "change_error")
     for record in records:
-        result = record.get("value") or {}
-        moved = " ".join(sorted([*record["values"], *(record.get("chosen") or {})]))
-        yield (record["name"], *(result.get(key) for key in keys), moved, record["made"])
+        tables = entries_of(PageTables, record)
+        moved = " ".join(sorted([*record["values"], *tables.choices]))
+        yield (record["name"], *entries_of(MovedValue, tables.value), moved, record["made"])

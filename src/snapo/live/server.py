@@ -3,7 +3,6 @@
 import asyncio
 import hmac
 import json
-import math
 import secrets
 import tempfile
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -14,10 +13,23 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
+from snapo.report.record import entries_of
 from snapo.study import run_folder
 
 from .process import WorkerProcess
-from .scenarios import CASE, Refused, SavedScenarios, csv_of, page_rows, zipped
+from .scenarios import (
+    CASE,
+    MAX_NUMBERS,
+    PageOrder,
+    PageTables,
+    Refused,
+    SavedScenarios,
+    chosen_of,
+    csv_of,
+    page_rows,
+    values_of,
+    zipped,
+)
 
 PATIENCE = 120  # seconds that a download waits for the worker
 XLSX = "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet"
@@ -80,11 +92,11 @@ class Downloads:
 
     async def carried(self, request: web.Request) -> web.Response:
         """The case that a page shows: its files in a zip, or a workbook."""
-        _, tables = self._asked(request)
+        tables = entries_of(PageTables, self._asked(request)[1])
         book = request.match_info["kind"] == "xlsx"
         order = {"do": "write", "page": "", "n": next(self._numbers), "workbook": book}
-        order |= {"values": tables.get("values", {}), "chosen": tables.get("chosen", {})}
-        order["policy"] = tables.get("policy", 0)
+        order |= {"values": tables.values or {}, "chosen": tables.choices}
+        order["policy"] = tables.policy
         done = asyncio.get_running_loop().create_future()
         with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
             self._writing[order["n"]] = done
@@ -172,7 +184,6 @@ def guard(token: str, port: Callable[[], int]):
 PAGE = files("snapo.live") / "page"
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 LONGEST = 4 << 20  # bytes of a message from a page
-MAX_NUMBERS, MAX_CHOICES = 100_000, 100  # of a move
 ASKED = ("values", "chosen", "policy")
 
 
@@ -268,31 +279,33 @@ class Server:
         """One request of a page; an invalid one is answered, and has no effect."""
         n = -1
         try:
-            order = json.loads(text)
-            if not isinstance(order, dict):
+            request = json.loads(text)
+            if not isinstance(request, dict):
                 raise Refused("this is not an order")
-            n = order.get("n", -1)
-            n = n if isinstance(n, int) and not isinstance(n, bool) else -1
-            match order.get("do"):
+            order = entries_of(PageOrder, request)
+            n = order.n if isinstance(order.n, int) and not isinstance(order.n, bool) else -1
+            match order.do:
                 case "move":
-                    request = {"values": _values(order.get("values")),
-                             "chosen": _chosen(order.get("chosen", {})),
-                             "policy": self._policy(order.get("policy", 0))}  # fmt: skip
+                    request = {
+                        "values": values_of(order.values),
+                        "chosen": chosen_of(order.chosen),
+                        "policy": self._policy(order.policy),
+                    }
                     self._last = {k: v for k, v in self._last.items() if k[0] != page}
                     self._last[page, n] = dict(request)
                     await self.workers.ask({"do": "move", "page": page, "n": n, **request})
                 case "keep":
-                    await self._keep(page, n, str(order.get("name", "")))
+                    await self._keep(page, n, str(order.name))
                 case "train" | "bound" | "explain":
                     result = self._last.get((page, n))
                     if result is None or "value" not in result:
                         raise Refused("these numbers are not valued yet")
                     values = {key: result[key] for key in ASKED}
-                    await self.workers.ask({"do": order["do"], "page": page, "n": n, **values})
+                    await self.workers.ask({"do": order.do, "page": page, "n": n, **values})
                 case "cancel":
                     await self.workers.ask({"do": "cancel", "page": page, "n": -1})
                 case "forget":
-                    self.scenarios.forget(str(order.get("id", "")))
+                    self.scenarios.forget(str(order.id))
                     await self._tell_all(self._kept())
                 case _:
                     raise Refused("this is not an order")
@@ -357,36 +370,6 @@ class Server:
                 await socket.send_str(json.dumps(message))
             except ConnectionError:
                 self.pages.pop(page, None)
-
-
-def _values(inputs: Any) -> dict[str, list[float]]:
-    """{input: numbers} of a message; the case's reader decides whether they suit the case."""
-    if not isinstance(inputs, dict):
-        raise Refused("a move is a table of inputs")
-    values, size = {}, 0
-    for name, numbers in inputs.items():
-        if not isinstance(numbers, list):
-            raise Refused(f"{name}: an input is a list of numbers")
-        size += len(numbers)
-        if size > MAX_NUMBERS:
-            raise Refused(f"a move has {MAX_NUMBERS} numbers at most")
-        for number in numbers:
-            if isinstance(number, bool) or not isinstance(number, int | float):
-                raise Refused(f"{name}: an input is a list of numbers")
-            if not math.isfinite(number):
-                raise Refused(f"{name}: every number must be finite")
-        values[name] = [float(number) for number in numbers]
-    return values
-
-
-def _chosen(values: Any) -> dict[str, str | bool]:
-    """{key: another value} of a message; its reader decides whether the case can have it."""
-    if not isinstance(values, dict) or len(values) > MAX_CHOICES:
-        raise Refused("choices are a table of texts and switches")
-    for name, value in values.items():
-        if not isinstance(value, str | bool) or len(str(value)) > 100:
-            raise Refused(f"{name[:60]}: a choice is a word or a switch")
-    return dict(values)
 
 
 def _sent(name: str) -> web.Response:

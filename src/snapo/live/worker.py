@@ -17,9 +17,10 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 from snapo.case.error import CaseError
+from snapo.report.record import EMPTY, entries_of
 from snapo.solver.solution import Solution
 from snapo.study.commands import domain_of_run
 from snapo.study.domain import Domain, Options
@@ -90,6 +91,29 @@ class Post:
             self.out.flush()
 
 
+class WorkerOrder(NamedTuple):
+    """An order of the server: to `do` something for a page's move of number `n`.
+
+    - `values`, `chosen`: the moved inputs and choices by name; `policy`: a number of one that was
+      trained here, or a file.
+    - `folder`: to which a case is written, as a `workbook` if it is asked for.
+    """
+
+    do: str = ""
+    page: str = ""
+    n: int = -1
+    values: Mapping[str, Any] = EMPTY
+    chosen: Mapping[str, Any] | None = None
+    policy: int | str | None = None
+    folder: str = ""
+    workbook: bool = False
+
+    @property
+    def choices(self) -> Mapping[str, Any]:
+        """The moved choices, none where they are not given."""
+        return self.chosen or {}
+
+
 class Desk:
     """Requests as they come: moves by page, the newest only, and everything else in order.
 
@@ -98,16 +122,16 @@ class Desk:
 
     def __init__(self, lines: TextIO):
         self.lines = lines
-        self.orders: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        self.orders: queue.Queue[WorkerOrder | None] = queue.Queue()
         self.newest: dict[str, int] = {}
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
         for line in self.lines:
-            order = json.loads(line)
-            if order.get("do") in ("move", "train", "cancel"):
-                self.newest[order["page"]] = order["n"]
-            if order.get("do") == "cancel":
+            order = entries_of(WorkerOrder, json.loads(line))
+            if order.do in ("move", "train", "cancel"):
+                self.newest[order.page] = order.n
+            if order.do == "cancel":
                 continue
             self.orders.put(order)
         self.orders.put(None)
@@ -119,9 +143,9 @@ class Desk:
             time.sleep(0.02)
         return self.orders.empty()
 
-    def stale(self, order: Mapping[str, Any]) -> bool:
+    def stale(self, order: WorkerOrder) -> bool:
         """Whether the page has asked for something else since."""
-        return self.newest.get(order["page"]) != order["n"]
+        return self.newest.get(order.page) != order.n
 
 
 def serve(
@@ -137,54 +161,54 @@ def serve(
     while (order := desk.orders.get()) is not None:
         try:
             if isinstance(valuation, Valuation):
-                valuation.use(order.get("policy") or 0)
-            if order["do"] == "move":
+                valuation.use(order.policy or 0)
+            if order.do == "move":
                 _move(valuation, desk, post, order, shown)
-            elif order["do"] == "train" and isinstance(valuation, Valuation):
+            elif order.do == "train" and isinstance(valuation, Valuation):
                 _train(valuation, desk, post, order, shown)
-            elif order["do"] == "bound" and isinstance(valuation, Valuation):
-                result = valuation.bound_here(order["values"], order.get("chosen") or {})
+            elif order.do == "bound" and isinstance(valuation, Valuation):
+                result = valuation.bound_here(order.values, order.choices)
                 result = shown.table("bounded", result)
-                post(page=order["page"], n=order["n"], stage="bounded", table=result)
-            elif order["do"] == "explain":
-                rows = valuation.explained(order["values"], order.get("chosen") or {})
+                post(page=order.page, n=order.n, stage="bounded", table=result)
+            elif order.do == "explain":
+                rows = valuation.explained(order.values, order.choices)
                 rows = shown.table("explained", rows)
-                post(page=order["page"], n=order["n"], stage="explained", table=rows)
-            elif order["do"] == "write":
+                post(page=order.page, n=order.n, stage="explained", table=rows)
+            elif order.do == "write":
                 _write(valuation, order)
                 if isinstance(valuation, Valuation):
-                    valuation.save_policy(Path(order["folder"]))
-                post(page=order["page"], n=order["n"], stage="written", folder=order["folder"])
+                    valuation.save_policy(Path(order.folder))
+                post(page=order.page, n=order.n, stage="written", folder=order.folder)
         except CaseError as error:
-            post(page=order["page"], n=order["n"], stage="refused", message=in_words(error))
+            post(page=order.page, n=order.n, stage="refused", message=in_words(error))
         except Exception as error:
-            moved = [*order.get("values", {}), *(order.get("chosen") or {})]
+            moved = [*order.values, *order.choices]
             text = stopped(error, moved, module)
-            post(page=order["page"], n=order["n"], stage="refused", message=text)
+            post(page=order.page, n=order.n, stage="refused", message=text)
 
 
 def _move(
-    valuation: WhatIf, desk: Desk, post: Post, order: Mapping[str, Any], shown: HeadlineTables
+    valuation: WhatIf, desk: Desk, post: Post, order: WorkerOrder, shown: HeadlineTables
 ) -> None:
     started, stage = time.perf_counter(), ("", None)
-    stages = valuation.stages(order["values"], order.get("chosen") or {})
+    stages = valuation.stages(order.values, order.choices)
     while not desk.stale(order):
         stage = next(stages, None)
         seconds = time.perf_counter() - started
-        address = {"page": order["page"], "n": order["n"], "seconds": seconds}
+        address = {"page": order.page, "n": order.n, "seconds": seconds}
         if stage is None:
             post(**address, stage="done")
             break
         post(**address, stage=stage[0], table=shown.table(*stage))
     if stage is None and desk.rests(REST):
         for name, table in valuation.afterwards():
-            post(page=order["page"], n=order["n"], stage=name, table=table)
+            post(page=order.page, n=order.n, stage=name, table=table)
 
 
-def _write(valuation: WhatIf, order: Mapping[str, Any]) -> None:
+def _write(valuation: WhatIf, order: WorkerOrder) -> None:
     """The case in a folder; or as a workbook in it, with the files that no sheet can hold."""
-    files, folder = valuation.files(order["values"], order.get("chosen") or {}), order["folder"]
-    if not order.get("workbook"):
+    files, folder = valuation.files(order.values, order.choices), order.folder
+    if not order.workbook:
         files.write(Path(folder))
         return
     from snapo.case.workbook import write_workbook
@@ -203,9 +227,9 @@ class Cancelled(Exception):
 
 
 def _train(
-    valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any], shown: HeadlineTables
+    valuation: Valuation, desk: Desk, post: Post, order: WorkerOrder, shown: HeadlineTables
 ) -> None:
-    address = {"page": order["page"], "n": order["n"]}
+    address = {"page": order.page, "n": order.n}
 
     def report(step: int, of: int) -> None:
         if desk.stale(order):
@@ -213,7 +237,7 @@ def _train(
         post(**address, stage="training", table={"step": step, "of": of})
 
     try:
-        result = valuation.train_again(order["values"], report, order.get("chosen") or {})
+        result = valuation.train_again(order.values, report, order.choices)
     except Cancelled:
         post(**address, stage="cancelled")
     else:

@@ -5,12 +5,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from .checksums import changed_files
 from .quantity import array, finite, money, plus_minus, readable
+from .record import PartState, RunRecord, entries_of
 
 RESULT = "result.json"
 NUMBERS = (
@@ -97,19 +98,6 @@ class RunResult:
         return cls.of(read_table(folder / RESULT) or {})
 
 
-class PartState(NamedTuple):
-    """How a part went: "done", "failed" or "skipped", and the reason where it was not done."""
-
-    state: str
-    note: str = ""
-    seconds: float = 0.0
-
-    @classmethod
-    def of(cls, table: Mapping[str, Any]) -> "PartState":
-        """From the object of run.json."""
-        return cls(**{name: table[name] for name in cls._fields if name in table})
-
-
 @dataclass(frozen=True)
 class RunFiles:
     """The contents of a run folder; the class of a domain adds its units.
@@ -135,9 +123,9 @@ class RunFiles:
     @classmethod
     def read(cls, folder: Path):
         """Reads the run in `folder`; a file that is not there counts as empty."""
-        record = read_table(folder / "run.json") or {}
-        details = dict(record.get("about", {}))
-        parts = {name: PartState.of(state) for name, state in record.get("parts", {}).items()}
+        record = entries_of(RunRecord, read_table(folder / "run.json"))
+        details = dict(record.about)
+        parts = {name: record.part(name) for name in record.parts}
         spoilt = _spoilt(folder, record)
         for name, files in spoilt.items():
             if name in parts:
@@ -217,11 +205,11 @@ def lookup(table: Any, path: str, default: Any = None) -> Any:
     return default if table is None else table
 
 
-def _spoilt(folder: Path, record: dict[str, Any]) -> dict[str, list[str]]:
+def _spoilt(folder: Path, record: RunRecord) -> dict[str, list[str]]:
     """{part: its files that were changed}; result.json has a separate entry."""
-    states = {name: state.get("files") for name, state in record.get("parts", {}).items()}
-    if "result" in record:
-        states[RESULT] = {RESULT: record["result"]}
+    states: dict[str, Any] = {name: record.part(name).files for name in record.parts}
+    if record.result is not None:
+        states[RESULT] = {RESULT: record.result}
     table = {name: changed_files(folder, files) for name, files in states.items()}
     return {name: files for name, files in table.items() if files}
 

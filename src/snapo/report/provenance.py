@@ -11,68 +11,64 @@ from snapo.case.workbook import lines
 from .folder import RunFiles
 from .page import Block, Section, Table, Text
 from .quantity import decimals, finite, long_date, measured
+from .record import LibraryVersions, PreviousRun, RunOrigin, RunRecord, entries_of
 
 MAX_ROWS = 400  # of a file of the case; the file itself is next to the report
 MAX_LETTERS = 200  # of a value
 
 
-def provenance(run: RunFiles, record: Mapping[str, Any], folder: Path) -> Section:
+def provenance(run: RunFiles, record: RunRecord, folder: Path) -> Section:
     """The section on a run with this `record` (run.json) in `folder`; empty of an older run."""
-    origin = record.get("provenance")
-    if not isinstance(origin, Mapping):
+    if not isinstance(record.provenance, Mapping):
         return Section("provenance", "", "", [])
-    blocks: list[Block] = [_making(run, record, origin, folder), *_changes(run, origin)]
+    blocks: list[Block] = [_making(run, record, folder), *_changes(run, record.origin)]
     blocks += _inputs(record, folder)
     return Section("provenance", "Provenance and inputs", "Inputs", blocks)
 
 
-def _making(
-    run: RunFiles, record: Mapping[str, Any], origin: Mapping[str, Any], folder: Path
-) -> Table:
-    seed = run.get("seed", run.result.seed)
-    versions = record["decides"].get("versions", {})
+def _making(run: RunFiles, record: RunRecord, folder: Path) -> Table:
+    seed, origin = run.get("seed", run.result.seed), record.origin
+    versions = entries_of(LibraryVersions, record.settings.versions)
     rows = [
-        ("Run", str(origin.get("run", folder.name))),
+        ("Run", folder.name if origin.run is None else origin.run),
         ("Date", date(origin)),
-        ("Case file", str(origin.get("case", ""))),
-        ("SHA-256 of the case file", str(origin.get("sha256", ""))),
-        *(("Changed with --set", text) for text in origin.get("assignments", ())),
-        ("Version", f"snapo {versions.get('snapo', '')}, Python {versions.get('python', '')}"),
+        ("Case file", origin.case),
+        ("SHA-256 of the case file", origin.sha256),
+        *(("Changed with --set", text) for text in origin.assignments),
+        ("Version", f"snapo {versions.snapo}, Python {versions.python}"),
         ("Seed", "" if seed is None else str(seed)),
-        ("Machine", str(origin.get("machine", ""))),
+        ("Machine", origin.machine),
     ]
     return Table([], [row for row in rows if row[1]], "Origin of this report", 2)
 
 
-def date(origin: Mapping[str, Any]) -> str:
+def date(origin: RunOrigin) -> str:
     """The day and the minute in which a run began, with its time zone."""
     try:
-        moment = datetime.datetime.fromisoformat(origin["began"])
-    except (KeyError, TypeError, ValueError):
+        moment = datetime.datetime.fromisoformat(origin.began)
+    except (TypeError, ValueError):
         return ""
     return f"{long_date(moment.date())}, {moment:%H:%M} (UTC{moment:%z})"
 
 
-def _changes(run: RunFiles, origin: Mapping[str, Any]) -> Iterator[Block]:
+def _changes(run: RunFiles, origin: RunOrigin) -> Iterator[Block]:
     """The value and the settings next to those of the run before."""
-    previous = origin.get("previous")
-    if not isinstance(previous, Mapping):
+    if not isinstance(origin.previous, Mapping):
         yield Text("No earlier run of this case was there to compare with.")
         return
-    error, old = run.result.standard_error, previous.get("standard_error")
+    previous = entries_of(PreviousRun, origin.previous)
+    error, old = run.result.standard_error, previous.standard_error
     digits = decimals([x for x in (error, old) if x] or [run.result.value], 2)
-    change = previous.get("difference"), previous.get("difference_error")
+    change = previous.difference, previous.difference_error
     rows = [
         ("Value of this run", *measured(run.result.value, error, digits)),
-        (f"Value of {previous.get('run')}", *measured(previous.get("value"), old, digits)),
+        (f"Value of {previous.run}", *measured(previous.value, old, digits)),
     ]
     if finite(change[0]) is not None:
-        name = "Difference, on the same paths" if previous.get("paired") else "Difference"
+        name = "Difference, on the same paths" if previous.paired else "Difference"
         rows.append((name, *measured(*change, digits, sign=True)))
     yield Table([], rows, "Changed against the last run", 1)
-    settings = [
-        (str(x["name"]), _text(x["first"]), _text(x["second"])) for x in previous["changes"]
-    ]
+    settings = [(str(x["name"]), _text(x["first"]), _text(x["second"])) for x in previous.changes]
     if settings:
         head = [("Setting", ""), ("Last run", ""), ("This run", "")]
         yield Table(head, settings, "Settings that differ from the last run", 3)
@@ -80,9 +76,9 @@ def _changes(run: RunFiles, origin: Mapping[str, Any]) -> Iterator[Block]:
         yield Text("All settings are those of the last run.")
 
 
-def _inputs(record: Mapping[str, Any], folder: Path) -> Iterator[Block]:
+def _inputs(record: RunRecord, folder: Path) -> Iterator[Block]:
     """All keys of the case as they were used, and the files that it names."""
-    case = record["decides"].get("case", {})
+    case = record.settings.case
     rows = [(key, _text(value)) for key, value, _ in lines(case)]
     caption = f"All {len(rows)} keys of the case, with the changes of --set"
     yield Table([("Key", ""), ("Value", "")], rows, "", 2, folded=caption)

@@ -15,6 +15,7 @@ from snapo.report.evidence import seeds, with_verdicts
 from snapo.report.folder import RunResult, lookup
 from snapo.report.page import Page, Text, render
 from snapo.report.provenance import date, provenance
+from snapo.report.record import PageTexts, RunRecord, entries_of
 from snapo.solver.bound import Penalty
 from snapo.solver.learning.progress import INTERRUPTED, Interrupted
 from snapo.solver.solution import POLICY, SOLUTION
@@ -44,8 +45,8 @@ def page_of(domain: Domain, folder: Path) -> str:
     """
     summary = domain.report()
     run = summary.folder.read(folder)
-    record = run_folder.read_table(folder / run_folder.RUN) or {}
-    texts = lookup(record, "decides.case.report", {})
+    record = entries_of(RunRecord, run_folder.read_table(folder / run_folder.RUN))
+    texts = entries_of(PageTexts, lookup(record.decides, "case.report"))
     sections = [section(run) for section in summary.sections]
     menu = summary.links(sections)
     sections[0] = with_verdicts(sections[0], run)
@@ -54,16 +55,16 @@ def page_of(domain: Domain, folder: Path) -> str:
         menu.insert(0, (sections[1].name, sections[1].short))
     sections.append(provenance(run, record, folder))
     menu += [(x.name, x.short) for x in sections[-1:] if x.blocks]
-    if note := texts.get("note"):
+    if note := texts.note:
         sections[0] = replace(sections[0], blocks=[Text(note), *sections[0].blocks])
-    made = ("Author", texts.get("author")), ("Date", date(record.get("provenance", {})))
+    made = ("Author", texts.author), ("Date", date(record.origin))
     page = Page(
-        title=str(texts.get("title") or run.get("title") or summary.title),
+        title=str(texts.title or run.get("title") or summary.title),
         about=[(name, value) for name, value in (*summary.about(run), *made) if value],
         sections=sections,
         menu=menu,
         footer=_footer(run.get("versions.snapo")),
-        logo=_logo(folder, texts.get("logo")),
+        logo=_logo(folder, texts.logo),
     )
     return render(page)
 
@@ -158,14 +159,14 @@ def certify(
     if isinstance(study.relaxation, str):
         raise CaseError(str(out), "", None, f"this run cannot be certified: {study.relaxation}")
     record = run_folder.read(out)
-    if record["parts"].get(TRAINING.name, {}).get("state") != DONE:
+    states = entries_of(RunRecord, record)
+    if states.part(TRAINING.name).state != DONE:
         raise no_policy(out, record)
     run_folder.check_whole(out, record, (POLICY, SOLUTION))
     run = StudyRun(study, out, progress, True, mark=run_folder.mark(record["decides"]))
     run.results |= record["about"]
     for part in study.parts:
-        state = record["parts"].get(part.name, {})
-        if part.name != BOUND.name and not changed_files(out, state.get("files")):
+        if part.name != BOUND.name and not changed_files(out, states.part(part.name).files):
             run.results |= run_folder.read_part(out, part) or {}
     record["parts"].pop(BOUND.name, None)
     _do(replace(BOUND, measure=lambda run: measure(run, paths, penalty)).part, run, record)
@@ -175,8 +176,9 @@ def certify(
 def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
     """One part: read from its file when it was done before, else worked out and kept."""
     states = record["parts"]
-    if states.get(part.name, {}).get("state") == DONE:
-        changed = changed_files(run.folder, states[part.name].get("files"))
+    typed = entries_of(RunRecord, record)
+    if typed.part(part.name).state == DONE:
+        changed = changed_files(run.folder, typed.part(part.name).files)
         tables = None if changed else run_folder.read_part(run.folder, part)
         if tables is not None:
             run.results |= tables
@@ -185,7 +187,7 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
         run.progress(
             f"{part.name} is done again: {message} was changed or damaged since it was written"
         )
-    missing = [name for name in part.needs if states.get(name, {}).get("state") != DONE]
+    missing = [name for name in part.needs if typed.part(name).state != DONE]
     if missing:
         note = f"it needs {', '.join(missing)}"
         states[part.name] = {"state": SKIPPED, "note": note, "seconds": 0.0}
@@ -292,10 +294,11 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}
     head = RunResult.of(result)
-    if notes := [*head.notes, *record.get("about", {}).get("notes", ())]:
+    typed = entries_of(RunRecord, record)
+    if notes := [*head.notes, *typed.about.get("notes", ())]:
         result["notes"] = list(dict.fromkeys(notes))
     seconds = {name: state["seconds"] for name, state in states.items()}
-    seconds = record.get("beside", {}) | seconds
+    seconds = {**typed.beside, **seconds}
     total = sum(seconds.values()) - seconds.get("report", 0.0)
     result["seconds"] = {**head.seconds, **seconds, "total": total}
     available = (DONE, INTERRUPTED)

@@ -182,10 +182,12 @@ def domain_of_run(
 
     **Raises:** `CaseError` where the run's simulator is code of its user, and is not named.
     """
+    from snapo.report.record import RunRecord, entries_of
+
     from . import run_folder
 
-    domain = find(record.get("kind"), str(run / run_folder.RUN))
-    code = record["decides"].get("options", {}).get("simulator")
+    domain = find(record["kind"], str(run / run_folder.RUN))
+    code = entries_of(RunRecord, record).settings.options.get("simulator")
     if simulator is None and code:
         message = f"the run's simulator is code of its user; name it again: --simulator {code}"
         raise CaseError(str(run), "", None, message)
@@ -200,7 +202,7 @@ def report(run: Path) -> Path:
     from .carry_out import write_report
 
     record = run_folder.read(run)
-    domain = find(record.get("kind"), str(run / run_folder.RUN))
+    domain = find(record["kind"], str(run / run_folder.RUN))
     try:
         return write_report(domain, run)
     except OSError as error:

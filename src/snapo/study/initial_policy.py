@@ -25,6 +25,7 @@ from snapo.problem.carry.save import PolicyFileError, described, read_arrays, st
 from snapo.problem.policy import Policy, trainable
 from snapo.report.folder import RunResult
 from snapo.report.quantity import decimals, finite, measured, number
+from snapo.report.record import RunRecord, entries_of
 from snapo.solver import statistics
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
 from snapo.solver.learning.progress import INTERRUPTED
@@ -128,7 +129,7 @@ def _of_run(run: Path, kind: str) -> float | None:
     if record["kind"] != kind:
         message = f'this run is of kind "{record["kind"]}", and the case is of kind "{kind}"'
         raise CaseError(str(run / run_folder.RUN), "", None, message)
-    state = record["parts"].get(TRAINING.name, {}).get("state")
+    state = entries_of(RunRecord, record).part(TRAINING.name).state
     if state not in ("done", INTERRUPTED):
         raise no_policy(run, record)
     run_folder.check_whole(run, record, (POLICY,))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from snapo.case.error import CaseError
 from snapo.case.load import load
+from snapo.report.record import PageTexts, RunRecord, entries_of
 
 from . import run_folder
 from .domain import Domain, Loaded, Options, RunsCode
@@ -48,9 +49,10 @@ def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, A
 def options_of_run(domain: Domain, case: Any, record: Mapping[str, Any], engine: str) -> Options:
     """As the case of a run is studied again: without the checks that it passed, unless it runs code
     that has changed since."""
-    decided = record["decides"].get("options", {})
-    same = not isinstance(domain, RunsCode) or domain.decides(case).items() <= decided.items()
-    return Options(engine, about=record.get("about") if same else None)
+    typed = entries_of(RunRecord, record)
+    decided = typed.settings.options.items()
+    same = not isinstance(domain, RunsCode) or domain.decides(case).items() <= decided
+    return Options(engine, about=typed.about or None if same else None)
 
 
 def _as_recorded(data: Any, recorded: Any) -> Any:
@@ -151,7 +153,7 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
     use_every_core()
     decides, values = decided(loaded, out, requested)
     before = run_folder.check_same(out, decides) if requested.resume else None
-    about = before.get("about") if before else requested.about
+    about = entries_of(RunRecord, before).about or None if before else requested.about
     request = Options(
         requested.engine, requested.reference, about, requested.ladder, requested.hedge
     )
@@ -212,7 +214,7 @@ def carried_out(
     from .carry_out import carry_out
 
     loaded, out, decides = prepared.loaded, prepared.out, prepared.decides
-    run_folder.copy_case(loaded.file, out, loaded.data.get("report", {}).get("logo"))
+    run_folder.copy_case(loaded.file, out, entries_of(PageTexts, loaded.data.get("report")).logo)
     source = origin(loaded.file, loaded.assignments, out, decides)
     spent = time.perf_counter() - began
     return carry_out(

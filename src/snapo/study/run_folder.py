@@ -31,6 +31,7 @@ from snapo.case.error import CaseError
 from snapo.case.report import TEXTS
 from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
 from snapo.report.folder import RESULT, read_table
+from snapo.report.record import PartState, RunRecord, RunSettings, entries_of
 from snapo.solver.provenance import versions
 from snapo.solver.solution import (
     GROWTH,
@@ -198,7 +199,11 @@ def read(out: Path) -> dict[str, Any]:
 def _check_record(record: Mapping[str, Any]) -> None:
     """**Raises:** `ValueError` where a record of this layout is incomplete, or was changed."""
     states = record["parts"]
-    plain = (record["kind"], str), (record["decides"], dict), (record.get("about", {}), dict)
+    plain = (
+        (record["kind"], str),
+        (record["decides"], dict),
+        (entries_of(RunRecord, record).about, Mapping),
+    )
     if not all(isinstance(item, kind) for item, kind in (*plain, (states, dict))):
         raise ValueError("its tables are of other kinds")
     for state in states.values():
@@ -217,7 +222,7 @@ def mark(decides: Mapping[str, Any]) -> str:
 def decisive_settings(decides: Mapping[str, Any]) -> dict[str, Any]:
     """The settings on which numbers depend: without the list of requested parts, so that a run of
     few parts can be continued with more, and without the texts of its page."""
-    case = dict(decides.get("case", {}))
+    case = dict(entries_of(RunSettings, decides).case)
     if isinstance(case.get("report"), dict):
         case["report"] = {key: item for key, item in case["report"].items() if key not in APART}
         case = {key: entry for key, entry in case.items() if (key, entry) != ("report", {})}
@@ -235,7 +240,7 @@ def check_whole(out: Path, record: Mapping[str, Any], names: tuple[str, ...]) ->
 
 def files_of(state: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(name, checksum) of the files of a part."""
-    files = state.get("files", {})
+    files = entries_of(PartState, state).files
     return list(files.items()) if isinstance(files, dict) else []
 
 

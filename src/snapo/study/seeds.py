@@ -14,6 +14,7 @@ from snapo.case.error import CaseError
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, Sobol, stream
 from snapo.report.folder import RunResult
+from snapo.report.record import RunRecord, entries_of
 from snapo.solver import statistics
 from snapo.solver.checkpoint import CheckpointError
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
@@ -312,7 +313,7 @@ def _check_same(out: Path, decides: Mapping[str, Any]) -> None:
     if not (out / run_folder.RUN).exists():
         return
     seeded = json.loads(json.dumps(decides))
-    old = run_folder.read(out)["decides"].get("case", {}).get("training", {})
+    old = entries_of(RunRecord, run_folder.read(out)).settings.case.get("training", {})
     seeded["case"].setdefault("training", {})["seed"] = old.get("seed")
     if "seed" not in old:
         del seeded["case"]["training"]["seed"]

@@ -8,6 +8,7 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
+from snapo.report.record import RunRecord, entries_of
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
@@ -209,6 +210,6 @@ def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[s
 def no_policy(out: Path, record: Mapping[str, Any]) -> CaseError:
     """Why the run in a folder, with its record, has no trained policy."""
     message = "this run has no trained policy: solve its case again, or continue with --resume"
-    if TRAINING.name in record.get("about", {}).get(LEFT_OUT, ()):
+    if TRAINING.name in entries_of(RunRecord, record).about.get(LEFT_OUT, ()):
         message = "this run has no trained policy: its `[report] parts` leave out the training"
     return CaseError(str(out), "", None, message)

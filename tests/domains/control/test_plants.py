@@ -9,8 +9,8 @@ import pytest
 
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants import PLANTS, cart_pole, catalogue, quadrotor
-from snapo.domains.control.plants.integrate import runge_kutta
 from snapo.domains.control.plants.pendulum import Pendulum
+from snapo.domains.control.plants.plant import runge_kutta
 from snapo.domains.control.plants.two_tanks import TwoTanks
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact

@@ -8,12 +8,12 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 from tests.domains.energy.energy_cases import HOME, battery, best_plan, case_at, exact
+from tests.domains.gas_storage.references.linear_program import black_call
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.lattice import refined
 from snapo.domains.energy.read.auction import auction_of
 from snapo.domains.energy.setup import bare_problem, factors_of
-from snapo.domains.gas_storage.references.linear_program import black_call
 
 DAY = {"end": datetime.datetime(2026, 5, 5)}
 SPEED, VOLATILITY, HOUR = 525.6, 10.2956, 1 / 8760  # of the template

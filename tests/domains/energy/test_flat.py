@@ -8,12 +8,12 @@ import pytest
 from tests.domains.energy.energy_cases import HOME, battery, exact, swing
 
 from snapo.case.error import CaseError
+from snapo.domains.energy.chapters.ladder import FlatVolumes, no_flat_volumes
 from snapo.domains.energy.core.simulator import simulator_of
-from snapo.domains.energy.methods.flat import FlatVolumes, no_flat_volumes
 from snapo.domains.energy.setup import bare_problem, factors_of
 from snapo.domains.gas_storage.bounds.basis import gaussian_basis
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
-from snapo.domains.gas_storage.ladder.least_squares import fitted_rule, followed
+from snapo.domains.gas_storage.ladder.methods import fitted_rule, followed
 from snapo.domains.gas_storage.ladder.products import usual_products
 from snapo.domains.gas_storage.ladder.rolling import (
     Chains,

@@ -10,7 +10,7 @@ import pytest
 from tests.domains.energy.energy_cases import HOME, case_at, exact, plain
 
 from snapo.case.error import CaseError
-from snapo.domains.energy.methods.flat import no_flat_volumes
+from snapo.domains.energy.chapters.ladder import no_flat_volumes
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.lattice import lattice
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup

@@ -15,9 +15,9 @@ from tests.domains.gas_storage.storage_cases import CASES, bare, read, tables_of
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.case.table import TableContext, parse
+from snapo.domains.energy.chapters.ladder import FlatVolumes, no_flat_volumes
 from snapo.domains.energy.contracts.park_and_loan import ParkAndLoanTable, read_park_and_loan
 from snapo.domains.energy.core.simulator import simulator_of
-from snapo.domains.energy.methods.flat import FlatVolumes, no_flat_volumes
 from snapo.domains.energy.methods.grid import grid_of
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.read.case import EnergyCase, read_case
@@ -25,7 +25,7 @@ from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
 from snapo.domains.energy.study import checked
 from snapo.domains.gas_storage.bounds.basis import gaussian_basis
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
-from snapo.domains.gas_storage.ladder.least_squares import fitted_rule, followed
+from snapo.domains.gas_storage.ladder.methods import fitted_rule, followed
 from snapo.domains.gas_storage.ladder.products import usual_products
 from snapo.domains.gas_storage.ladder.rolling import Chains, TradeBlock, intrinsic_in, rolling
 from snapo.domains.gas_storage.ladder.store import FlatStore

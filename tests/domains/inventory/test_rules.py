@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from snapo.domains.inventory.policy.myopic import myopic
-from snapo.domains.inventory.policy.rules import Classical
+from snapo.domains.inventory.policy.rules import Classical, myopic
 from snapo.domains.inventory.policy.search import search
 from snapo.problem.actions import Integers
 from snapo.problem.smooth import Exact

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from snapo.domains.pension.fund.observation import FEATURES
-from snapo.domains.pension.records.parts import PARTS
+from snapo.domains.pension.records.case import PARTS
 
 # Every kind of class, with every column that its kind has.
 ASSETS = (

@@ -10,11 +10,8 @@ from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.market.assets.cash import Cash
 from snapo.domains.pension.market.assets.credit import CreditBond
-from snapo.domains.pension.market.assets.equity import Equity
-from snapo.domains.pension.market.assets.property import Property
-from snapo.domains.pension.market.rates.g2 import G2
-from snapo.domains.pension.market.rates.hull_white import HullWhite
-from snapo.domains.pension.market.rates.short_rate import ShortRate
+from snapo.domains.pension.market.assets.priced import Equity, Property
+from snapo.domains.pension.market.rates.short_rate import G2, HullWhite, ShortRate
 from snapo.domains.pension.records.assets import AssetGroup, Assets, Overlay
 from snapo.domains.pension.records.case import ObjectiveTerm, PensionCase
 from snapo.domains.pension.records.market import (

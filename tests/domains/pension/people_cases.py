@@ -8,7 +8,7 @@ import numpy as np
 from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, TrainingTable
 from snapo.domains.pension.market.assets.cash import Cash
-from snapo.domains.pension.market.rates.hull_white import HullWhite
+from snapo.domains.pension.market.rates.short_rate import HullWhite
 from snapo.domains.pension.records.assets import Assets
 from snapo.domains.pension.records.case import PensionCase
 from snapo.domains.pension.records.market import (

@@ -13,8 +13,7 @@ import pytest
 from tests.domains.pension.every_key import CASES, FILES, scenarios, written
 
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-from snapo.domains.pension.market.assets.registry import KINDS
-from snapo.domains.pension.market.rates.registry import MODELS
+from snapo.domains.pension.market.registry import KINDS, MODELS
 from snapo.domains.pension.read import tables, tables_people
 from snapo.domains.pension.read.assets import OPTIONAL
 from snapo.domains.pension.read.case import resolve

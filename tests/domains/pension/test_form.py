@@ -12,8 +12,7 @@ from tests.domains.same_form import PAIRS, same_programs
 
 from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.market.assets.coupon_bond import CouponBond
+from snapo.domains.pension.market.assets.bond import Bond, CouponBond
 from snapo.domains.pension.records.assets import AssetGroup
 from snapo.domains.pension.records.case import ObjectiveTerm, PensionCase
 from snapo.domains.pension.records.inputs import pension_inputs

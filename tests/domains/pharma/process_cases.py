@@ -13,7 +13,7 @@ from snapo.domains.pharma.flowsheet.case import Connection, PharmaCase
 from snapo.domains.pharma.flowsheet.feed import Feed
 from snapo.domains.pharma.flowsheet.network import FlowNetwork
 from snapo.domains.pharma.quality.records import Attribute, Distribution, Parameter, Uncertainty
-from snapo.domains.pharma.time.numerics import Numerics
+from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.time.profile import Profile
 from snapo.domains.pharma.units.crystalliser import Crystalliser
 from snapo.domains.pharma.units.crystals.kinetics import Kinetics

@@ -22,8 +22,9 @@ from snapo.domains.pharma.quality.boundary import Boundary
 from snapo.domains.pharma.quality.ranges import AcceptableRange, ProvenRange
 from snapo.domains.pharma.read.case import PARTS, resolve
 from snapo.domains.pharma.study import study
-from snapo.report.folder import PartState, RunFiles, RunResult
+from snapo.report.folder import RunFiles, RunResult
 from snapo.report.page import Missing
+from snapo.report.record import PartState
 from snapo.study.domain import Options
 
 

@@ -27,8 +27,8 @@ from snapo.domains.pharma.chapters.verification import (
 from snapo.domains.pharma.derivatives.convergence import Convergence, ConvergenceRow
 from snapo.domains.pharma.flowsheet.possible import smallest
 from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.quality.batches import AttributeLimits
 from snapo.domains.pharma.quality.capability import Capability
-from snapo.domains.pharma.quality.limits import AttributeLimits
 from snapo.domains.pharma.read.case import resolve
 
 FIXED = {"method": "mesh", "refine": False}

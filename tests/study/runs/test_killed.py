@@ -13,7 +13,7 @@ import pytest
 from snapo.cli.main import main
 from snapo.problem.carry.latest import target
 from snapo.study.runs import store
-from snapo.study.runs.lock import is_locked
+from snapo.study.runs.store import is_locked
 
 ROOT = Path(__file__).parents[3]
 

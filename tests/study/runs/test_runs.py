@@ -13,7 +13,7 @@ from snapo.problem.carry.latest import followed, target
 from snapo.study import commands, run_folder
 from snapo.study.commands import CaseRequest
 from snapo.study.runs import store
-from snapo.study.runs.lock import locked
+from snapo.study.runs.store import locked
 from snapo.testing.miniature import quiet
 
 pytestmark = pytest.mark.usefixtures("fake", "without_page")

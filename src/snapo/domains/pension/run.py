@@ -9,7 +9,7 @@ import numpy as np
 from snapo.report.folder import RunFiles
 from snapo.report.quantity import NONE, SPACE, decimals, finite, money, number, percent
 
-from .records.parts import OF_RIGHTS
+from .records.case import OF_RIGHTS
 
 OF_POTS = ("pots",)  # the parts that a fund of promised rights has not
 SIZES = ((1e9, "bn"), (1e6, "m"), (1e3, "k"))

@@ -23,8 +23,8 @@ from .flowsheet.process import Process
 from .flowsheet.stiffness import with_steps
 from .given import Form, every_entry
 from .quality import batches
+from .quality.batches import AttributeLimits
 from .quality.capability import Capability, from_values
-from .quality.limits import AttributeLimits
 from .quality.sampling import sampler
 
 PARTS = (

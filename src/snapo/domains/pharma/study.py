@@ -32,7 +32,7 @@ from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
 from .moved import RecipeCalculation, limits
 from .progress import reporting
-from .quality.limits import AttributeLimits
+from .quality.batches import AttributeLimits
 from .shared import SOUND, OpenLoop, PharmaStudy
 
 COLUMNS = (

@@ -114,7 +114,7 @@ KINDS = {
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
     "UnitValuePolicy": "snapo.domains.energy.core.policy",
     "IntradayPolicy": "snapo.domains.energy.core.intraday",
-    "PensionPolicy": "snapo.domains.pension.policies.network",
+    "PensionPolicy": "snapo.domains.pension.policies.limits",
     "AllocationLimits": "snapo.domains.pension.policies.limits",
     "Cover": "snapo.domains.pension.policies.limits",
     "Feedback": "snapo.domains.pharma.control.policy",

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.problem.carry.latest import LATEST, target
 from snapo.report.folder import RunResult
+from snapo.report.record import LibraryVersions, RunRecord, entries_of
 from snapo.solver.statistics import critical
 
 from .. import run_folder
@@ -75,10 +76,10 @@ def _row(
     result = RunResult.read(folder)
     status = RUNNING if is_busy(folder) else result.status or STOPPED
     try:
-        record = run_folder.read(folder)
+        record = entries_of(RunRecord, run_folder.read(folder))
     except CaseError as error:
-        status, record = error.allowed, {}
-    decides = run_folder.decisive_settings(record["decides"]) if record else None
+        status, record = error.allowed, RunRecord()
+    decides = run_folder.decisive_settings(record.decides) if record.decides else None
     known = before is not None and decides is not None
     changes = tuple(differences(before, decides)) if known else ()
     low, high = _interval(result)
@@ -86,13 +87,13 @@ def _row(
         folder.name,
         str(folder),
         latest,
-        record.get("provenance", {}).get("began", ""),
+        record.origin.began,
         result.value,
         low,
         high,
         result.seconds.get("total"),
         status,
-        (decides or {}).get("versions", {}).get("snapo", ""),
+        entries_of(LibraryVersions, record.settings.versions).snapo,
         changes,
     )
     return row, decides

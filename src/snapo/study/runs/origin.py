@@ -11,6 +11,7 @@ from snapo.case.error import CaseError
 from snapo.problem.carry.latest import LATEST, target
 from snapo.report.checksums import checksum
 from snapo.report.folder import RunResult
+from snapo.report.record import RunRecord, RunSettings, entries_of
 
 from .. import run_folder
 from ..run_folder import differences
@@ -43,7 +44,8 @@ def _previous(home: Path, out: Path, decides: Mapping[str, Any]) -> dict[str, An
         old = run_folder.read(folder)["decides"]
     except CaseError:
         return None
-    if old.get("case", {}).get("kind") != decides.get("case", {}).get("kind"):
+    cases = (entries_of(RunSettings, item).case for item in (old, decides))
+    if len({case.get("kind") for case in cases}) > 1:
         return None
     result = RunResult.read(folder)
     new = run_folder.plain_json(decides)
@@ -61,7 +63,7 @@ def add_difference(record: Mapping[str, Any], out: Path) -> None:
     """Adds the difference between the values of a run and of the one before it to its record."""
     from ..compare import difference
 
-    previous = (record.get("provenance") or {}).get("previous")
+    previous = entries_of(RunRecord, record).origin.previous
     if previous is None:
         return
     previous |= {"difference": None, "difference_error": None, "paired": False}

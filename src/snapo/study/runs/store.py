@@ -4,22 +4,94 @@ mine/runs/2026-11-25T1530-7f3a     one run: when it began, by the clock on the w
 mine/run                           a symbolic link to the latest one (a text file without links)
 
 The latest is the last that came to its end with its numbers in order; while there is none, the last
-that began.
+that began. A run that writes holds a lock of the operating system on a file, which a killed process
+gives back.
 """
 
 import datetime
+import errno
 import os
 import secrets
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from snapo.case.error import CaseError
 from snapo.problem.carry.latest import LATEST, NAME, RUNS, followed, target
+from snapo.report.record import RunRecord, entries_of
 
 from .. import run_folder
 from ..domain import GOOD
-from .lock import is_locked, locked
+
+PAUSE = 0.02  # seconds between two attempts
+BUSY = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+
+
+@contextmanager
+def locked(file: Path, seconds: float = 0.2) -> Iterator[None]:
+    """Holds the lock of `file`, which is made for it and removed after it.
+
+    **Raises:** `BlockingIOError` where another process holds it for longer than these seconds.
+    """
+    stream = _taken(file, seconds)
+    try:
+        yield
+    finally:
+        if os.name == "nt":  # an open file cannot be removed there
+            stream.close()
+        with suppress(OSError):
+            file.unlink()
+        stream.close()
+
+
+def is_locked(file: Path) -> bool:
+    """Whether a process holds the lock of `file`."""
+    try:
+        with file.open("rb") as stream:
+            return not _lock(stream, shared=True)
+    except OSError:
+        return False
+
+
+def _taken(file: Path, seconds: float) -> IO[bytes]:
+    ends = time.monotonic() + seconds
+    while True:
+        stream = file.open("ab")
+        if _lock(stream) and _is_current(stream, file):
+            return stream
+        stream.close()
+        if time.monotonic() > ends:
+            raise BlockingIOError(errno.EAGAIN, "another process holds this lock", str(file))
+        time.sleep(PAUSE)
+
+
+def _is_current(stream: IO[bytes], file: Path) -> bool:
+    """Whether the file is still there, and not removed by the process that held it before."""
+    try:
+        return os.path.samestat(os.fstat(stream.fileno()), file.stat())
+    except OSError:
+        return False
+
+
+def _lock(stream: IO[bytes], shared: bool = False) -> bool:
+    """Whether the lock was taken; a file system without locks gives it to everyone."""
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            stream.seek(0)
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)  # pyright: ignore
+        else:
+            import fcntl
+
+            kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+            fcntl.flock(stream, kind | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in BUSY
+    return True
+
 
 LOCK = ".lock"  # in a run folder while a process writes it; in `runs` while `run` is set
 PATIENCE = 30.0  # seconds to wait for another process that sets `run`, which takes milliseconds
@@ -57,9 +129,8 @@ def folders(home: Path) -> list[Path]:
 
 def _began(folder: Path) -> str:
     """When a run began, as text that sorts; empty where nothing was written."""
-    record = run_folder.read_table(folder / run_folder.RUN) or {}
-    provenance = record.get("provenance")
-    exact = provenance.get("began_utc") if isinstance(provenance, dict) else None
+    record = entries_of(RunRecord, run_folder.read_table(folder / run_folder.RUN))
+    exact = record.origin.began_utc
     if isinstance(exact, str):
         return exact
     files = [file for file in folder.iterdir() if file.name != LOCK]

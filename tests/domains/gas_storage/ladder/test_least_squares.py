@@ -16,8 +16,7 @@ from snapo.domains.gas_storage.bounds.relaxation import StoreRelaxation
 from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.ladder import methods
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
-from snapo.domains.gas_storage.ladder.least_squares import fitted_rule, followed
-from snapo.domains.gas_storage.ladder.methods import DeskMethods
+from snapo.domains.gas_storage.ladder.methods import DeskMethods, fitted_rule, followed
 from snapo.domains.gas_storage.ladder.products import usual_products
 from snapo.domains.gas_storage.ladder.store import FlatStore
 from snapo.domains.gas_storage.setup import bare_problem

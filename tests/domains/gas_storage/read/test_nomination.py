@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from tests.domains.energy.energy_cases import exact as exact_swing
 from tests.domains.energy.energy_cases import swing
+from tests.domains.gas_storage.references.linear_program import black_call
 from tests.domains.gas_storage.storage_cases import read
 
 from snapo.case.error import CaseError
 from snapo.case.table import TableContext
 from snapo.domains.gas_storage.read.nomination import nominated_on
 from snapo.domains.gas_storage.references.lattice import refined
-from snapo.domains.gas_storage.references.linear_program import black_call
 from snapo.domains.gas_storage.setup import bare_problem, factors, fitted_value, make_setup
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals, value_of_groups

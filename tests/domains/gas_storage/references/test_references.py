@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from tests.domains.gas_storage.references import reference_schedules as cases
-from tests.domains.gas_storage.references.reference_schedules import Factor
-
-from snapo.domains.gas_storage.references.intrinsic import intrinsic
-from snapo.domains.gas_storage.references.lattice import lattice, refined, relevant_factors
-from snapo.domains.gas_storage.references.linear_program import (
+from tests.domains.gas_storage.references.linear_program import (
     black_call,
     intrinsic_by_linear_program,
     perfect_foresight,
 )
+from tests.domains.gas_storage.references.reference_schedules import Factor
+
+from snapo.domains.gas_storage.references.intrinsic import intrinsic
+from snapo.domains.gas_storage.references.lattice import lattice, refined, relevant_factors
 from snapo.domains.gas_storage.references.marginal import DEGREE, ROWS, marginal_values
 
 

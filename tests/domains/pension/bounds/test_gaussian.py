@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, assets, full, given
 
-from snapo.domains.pension.bounds.gaussian import discounted_growth, gaussian_returns
+from snapo.domains.pension.bounds.best_mix import discounted_growth, gaussian_returns
 from snapo.domains.pension.fund.simulator import PensionSimulator
-from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.market.assets.coupon_bond import CouponBond
-from snapo.domains.pension.market.assets.index_linked import IndexLinked
+from snapo.domains.pension.market.assets.bond import Bond, CouponBond, IndexLinked
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.market import Correlation
 from snapo.problem.inputs import plain

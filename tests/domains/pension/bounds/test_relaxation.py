@@ -9,8 +9,7 @@ import pytest
 from tests.domains.pension.fund.test_merton import EQUIVALENT, GAMMA, OBJECTIVE, WEIGHT, fund
 
 from snapo.domains.pension import DOMAIN
-from snapo.domains.pension.bounds.conjugate import conjugate
-from snapo.domains.pension.bounds.relaxation import FundRelaxation
+from snapo.domains.pension.bounds.relaxation import FundRelaxation, conjugate
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results.setup import make_setup

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import full
 
-from snapo.domains.pension.fund.dealing import dealt
 from snapo.domains.pension.fund.observation import slots
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.terms import trading_limits
+from snapo.domains.pension.fund.trading import dealt
 from snapo.domains.pension.policies.classical import PresentMix, present_mixes
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla

@@ -22,7 +22,7 @@ from tests.domains.pension.people_cases import (
 )
 
 from snapo.domains.pension.people.liability import people
-from snapo.domains.pension.people.longer_life import annuity_due, life_expectancy, year_of_life
+from snapo.domains.pension.people.longer_life import life_expectancy, year_of_life
 from snapo.domains.pension.people.mortality import hazard, log_survival, rounded_age
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import FEMALE, MALE, PENSIONER
@@ -34,6 +34,15 @@ ANNUITIES = {
     MALE: (16.8823, 14.6344, 12.3139, 7.7997),
     FEMALE: (18.6827, 16.2926, 13.8036, 8.8990),
 }
+
+
+def annuity_due(probability: np.ndarray, age: int, rate: float) -> float:
+    """Value of 1 a year in advance for life: sum of v^k kp_x, v = 1 / (1 + rate).
+
+    `probability`: q by age from 0 on; the last age is not survived.
+    """
+    survival = np.concatenate([[1.0], np.cumprod(1 - np.asarray(probability)[age:])])
+    return float(np.sum(survival * (1 + rate) ** -np.arange(len(survival))))
 
 
 def survival(case, sex, age, steps):

@@ -7,16 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, full, given
+from tests.domains.pension.policies.closed_forms import StockBond, merton, vasicek_stock_bond
 
 from snapo.domains.pension.fund.observation import FEATURES, slots
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.terms import trading_limits
 from snapo.domains.pension.fund.trading import excess
 from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.policies.classical import ConstantMix, StockBond, followers
-from snapo.domains.pension.policies.closed_forms import merton, vasicek_stock_bond
-from snapo.domains.pension.policies.limits import AllocationLimits
-from snapo.domains.pension.policies.network import new_policy
+from snapo.domains.pension.policies.classical import ConstantMix, followers
+from snapo.domains.pension.policies.limits import AllocationLimits, new_policy
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine.native import unsupported

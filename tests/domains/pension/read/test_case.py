@@ -14,7 +14,7 @@ from snapo.domains.pension import DOMAIN
 from snapo.domains.pension.chapters import stress
 from snapo.domains.pension.chapters.stress import zero_rates
 from snapo.domains.pension.fund.observation import FEATURES
-from snapo.domains.pension.market.rates.registry import MODELS
+from snapo.domains.pension.market.registry import MODELS
 from snapo.domains.pension.read.case import read_case, resolve
 from snapo.domains.pension.read.stress import read_shocks
 from snapo.domains.pension.records.inputs import every_given, pension_inputs

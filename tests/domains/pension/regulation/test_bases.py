@@ -11,8 +11,7 @@ from tests.domains.pension.market_cases import CASH, assets, case, given
 from snapo.case.error import CaseError
 from snapo.domains.pension.read.cells import TableReader
 from snapo.domains.pension.read.tables import FundingTable
-from snapo.domains.pension.regulation.bases import discounted, read_funding, side_by_side
-from snapo.domains.pension.regulation.due import Due
+from snapo.domains.pension.regulation.bases import Due, discounted, read_funding, side_by_side
 
 DAY = datetime.date(2024, 12, 31)
 

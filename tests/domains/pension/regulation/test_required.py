@@ -10,8 +10,8 @@ import pytest
 from snapo.case.error import CaseError
 from snapo.domains.pension.read.cells import TableReader
 from snapo.domains.pension.read.tables import RegulationTable
-from snapo.domains.pension.regulation.read import read_regulation
-from snapo.domains.pension.regulation.required import (
+from snapo.domains.pension.regulation.in_force import read_regulation
+from snapo.domains.pension.regulation.stand import (
     Losses,
     correlated,
     currency_loss,

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, assets, case, cash_flows, curve, given
 
-from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.market.assets.coupon_bond import CouponBond
+from snapo.domains.pension.market.assets.bond import Bond, CouponBond
 from snapo.domains.pension.read.cells import TableReader
 from snapo.domains.pension.read.tables import RegulationTable
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
-from snapo.domains.pension.regulation.due import due
-from snapo.domains.pension.regulation.read import read_regulation
+from snapo.domains.pension.regulation.bases import due
+from snapo.domains.pension.regulation.in_force import read_regulation
 from snapo.domains.pension.regulation.stand import recovery, regulation_of, shocked, stand
 from snapo.problem.inputs import plain
 

@@ -11,7 +11,7 @@ from tests.domains.pension.results.test_frontier import fund
 
 from snapo.case.settings import TrainingTable
 from snapo.domains.pension import DOMAIN
-from snapo.domains.pension.records.parts import PARTS, missing_parts
+from snapo.domains.pension.records.case import PARTS, missing_parts
 from snapo.domains.pension.results import study
 from snapo.study.carry_out import carry_out
 from snapo.study.domain import Options

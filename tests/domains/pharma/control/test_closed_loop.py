@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from tests.domains.pharma.process_cases import flagship, spread
 
-from snapo.domains.pharma.control.closed_loop import best_recipe, objective
-from snapo.domains.pharma.control.loop import closed_loop
+from snapo.domains.pharma.control.closed_loop import best_recipe, closed_loop, objective
 from snapo.domains.pharma.control.records import Control, Manipulated, Measurement
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.engine import Engines, Xla

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.domains.pharma.process_cases import temperature_profile
 
-from snapo.domains.pharma.control.loop import closed_loop
+from snapo.domains.pharma.control.closed_loop import closed_loop
 from snapo.domains.pharma.control.records import Control, Manipulated, Measurement
 from snapo.engine import Xla
 from snapo.problem.objective import Mean

@@ -12,8 +12,7 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, TEMPLATE, small
 from tests.domains.same_form import PAIRS, same_programs
 
 from snapo.case.given import CaseInput
-from snapo.domains.pharma.control.closed_loop import ClosedLoop, objective
-from snapo.domains.pharma.control.loop import closed_loop
+from snapo.domains.pharma.control.closed_loop import ClosedLoop, closed_loop, objective
 from snapo.domains.pharma.flowsheet.case import PharmaCase
 from snapo.domains.pharma.read.case import resolve
 from snapo.problem.problem import Problem

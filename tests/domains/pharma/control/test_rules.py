@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from snapo.domains.pharma.control.policy import history_length, initial_history, reading, shifted
 from snapo.domains.pharma.control.records import Measurement
 from snapo.domains.pharma.control.rivals import (
     FirstOrder,
@@ -16,12 +17,6 @@ from snapo.domains.pharma.control.rivals import (
     ziegler_nichols,
 )
 from snapo.domains.pharma.control.rules import LoopConnection, Loops
-from snapo.domains.pharma.control.sensors import (
-    history_length,
-    initial_history,
-    reading,
-    shifted,
-)
 from snapo.engine import Native, Xla
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean

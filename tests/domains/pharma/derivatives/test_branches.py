@@ -19,8 +19,8 @@ from tests.domains.pharma.process_cases import (
     series,
 )
 
+from snapo.domains.pharma.chapters import attribution
 from snapo.domains.pharma.chapters.verification import balances
-from snapo.domains.pharma.derivatives import attribution
 from snapo.domains.pharma.derivatives.convergence import convergence
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
 from snapo.domains.pharma.derivatives.local import local

@@ -12,11 +12,15 @@ from tests.domains.pharma.units.test_tube import tube
 
 from snapo.domains.pharma.chapters.headline import checks, status
 from snapo.domains.pharma.chapters.verification import CONVERGENCE
-from snapo.domains.pharma.derivatives.convergence import Convergence
-from snapo.domains.pharma.derivatives.grids import Cells, finer_cells, on_finer_cells
+from snapo.domains.pharma.derivatives.convergence import (
+    Cells,
+    Convergence,
+    finer_cells,
+    on_finer_cells,
+)
 from snapo.domains.pharma.flowsheet.possible import impossible
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.time.numerics import Numerics
+from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.units.crystals.sizes import halved
 
 LONG = Numerics("adaptive", 80, 1e-6, 20_000, True)

@@ -16,8 +16,8 @@ from tests.domains.pharma.pharma_cases import (
 )
 
 from snapo.case.error import CaseError
+from snapo.domains.pharma.chapters.attribution import split
 from snapo.domains.pharma.chapters.verification import balances
-from snapo.domains.pharma.derivatives.attribution import split
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
 from snapo.domains.pharma.derivatives.local import local
 from snapo.domains.pharma.flowsheet.process import Process

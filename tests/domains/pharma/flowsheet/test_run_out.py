@@ -17,7 +17,7 @@ from tests.domains.pharma.process_cases import (
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.time.numerics import Numerics
+from snapo.domains.pharma.time.dynamics import Numerics
 
 RATE = 1e-3  # kmol/m3/s
 PLAIN = Numerics("mesh", 320, 1e-8, 100_000, True, stiff="measured")

@@ -10,13 +10,7 @@ from tests.domains.pharma.pharma_cases import Polynomial, template
 from snapo.domains.pharma.chapters.sensitivities import criticality
 from snapo.domains.pharma.derivatives import sensitivities
 from snapo.domains.pharma.derivatives.jacobian import Jacobian
-from snapo.domains.pharma.quality import (
-    capability,
-    design_space,
-    draws,
-    interval,
-    ranges,
-)
+from snapo.domains.pharma.quality import boundary, capability, design_space, draws, ranges
 
 GROWTH, T2, T_F = (
     ("crystalliser.kinetics.growth", 0),
@@ -111,14 +105,14 @@ def test_edges_and_contours_have_intervals(linear):
     at = design_space.at_points(linear, [{}], 128, SEED)
     assert at.probability[0] == 1 and at.high[0] == 1
     assert at.low[0] == pytest.approx(1 / (1 + 1.959964**2 / 128))
-    assert interval.draws_for(0.99) == 381
+    assert boundary.draws_for(0.99) == 381
 
 
 def test_intervals_of_shares_cover():
     """Wilson's interval holds the probability in 95 % of the samples, give or take 3 errors."""
     rng = np.random.default_rng(0)
     for truth in (0.5, 0.9, 0.97):
-        low, high = interval.interval(rng.binomial(400, truth, 4000) / 400, 400)
+        low, high = boundary.interval(rng.binomial(400, truth, 4000) / 400, 400)
         held = ((low <= truth) & (truth <= high)).mean()
         assert abs(held - 0.95) < 0.02
 

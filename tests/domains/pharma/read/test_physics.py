@@ -8,7 +8,7 @@ from tests.domains.pharma.pharma_cases import TEMPLATE
 from snapo.case.error import CaseError
 from snapo.domains.pharma.quality.records import Distribution
 from snapo.domains.pharma.read.case import resolve
-from snapo.domains.pharma.read.plausible.drawn import outside
+from snapo.domains.pharma.read.plausible.checks import outside
 
 
 def read(*changes):

@@ -29,12 +29,10 @@ from tests.domains.pharma.units.test_reactor import first_order_network
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.verification import balances, unit_balances
-from snapo.domains.pharma.control.loop import stages_of
-from snapo.domains.pharma.flowsheet.grid import NO_CRYSTALS
+from snapo.domains.pharma.control.closed_loop import stages_of
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
-from snapo.domains.pharma.flowsheet.ledger import ledger
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.flowsheet.stream import blank, clear, unflat
+from snapo.domains.pharma.flowsheet.stream import NO_CRYSTALS, blank, clear, ledger, unflat
 from snapo.domains.pharma.read.case import resolve
 from snapo.problem.smooth import Exact
 

@@ -24,7 +24,7 @@ from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.time import integrate
 from snapo.domains.pharma.time import mesh as meshes
-from snapo.domains.pharma.time.event import saturation_share
+from snapo.domains.pharma.time.profile import saturation_share
 from snapo.domains.pharma.units.filter import displacement, scaled_erfc
 
 

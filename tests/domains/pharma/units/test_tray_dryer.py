@@ -26,8 +26,8 @@ from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.flowsheet.stream import clear
 from snapo.domains.pharma.quality.records import Parameter
+from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.time.integrate import integrate
-from snapo.domains.pharma.time.numerics import Numerics
 from snapo.domains.pharma.units.tray_dryer import (
     Liquid,
     TrayDryer,

@@ -20,11 +20,10 @@ from tests.domains.pharma.units.crystals.test_finite_volumes import seeded
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.case import Connection
-from snapo.domains.pharma.flowsheet.grid import Grid
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.flowsheet.stream import clear
+from snapo.domains.pharma.flowsheet.stream import Grid, clear
+from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.time.integrate import integrate
-from snapo.domains.pharma.time.numerics import Numerics
 from snapo.domains.pharma.units.wet_mill import WetMill, shares
 
 SHAPE, MEAN = 0.5236, (80e-6) ** 3  # mean of size^3 at the start

@@ -7,8 +7,7 @@ import numpy as np
 
 from snapo.problem.actions import Box
 
-from .integrate import runge_kutta
-from .plant import Plant, PlantParameter, Variable
+from .plant import Plant, PlantParameter, Variable, runge_kutta
 
 
 class Quadrotor(Plant):

@@ -5,8 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from .integrate import runge_kutta
-from .plant import Plant, PlantParameter, Variable
+from .plant import Plant, PlantParameter, Variable, runge_kutta
 
 MINIMUM = 1e-3  # of the height: below it the outflow falls linearly to 0, as the root's slope grows
 

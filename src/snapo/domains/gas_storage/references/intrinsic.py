@@ -25,7 +25,7 @@ def intrinsic(schedule, interpolation: Interpolation) -> IntrinsicPlan:
     """The exact intrinsic value with free volumes, by piecewise-linear dynamic programming.
 
     Exact to rounding for every contract: ratchets of any shape, linear or step, any end value. It
-    needs no grid, see `piecewise`. For concave contracts `intrinsic_by_linear_program` checks it.
+    needs no grid, see `piecewise`. For concave contracts a linear program of the tests checks it.
     """
     low, high = visited(schedule, interpolation)
     after = values_after(schedule, interpolation, low, high)

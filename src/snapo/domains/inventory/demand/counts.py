@@ -16,21 +16,25 @@ simulator writes its corners so that they do.
 
 Where demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
 variance larger by 1/12, and with the derivative of that quantile.
+
+Kinds of `[demand]`: "poisson", "geometric" and "negative-binomial".
 """
 
 import abc
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
+from jax.scipy.special import gammaln, ndtr
 from jaxtyping import Array, Float
 
+from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
+from snapo.case.table import CaseTable, TableContext
 
-from .base import Demand, Parameters, mean_key
+from .base import DEVIATION, MEAN, Demand, Parameters, deviation_key, mean_key, register
 
 LARGEST = Range(0.0, 1000.0, "(]", note=": where demand is larger, count it in boxes")
 TAIL = 1e-8  # the probability of a demand above those that are counted
@@ -92,3 +96,120 @@ def most_of(law: str, *parameters: float) -> int:
     from scipy import stats  # late: it takes a second to load
 
     return int(np.ceil(getattr(stats, law)(*parameters).ppf(1 - TAIL))) + 1
+
+
+class GeometricTable(CaseTable):
+    """`[demand]` of kind "geometric"."""
+
+    kind: Literal["geometric"]
+    mean: CaseInput = count_mean()
+
+
+@register
+class GeometricDemand(CountDemand):
+    """p(k) = (1 - q) q^k with q = m / (1 + m), m the mean of the period."""
+
+    kind = "geometric"
+    table = GeometricTable
+    mean: CaseInput
+
+    @classmethod
+    def read(cls, section: TableContext, table: GeometricTable, maximum: float):
+        mean = ROOM * maximum * table.mean.values[0]
+        return cls(most_of("nbinom", 1, 1 / (1 + mean)), table.mean)
+
+    def logarithms(self, parameters, factor, k):
+        mean = parameters[MEAN] * factor
+        return k * jnp.log(mean) - (k + 1) * jnp.log1p(mean)
+
+    def deviation(self, parameters, factors):
+        mean = parameters[MEAN] * factors
+        return (mean * (1 + mean)) ** 0.5
+
+    def describe(self) -> str:
+        return f"geometric, mean {self.mean.values[0]:g}"
+
+
+class NegativeBinomialTable(CaseTable):
+    """`[demand]` of kind "negative-binomial"."""
+
+    kind: Literal["negative-binomial"]
+    mean: CaseInput = count_mean()
+    deviation: CaseInput = deviation_key(", above the root of the mean")
+
+
+@register
+class NegativeBinomialDemand(CountDemand):
+    """p(k) = G(k + r) / (G(r) k!) (r / (r + m))^r (m / (r + m))^k, G the gamma function.
+
+    r = mean^2 / (deviation^2 - mean) of a period with the factor 1, and the same for all periods.
+    """
+
+    kind = "negative-binomial"
+    table = NegativeBinomialTable
+    mean: CaseInput
+    spread: CaseInput
+
+    @classmethod
+    def read(cls, section: TableContext, table: NegativeBinomialTable, maximum: float):
+        mean, deviation = float(table.mean.values[0]), float(table.deviation.values[0])
+        if deviation**2 <= 1.01 * mean:
+            minimum = (1.01 * mean) ** 0.5
+            message = f"allowed is a number above {minimum:.4g}, of a Poisson demand; see that kind"
+            raise section.error("deviation", deviation, message)
+        if deviation > 10 * mean:
+            message = f"allowed is at most ten times the mean, {10 * mean:g}"
+            raise section.error("deviation", deviation, message)
+        size = mean**2 / (deviation**2 - mean)
+        largest = ROOM * maximum * mean
+        result = most_of("nbinom", size, size / (size + largest))
+        return cls(result, table.mean, table.deviation)
+
+    def logarithms(self, parameters, factor, k):
+        mean, size = parameters[MEAN] * factor, _size(parameters)
+        available = gammaln(k + size) - gammaln(size) - gammaln(k + 1.0)
+        return available - size * jnp.log1p(mean / size) - k * jnp.log1p(size / mean)
+
+    def deviation(self, parameters, factors):
+        mean = parameters[MEAN] * factors
+        return (mean + mean**2 / _size(parameters)) ** 0.5
+
+    def describe(self) -> str:
+        mean, spread = self.mean.values[0], self.spread.values[0]
+        return f"negative binomial, mean {mean:g}, standard deviation {spread:g}"
+
+
+def _size(parameters):
+    mean = parameters[MEAN]
+    return mean**2 / (parameters[DEVIATION] ** 2 - mean)
+
+
+class PoissonTable(CaseTable):
+    """`[demand]` of kind "poisson"."""
+
+    kind: Literal["poisson"]
+    mean: CaseInput = count_mean()
+
+
+@register
+class PoissonDemand(CountDemand):
+    """p(k) = e^-m m^k / k!, m the mean of the period."""
+
+    kind = "poisson"
+    table = PoissonTable
+    mean: CaseInput
+
+    @classmethod
+    def read(cls, section: TableContext, table: PoissonTable, maximum: float):
+        mean = ROOM * maximum * table.mean.values[0]
+        return cls(most_of("poisson", mean), table.mean)
+
+    def logarithms(self, parameters, factor, k):
+        mean = parameters[MEAN] * factor
+        return k * jnp.log(mean) - mean - gammaln(k + 1.0)
+
+    def deviation(self, parameters, factors):
+        return (parameters[MEAN] * factors) ** 0.5
+
+    def describe(self) -> str:
+        return f"Poisson, mean {self.mean.values[0]:g}"

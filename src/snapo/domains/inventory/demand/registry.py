@@ -21,7 +21,7 @@ for _file in pkgutil.iter_modules([str(Path(__file__).parent)]):
 
 def kinds() -> dict[str, type[Demand]]:
     """{name in `[demand]`: kind of demand}, for all kinds."""
-    return dict(KINDS)
+    return dict(sorted(KINDS.items()))
 
 
 def read_demand(

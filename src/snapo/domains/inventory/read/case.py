@@ -12,9 +12,7 @@ from snapo.case.table import TableContext, parse
 
 from ..demand.registry import read_demand
 from ..item.records import InventoryCase, Item
-from .plausible import unit_slips
-from .season import no_season, read_season
-from .settings import read_settings
+from .settings import no_season, read_season, read_settings, unit_slips
 from .tables import HorizonTable, InventoryTable, ItemReportTable, ItemTable
 
 

@@ -17,9 +17,7 @@ from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
 from ..demand.base import Demand
 from ..demand.registry import kinds, read_demand
 from ..network.records import NetworkCase, Pool, Site, SupplyNetwork
-from .plausible import unit_slips
-from .season import read_season
-from .settings import read_settings
+from .settings import read_season, read_settings, unit_slips
 from .tables import (
     COST,
     HOLDING,

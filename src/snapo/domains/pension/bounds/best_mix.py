@@ -1,11 +1,18 @@
-"""The best mix at given prices: the maximum value of a unit of money within the limits."""
+"""The best mix at given prices: the maximum value of a unit of money within the limits; and log
+returns over cash of a step as Gaussian, given the market before it.
+"""
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..fund.schedule import FundTerms, Period
+from ..market.assets.asset_class import by_kind
+from ..market.dynamics import move, noise_size
+from ..market.state import Market
 from ..records.case import PensionModel
 
 
@@ -76,3 +83,81 @@ def best_mix(
         weight, free = weight.at[position].add(add), free - add
         group_room = group_room - add * member[position]
     return weight @ value + best
+
+
+class GaussianReturns(NamedTuple):
+    """Log returns over cash, linear in the step's normals [Z].
+
+    - `mean` [m], `load` [m, Z]: of n classes, and of money over cash (minus its log return): m = n
+      + 1. Of classes made of bonds, to first order.
+    - `bonds`, `bond_load`: those of the q bonds beneath classes and swaps, on all paths.
+    - `shares`: their weights [k, q of its own] in each kind, in the order of `by_kind`, and in the
+      swaps if there are any; None where nothing is made of bonds.
+    """
+
+    mean: Float[Array, " m"]
+    load: Float[Array, "m Z"]
+    bonds: Float[Array, " q"]
+    bond_load: Float[Array, "q Z"]
+    shares: tuple[Array | None, ...]
+
+
+# The axes over paths.
+ACROSS = GaussianReturns(0, 0, None, None, 0)  # pyright: ignore
+
+
+def gaussian_returns(
+    case: PensionModel, terms: FundTerms, now: Period, market: Market
+) -> GaussianReturns:
+    """Those of one step on one path."""
+
+    def over_cash(noise):
+        moved = move(case, terms.market, now.market, market, noise)
+        bonds = [item.log for item in moved.beneath if item is not None]
+        shares = tuple(None if entry is None else entry.share for entry in moved.beneath)
+        logs = jnp.append(jnp.log(moved.gross) - moved.cash, -moved.cash)
+        return logs, jnp.concatenate([jnp.zeros(0), *bonds]), shares
+
+    calm = jnp.zeros(noise_size(case))
+    mean, bonds, shares = over_cash(calm)
+    load, bond_load = jax.jacfwd(lambda noise: over_cash(noise)[:2])(calm)
+    return GaussianReturns(mean, load, bonds, bond_load, shares)
+
+
+class Worth(NamedTuple):
+    """Deflated expectations of a unit after a step: of the classes [n], of the gain of the swaps
+    [b], and of money paid at its end."""
+
+    classes: Array
+    swaps: Array
+    money: Array
+
+
+def discounted_growth(
+    case: PensionModel, returns: GaussianReturns, price: Float[Array, " Z"]
+) -> Worth:
+    """E[exp(-price @ noise - price^2 / 2) exp(return over cash)]."""
+    exponent = _exponent(returns.mean, returns.load, price)
+    bonds = jnp.expm1(_exponent(returns.bonds, returns.bond_load, price))
+    classes, start, gains = jnp.exp(exponent[:-1]), 0, []
+    for share in returns.shares:
+        stop = start + (0 if share is None else share.shape[-1])
+        gains.append(None if share is None else share @ bonds[start:stop])
+        start = stop
+    for (_, positions), gain in zip(by_kind(case), gains):
+        if gain is not None:
+            classes = classes.at[np.array(positions)].set(1 + gain)
+    swaps = gains[-1] if case.buckets else jnp.zeros(0)
+    return Worth(classes, swaps, jnp.exp(exponent[-1]))
+
+
+def _exponent(mean: Array, load: Array, price: Array) -> Array:
+    return mean + jnp.sum(load**2, axis=-1) / 2 - load @ price
+
+
+def fair(returns: GaussianReturns) -> np.ndarray:
+    """[Z] the smallest prices of risk at which no investment earns more than another, of the first
+    step on the first of many paths."""
+    load = np.concatenate([returns.load[0, 0, :-1], returns.bond_load[0]])
+    mean = np.concatenate([returns.mean[0, 0, :-1], returns.bonds[0]])
+    return np.linalg.lstsq(load, mean + np.sum(load**2, axis=-1) / 2, rcond=None)[0]

@@ -12,6 +12,7 @@ contributions do not depend on decisions, wide where they do. Costs of trading c
 Assets are above zero: a debt, which leverage or payments can leave, earns more than nothing.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +23,7 @@ from scipy.optimize import minimize_scalar
 
 from snapo.engine import Rollout, Xla
 from snapo.problem.noise import Draws
+from snapo.problem.objective import ExpectedUtility, Mean, Objective
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
@@ -30,10 +32,17 @@ from snapo.problem.smooth import Exact
 from ..fund.books import MINIMUM
 from ..fund.simulator import PensionSimulator
 from ..market.dynamics import noise_size
-from .best_mix import best_mix, limits
-from .conjugate import IN_MONEY, conjugate
+from .best_mix import (
+    ACROSS,
+    GaussianReturns,
+    Worth,
+    best_mix,
+    discounted_growth,
+    fair,
+    gaussian_returns,
+    limits,
+)
 from .extremes import Extremes, extremes
-from .gaussian import ACROSS, GaussianReturns, Worth, discounted_growth, fair, gaussian_returns
 
 PATHS, STREAM = 512, 258  # on which prices are fitted
 SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
@@ -192,3 +201,41 @@ class FundRelaxation:
             self.schedule.steps, states, actions, paths.noise, result.growth
         )
         return jnp.sum(result.after * after - result.over * mean, axis=0) / constants.assets
+
+
+Conjugate = Callable[[Array], Array]
+
+
+IN_MONEY = "assets"  # the output that is not a share of the liability
+
+
+def conjugate(objective: Objective, start: float = 1.0) -> Conjugate:
+    """The conjugate as a function of z > 0, for an objective that increases in the final assets.
+
+    F >= 0 is the final funding ratio, or the final assets; `start` the funding ratio now.
+
+    **Raises:** `ValueError` for any other objective, with a list of the allowed ones.
+    """
+    if isinstance(objective, ExpectedUtility) and objective.output in ("funding_ratio", IN_MONEY):
+        return _of_power(objective.utility)
+    if isinstance(objective, Mean) and objective.output == "log_relative":
+        return lambda z: -jnp.log(z * start) - 1
+    if isinstance(objective, Mean) and objective.output == "surplus_ratio":
+        return lambda z: jnp.maximum(-z, -1.0)
+    raise ValueError(
+        'a fund is bounded from above for a utility ("crra") of funding_ratio or assets, and for'
+        " the mean of log_relative or of surplus_ratio"
+    )
+
+
+def _of_power(utility) -> Conjugate:
+    def gained(z: Array) -> Array:
+        # u'(F + w) = z; no ratio is below zero.
+        best = jnp.maximum(z ** (-1 / utility.risk_aversion), utility.wealth)
+        if utility.risk_aversion == 1:
+            gained = jnp.log(best)
+        else:
+            gained = best ** (1 - utility.risk_aversion) / (1 - utility.risk_aversion)
+        return gained - z * (best - utility.wealth)
+
+    return gained

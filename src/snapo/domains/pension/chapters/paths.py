@@ -18,8 +18,8 @@ from snapo.report.quantity import number
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
-from ..fund.dealing import dealt
 from ..fund.terms import trading_limits
+from ..fund.trading import dealt
 from ..records.case import PensionCase
 from ..regulation.stand import RecoveryCourse, recovery, stand
 from ..results.setup import case_of

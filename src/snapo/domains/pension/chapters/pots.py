@@ -12,9 +12,9 @@ from snapo.report.quantity import number
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
-from ..pots.outputs import pensions
 from ..pots.schedule import pots_of
 from ..records.case import PensionCase
+from ..records.pots import pensions
 from ..results.setup import case_of
 from ..run import PensionRun, points, share, with_measure
 

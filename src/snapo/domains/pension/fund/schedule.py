@@ -18,8 +18,8 @@ from ..records.case import PensionModel, Scales
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
 from .collateral import Stress, stress
+from .contributions import annuity
 from .plan import indexation_flags
-from .recovery import annuity
 from .terms import PlanTerms, TradingLimits, plan_terms, scales, trading_limits
 
 

@@ -1,11 +1,20 @@
-"""One file per kind: a folder whose files register their kind when they are imported."""
+"""All asset classes and models of the short rate, which the files of two folders register."""
 
 import pkgutil
 from importlib import import_module
-from pathlib import Path
+from types import ModuleType
+
+from . import assets, rates
+from .assets.asset_class import KINDS
+from .rates.short_rate import MODELS
+
+__all__ = ["KINDS", "MODELS"]
 
 
-def import_all(package: str, file: str) -> None:
-    """Imports every file of the folder of `file`, which is the package `package`."""
-    for module in pkgutil.iter_modules([str(Path(file).parent)]):
-        import_module(f"{package}.{module.name}")
+def _import_all(package: ModuleType) -> None:
+    for module in pkgutil.iter_modules(package.__path__):
+        import_module(f"{package.__name__}.{module.name}")
+
+
+for folder in (assets, rates):
+    _import_all(folder)

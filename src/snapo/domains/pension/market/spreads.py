@@ -1,8 +1,11 @@
-"""Credit spreads: u = ln(s / mean) reverts to zero, one for each rating."""
+"""Credit spreads, u = ln(s / mean) reverts to zero, one for each rating; and currencies in returns:
+the unhedged share, the cost of hedging and the premium.
+"""
 
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ..records.case import PensionModel
@@ -33,3 +36,27 @@ def spread_now(case: PensionModel, inputs: dict[str, Any]) -> Array | None:
 def next_spread(terms: SpreadTerms, spread: Array | None, shock: Array) -> Array | None:
     """[R] u after a step; `shock` [R] of the Gaussian vector."""
     return None if spread is None else terms.fading * spread + terms.volatility * shock
+
+
+class CurrencyTerms(NamedTuple):
+    """X currencies, per step and unit of holding: `exposure` the volatility of the unhedged share,
+    `premium` its mean over the difference of rates, `hedging` minus the cost of the hedge."""
+
+    exposure: Array
+    premium: Array
+    hedging: Array
+
+
+def currency_terms(case: PensionModel, inputs: dict[str, Any]) -> CurrencyTerms:
+    """The numbers of a case's currencies."""
+    hedge = use(inputs, case.currencies.hedge_ratio)
+    return CurrencyTerms(
+        exposure=(1 - hedge) * use(inputs, case.currencies.volatility),
+        premium=(1 - hedge) * use(inputs, case.currencies.premium) * case.step,
+        hedging=-hedge * use(inputs, case.currencies.hedge_cost) * case.step,
+    )
+
+
+def of_currency(values: Array, currency: np.ndarray) -> Array:
+    """`values` [X] where a currency is held, zero where none is (-1)."""
+    return jnp.append(values, jnp.zeros(1, values.dtype))[currency]

@@ -60,7 +60,7 @@ class MarketSteps(NamedTuple):
 
 class Move(NamedTuple):
     """Over one step: log return of cash, gross returns [n], swaps' log returns over cash [b] or
-    None, the market after it, and of the models the bonds `beneath` (see `assets.returns`)."""
+    None, the market after it, and of the models the bonds `beneath` (see `dynamics.returns`)."""
 
     cash: Array
     gross: Array

@@ -14,15 +14,6 @@ CLOSE = 1e-12  # of the scale of mortality, at which bisection stops
 MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is searched for
 
 
-def annuity_due(probability: np.ndarray, age: int, rate: float) -> float:
-    """Value of 1 a year in advance for life: sum of v^k kp_x, v = 1 / (1 + rate).
-
-    `probability`: q by age from 0 on; the last age is not survived.
-    """
-    survival = np.concatenate([[1.0], np.cumprod(1 - np.asarray(probability)[age:])])
-    return float(np.sum(survival * (1 + rate) ** -np.arange(len(survival))))
-
-
 def life_expectancy(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> float:
     """Complete expectation of life of who is `age` at time 0, years, improvement included.
 

@@ -1,6 +1,5 @@
 """Classical policies with their tunable parameters, and closed forms of known problems."""
 
-import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -15,9 +14,8 @@ from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import EXACT, Exact
 
 from ..fund.observation import RATIO, slots
-from ..fund.swap_limits import limit_unit
 from ..records.case import PensionCase
-from .limits import AllocationLimits, logits_of, present
+from .limits import AllocationLimits, limit_unit, logits_of, present
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
 MINIMUM = 1e-3  # a class of less weight is tuned from this one, where it can still learn
@@ -142,39 +140,6 @@ def _floor(case: PensionCase, local: np.ndarray, grown: float):
 @compiled_sooner
 def _held(limits: AllocationLimits, logits: Array) -> Array:
     return limits.weights(logits, Exact())
-
-
-class StockBond(Policy):
-    """The rule of `vasicek_stock_bond` for one stock and one bond, by time left; the rest is cash.
-
-    `weights` [years, 2] of stock and bond with 0, 1, 2 … years left, linear between.
-    """
-
-    limits: AllocationLimits
-    weights: Array
-    stock: int = eqx.field(static=True)
-    bond: int = eqx.field(static=True)
-    cash: int = eqx.field(static=True)
-    slot: int = eqx.field(static=True)
-    years: float = eqx.field(static=True)
-
-    def __init__(self, case: PensionCase, rule, stock: int, bond: int):
-        self.limits, self.stock, self.bond = AllocationLimits(case), stock, bond
-        self.cash = case.assets.cash
-        self.slot, self.years = slots(case)["time"].start, case.steps * case.step
-        left = np.arange(math.ceil(self.years) + 1)
-        self.weights = jnp.asarray([rule(float(item)) for item in left], jnp.float32)
-
-    def __call__(self, observation, smooth=EXACT):
-        observation = as_observation(observation)
-        left = self.years * (1 - observation[self.slot]) / 2
-        table = self.weights.astype(observation.dtype)
-        nodes = np.arange(table.shape[0])
-        near = jnp.maximum(1 - jnp.abs(left - nodes), 0.0) @ table
-        positions = np.arange(self.limits.low.array.shape[0])
-        requested = near[0] * (positions == self.stock) + near[1] * (positions == self.bond)
-        requested = requested + (1 - near[0] - near[1]) * (positions == self.cash)
-        return self.limits.nearest(requested, smooth)
 
 
 def followers(

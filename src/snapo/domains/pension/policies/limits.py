@@ -1,4 +1,6 @@
-"""Actions within all limits: weights within bounds and groups, swaps backed by collateral."""
+"""The network of a fund, and actions within all limits: weights within bounds and groups, swaps
+backed by collateral; the limits of swaps in money.
+"""
 
 from typing import Any
 
@@ -9,13 +11,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Policy, as_observation
+from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.problem import prepare
+from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import EXACT
 
+from ..fund.books import balance, opening
 from ..fund.collateral import stressed
-from ..fund.swap_limits import limit_unit
+from ..fund.simulator import PensionSimulator
 from ..fund.trading import SHARE
 from ..records.case import PensionCase
+from ..records.inputs import pension_inputs
 
 MARGIN = 0.02  # of a range: a start nearer to a bound than this is moved inside, where it can learn
 
@@ -147,3 +153,62 @@ def _inside(x: Array, low: Array, high: Array) -> Array:
 
 def _logit(x: Array) -> Array:
     return jnp.log(x / (1 - x))
+
+
+class PensionPolicy(Policy):
+    """A network around the present holdings of the fund.
+
+    **Arguments:**
+
+    - `features`: size of the observation; `hidden`: widths of the layers between.
+    """
+
+    network: Network
+    limits: AllocationLimits
+    start: Frozen
+
+    def __init__(self, case: PensionCase, features: int, *, key, hidden: tuple[int, ...]):
+        start = present(case)
+        widths = (features, *hidden, len(start))
+        self.network = Network(widths, key=key, activation=jax.nn.tanh)
+        self.limits, self.start = AllocationLimits(case), Frozen(start)
+
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
+        start = jnp.asarray(self.start.array, observation.dtype)
+        return self.limits(start + self.network(observation), smooth)
+
+
+def new_policy(case: PensionCase, simulator: Simulator, schedule: Schedule, key) -> PensionPolicy:
+    """The network of a case, untrained: it keeps about the present holdings."""
+    features = probe(simulator, schedule)[1].shape[0]
+    return PensionPolicy(case, features, key=key, hidden=case.hidden)
+
+
+def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """[b] notionals where the policy puts them, from their `positions` in the ranges, 0 to 1.
+
+    `values`: [b] the money to which limits refer (see `limit_unit`).
+    """
+    overlay = case.overlay
+    if overlay is None:
+        return np.zeros(0)
+    shares = overlay.low + positions * (overlay.high - overlay.low)
+    requested = shares * values
+    assets = float(case.assets.amount.used())
+    total, maximum = np.abs(requested).sum() / assets, float(overlay.leverage.used())
+    return requested * min(1.0, maximum / total) if total > 0 else requested
+
+
+def limit_unit(case: PensionCase) -> np.ndarray:
+    """[b] money that the limits of the swaps are shares of today: all assets, or the liability
+    payments nearest to each bucket."""
+    if case.overlay is None or case.overlay.unit == "assets":
+        return np.full(case.buckets, float(case.assets.amount.used()))
+    simulator = PensionSimulator.of(case)
+    schedule = prepare(simulator, pension_inputs(case))
+    terms, steps = schedule.constants, schedule.steps
+    people = jax.tree.map(lambda rows: rows[0], steps.people)
+    with jax.enable_x64(True):
+        books = balance(simulator.model, terms, people, steps.shape[0], opening(terms))
+        return np.asarray(terms.swaps.nearest @ books.by_node)

@@ -20,7 +20,7 @@ from ..fund.simulator import FundFlows, Happened, PensionSimulator
 from ..fund.trading import trade
 from ..market.dynamics import move
 from ..market.state import log_factor
-from .outputs import pensions
+from ..records.pots import pensions
 from .schedule import PotPeriod, PotTerms, annuity_values, pot_schedule
 from .sharing import SharedResult, closed, shared
 

@@ -13,7 +13,7 @@ from snapo.case.quantity import FRACTION, Range
 from snapo.case.table import TableContext
 
 from ..market.assets.asset_class import SPECIAL, AssetClass, AssetNames
-from ..market.assets.registry import KINDS
+from ..market.registry import KINDS
 from ..quantities import (
     FROM_YEAR,
     RATE,
@@ -122,10 +122,12 @@ def _cash(classes: Sequence[AssetClass]) -> int:
 
 def _class(row: Row, names: AssetNames) -> AssetClass:
     """One row: the common fields of all kinds, and those of its kind."""
-    kind = KINDS[word(row, "kind", tuple(KINDS))]
+    kind = KINDS[word(row, "kind", tuple(sorted(KINDS)))]
     for special in SPECIAL:
         if row.cells.get(special) and special not in kind.columns:
-            owners = ", ".join(name for name, item in KINDS.items() if special in item.columns)
+            owners = ", ".join(
+                name for name, item in sorted(KINDS.items()) if special in item.columns
+            )
             message = (
                 f"a class of kind {kind.kind} has none: {kind.without} (kinds with it: {owners})"
             )

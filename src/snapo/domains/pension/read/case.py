@@ -1,7 +1,7 @@
 """Reads a pension case: a TOML file and the CSVs next to it become a `PensionCase`."""
 
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,31 +16,31 @@ from snapo.case.settings import (
     TrainingTable,
     check_window,
     read_evaluation,
+    read_objective,
     read_training,
+    read_weight,
 )
-from snapo.case.table import AnyTable, CaseTable, parse
+from snapo.case.table import AnyTable, CaseTable, nearest, parse
 
 from ..fund.observation import FEATURES
+from ..fund.simulator import OUTPUTS
 from ..market.assets.asset_class import AssetNames
 from ..market.correlation import all_names
-from ..pots.outputs import POT_OUTPUTS, pensions
 from ..pots.read import check_pots, read_pots
-from ..records.case import PensionCase
+from ..records.case import PARTS, ObjectiveTerm, PensionCase, missing_parts
 from ..records.inputs import every_given
-from ..records.parts import PARTS, missing_parts
 from ..records.plan import PensionPlan
 from ..records.plausible import unit_slips
+from ..records.pots import POT_OUTPUTS, pensions
 from ..regulation.bases import read_funding
-from ..regulation.read import read_regulation
+from ..regulation.in_force import read_regulation
 from . import people, plan, tables, tables_people
 from .assets import read_assets
 from .cash_plan import PlanClock
 from .cells import TableReader, TimeGrid, known_words
-from .correlation import read_correlations
-from .curve import read_curve, read_inflation, read_rates
+from .curve import read_correlations, read_curve, read_inflation, read_rates
 from .holdings import read_credit, read_currencies, read_overlay
 from .mortality import read_lee_carter, read_mortality
-from .objective import read_objectives
 from .scenarios import read_scenarios
 from .stress import parse_shocks, shock_sizes
 from .tables import PensionTable
@@ -321,3 +321,32 @@ def _replaced(case: PensionCase) -> list[CaseInput]:
     models = (case.rates, case.inflation, case.credit, case.currencies, case.correlation)
     numbers = [values for model in models for values in every_given(model)]
     return [*numbers, case.assets.volatility, case.assets.smoothing]
+
+
+# The output of each kind of objective, where the case does not name one.
+USUAL = {"cvar": "surplus_ratio", "mean": "funding_ratio"}
+
+
+def read_objectives(file: str, data: Any, more: Sequence[str] = ()) -> tuple[ObjectiveTerm, ...]:
+    """One table, or several that are added up; `more`: further outputs than those of every fund."""
+    many = isinstance(data, list)
+    terms = data if many else [data or {"kind": "crra", "risk_aversion": 5.0}]
+    if not terms:
+        raise CaseError(file, "objective", data, "at least one table is needed")
+    return tuple(
+        _term(file, f"objective.{i}" if many else "objective", term, (*OUTPUTS, *more))
+        for i, term in enumerate(terms, 1)
+    )
+
+
+def _term(file: str, name: str, data: Any, available: Sequence[str]) -> ObjectiveTerm:
+    if not isinstance(data, Mapping):
+        raise CaseError(file, name, data, "this must be a table")
+    rest = {key: value for key, value in data.items() if key not in ("weight", "output")}
+    table = read_objective(rest, file, name, optional=("wealth",))
+    weight = read_weight(data, table, file, name)
+    output = data.get("output", USUAL.get(table.kind, "funding_ratio"))
+    if output not in available:
+        close = nearest(str(output), available)
+        raise CaseError(file, f"{name}.output", output, f"there is no such output; {close}")
+    return ObjectiveTerm(weight, str(output), table)

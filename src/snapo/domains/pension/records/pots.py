@@ -1,10 +1,14 @@
-"""Personal pots under the Dutch Future of Pensions Act; conventions as in `records.case`."""
+"""Personal pots under the Dutch Future of Pensions Act, and the outputs of their paths; conventions
+as in `records.case`.
+"""
 
 from dataclasses import dataclass
 
 import equinox as eqx
 
 from snapo.case.given import CaseInput
+
+from .people import FundMembers
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,3 +46,14 @@ class Pots(eqx.Module):
     largest: CaseInput
     protection: CaseInput
     exposure: CaseInput
+
+
+# At the horizon: the mean pension over that of today, weighted by the pots of today, and the
+# reserve's share of the assets. Sums over steps: money into the reserve at the ends of years, and
+# out of it.
+POT_OUTPUTS = ("pension", "reserve", "filled", "released")
+
+
+def pensions(members: FundMembers | None) -> tuple[str, ...]:
+    """The output of each cohort: its pension at the horizon over that of today."""
+    return () if members is None else tuple(f"pension {name}" for name in members.names)

@@ -6,15 +6,18 @@ a margin). Payments, and so mortality, are the same on every basis: a case has o
 
 import datetime
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
+from ..people.liability import paid_at
+from ..people.lpi import limited, log_growth
 from ..read.cells import TableReader
 from ..read.tables import FundingTable
 from ..records.case import PensionCase
-from ..records.funding import Funding
-from .due import Due, due
+from ..records.regulation import Funding
+from ..results.figures.reconcile import payments
 from .in_force import in_force
 
 OWN = {"uk": "uk_funding.toml"}  # rules that come with the package
@@ -79,6 +82,33 @@ def read_funding(
         )
 
     return in_force(section, table.rules, OWN, day, made)
+
+
+class Due(NamedTuple):
+    """Expected payments `flow` [N], with the loading for their expenses, their `discount` factors
+    and their times in `years`."""
+
+    flow: np.ndarray
+    discount: np.ndarray
+    years: np.ndarray
+
+
+def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
+    """Payments due on the basis of the case, or of its curve where scenarios are supplied; with the
+    expected increases of a limited indexation."""
+    case = replace(case, scenarios=None)
+
+    def both(values):
+        grown = log_growth(case, values) if limited(case) else None
+        return *payments(case, values), grown
+
+    with jax.enable_x64(True):
+        flow, discount, growth = jax.tree.map(np.asarray, jax.jit(both)(inputs))
+    steps = paid_at(case, np.arange(len(flow)))
+    if growth is not None:
+        grown = np.exp(growth[steps])
+        flow, discount = flow * grown, discount / grown
+    return Due(flow, discount, steps * case.step)
 
 
 def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:

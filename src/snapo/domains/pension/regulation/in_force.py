@@ -1,4 +1,4 @@
-"""The state of the law at a date, from a file of dated rules."""
+"""The state of the law at a date, from a file of dated rules; reads `[regulation]`."""
 
 import datetime
 import tomllib
@@ -6,7 +6,11 @@ from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import Any, TypeVar
 
+import numpy as np
+
 from ..read.cells import TableReader
+from ..read.tables import RegulationTable
+from ..records.regulation import MARKETS, RISKS, Regulation, Rules
 
 AnyRules = TypeVar("AnyRules")
 
@@ -46,3 +50,54 @@ def in_force(
     except (KeyError, TypeError, ValueError) as error:
         message = f"its version for {day} has a missing or an invalid number: {error}"
         raise section.error("rules", name, message) from None
+
+
+OWN = {"dutch-ftk": "dutch_ftk.toml"}  # rules that come with the package
+FACTORS = ("rise", "fall", "real_rise", "real_fall")
+RATINGS = ("AAA", "AA", "A", "BBB", "other")
+CORRELATIONS = (
+    "rates_equity", "rates_credit", "equity_credit", "equity", "currencies_developed",
+    "currencies_emerging", "currencies",
+)  # fmt: skip
+
+
+def read_regulation(
+    section: TableReader, table: RegulationTable | None, day: datetime.date
+) -> Regulation | None:
+    """The rules in force on `day`; None without the table.
+
+    **Raises:** `CaseError` where the file is missing or incomplete, or holds nothing for the day.
+    """
+    if table is None:
+        return None
+    rules = in_force(section, table.rules, OWN, day, _rules)
+    if len(table.policy_ratios) > rules.averaging_months:
+        message = f"the policy ratio is that of {rules.averaging_months} months: specify no more"
+        raise section.error("policy_ratios", len(table.policy_ratios), message)
+    ratios = tuple(table.policy_ratios)
+    return Regulation(rules, ratios, table.insurance_risk, table.active_risk)
+
+
+def _rules(data: dict[str, Any]) -> Rules:
+    rates = data["rates"]
+    term = np.array(rates["term"], float)
+    factors = {name: np.array(rates[name], float) for name in FACTORS}
+    if any(factor.shape != term.shape for factor in factors.values()) or np.any(np.diff(term) <= 0):
+        raise ValueError("rates: one factor for each term, and terms that rise, are needed")
+
+    def numbers(name: str, keys: tuple[str, ...]) -> dict[str, float]:
+        return {key: float(data[name][key]) for key in keys}
+
+    return Rules(
+        since=data["from"].isoformat(),
+        source=str(data["source"]),
+        averaging_months=int(data["averaging_months"]),
+        recovery_years=float(data["recovery_years"]),
+        minimum=float(data["minimum"]),
+        term=term,
+        factors=factors,
+        falls=numbers("falls", RISKS[:-1]),
+        currencies=numbers("currencies", MARKETS),
+        spreads=numbers("spreads", RATINGS),
+        correlations=numbers("correlations", CORRELATIONS),
+    )

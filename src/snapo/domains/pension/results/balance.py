@@ -15,9 +15,9 @@ from scipy.optimize import toms748
 from snapo.study.chapter import Floats, Number, floats
 
 from ..fund.collateral import slope, stressed
-from ..fund.swap_limits import notionals
 from ..market.assets.asset_class import log_prices
 from ..market.assets.swaps import swap_values
+from ..policies.limits import notionals
 from ..records.case import PensionCase
 from ..records.market import MarketCurve
 from .figures.reconcile import LiabilityFigures

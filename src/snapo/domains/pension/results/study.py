@@ -12,8 +12,7 @@ from snapo.study.domain import Options
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
-from ..bounds.conjugate import conjugate
-from ..bounds.relaxation import FundRelaxation
+from ..bounds.relaxation import FundRelaxation, conjugate
 from ..chapters import live
 from ..chapters.attribution import ATTRIBUTION, VARIANCE
 from ..chapters.evidence import CERTIFICATE, CONSISTENCY
@@ -27,8 +26,7 @@ from ..chapters.reconciliation import RECONCILIATION
 from ..chapters.sensitivities import SENSITIVITIES
 from ..chapters.stress import STRESS
 from ..chapters.today import TODAY
-from ..records.case import PensionCase
-from ..records.parts import OF_RIGHTS
+from ..records.case import OF_RIGHTS, PensionCase
 from ..run import share
 from .figures.lines import examine
 from .setup import case_of, make_setup, objective_of, setup_at

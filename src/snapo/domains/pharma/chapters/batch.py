@@ -14,7 +14,7 @@ from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import ProcessRun
-from ..quality.limits import AttributeLimits
+from ..quality.batches import AttributeLimits
 from ..setpoints import HEADER, setpoints
 from ..shared import BATCH, open_loop
 from . import pictures

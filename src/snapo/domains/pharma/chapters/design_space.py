@@ -15,9 +15,8 @@ from snapo.study.study import StudyRun
 
 from ..flowsheet.process import Process
 from ..quality import design_space, ranges
-from ..quality.boundary import Boundary
+from ..quality.boundary import Boundary, draws_for
 from ..quality.design_space import LargestBox, in_case_unit
-from ..quality.interval import draws_for
 from ..shared import MESH, open_loop, sampled
 from . import pictures
 from .model import location, stated

@@ -18,8 +18,8 @@ from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
+from ..quality.boundary import interval
 from ..quality.estimation import ParameterFit, fit, model_of, numbers_of, variables_of
-from ..quality.interval import interval
 from ..quality.records import Estimation
 from ..read.entries import EntryNumbers
 from ..read.fitted import COLUMNS

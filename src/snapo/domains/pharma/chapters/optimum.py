@@ -24,7 +24,7 @@ from snapo.study.study import StudyRun
 
 from ..given import Entry
 from ..quality import batches
-from ..quality.limits import AttributeLimits
+from ..quality.batches import AttributeLimits
 from ..recipe.optimise import Optimum, optimise
 from ..recipe.optimum import TOLERANCE
 from ..recipe.records import Optimise, Term

@@ -20,8 +20,8 @@ from ..flowsheet.inputs import pharma_inputs
 from ..flowsheet.process import Process
 from ..given import every_entry
 from ..quality import batches
+from ..quality.batches import AttributeLimits
 from ..quality.draws import all_entries
-from ..quality.limits import AttributeLimits
 from ..shared import MESH, SOUND, open_loop, process, sampled
 from . import pictures
 from .model import Statement, stated

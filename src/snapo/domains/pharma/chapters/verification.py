@@ -14,12 +14,16 @@ from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 
 from ..derivatives.certify import certify
-from ..derivatives.convergence import Convergence, ConvergenceRow, convergence
-from ..derivatives.grids import Cells, on_finer_cells
+from ..derivatives.convergence import (
+    Cells,
+    Convergence,
+    ConvergenceRow,
+    convergence,
+    on_finer_cells,
+)
 from ..flowsheet.flow import leaving, sources
-from ..flowsheet.ledger import Ledger
 from ..flowsheet.process import Process
-from ..flowsheet.stream import Stream
+from ..flowsheet.stream import Ledger, Stream
 from ..quality.design_space import in_case_unit
 from ..shared import SOUND, open_loop, process
 from .attribution import ATTRIBUTION

@@ -21,17 +21,16 @@ from snapo.problem.simulator import Schedule, Simulator
 from ..flowsheet.case import Flowsheet
 from ..flowsheet.feed import feed
 from ..flowsheet.flow import crystal_sizes, sources, through, yields
-from ..flowsheet.ledger import LedgerFinish
 from ..flowsheet.order import groups
 from ..flowsheet.possible import smallest
-from ..flowsheet.stream import Stream, blank, flat, unflat
+from ..flowsheet.stream import LedgerFinish, Stream, blank, flat, unflat
 from ..given import Form, fixed
 from ..time.dynamics import Dynamics
 from ..time.profile import values_at
 from ..time.runge_kutta import runge_kutta
 from ..units.operation import Timed, Unit, timed
+from .policy import initial_history, reading, shifted
 from .records import Control
-from .sensors import initial_history, reading, shifted
 from .staging import LoopRecord, Varied, decided, drawn, staged
 
 PLAIN_STEPS = 64  # of a unit between stages, per piece; the native engine takes no more

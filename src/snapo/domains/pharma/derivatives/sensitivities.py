@@ -12,8 +12,8 @@ from snapo.case.quantity import numbers_in
 from snapo.study.chapter import Floats, Number
 
 from ..flowsheet.case import PharmaCase
+from ..quality.batches import AttributeLimits
 from ..quality.draws import all_entries, deviation, nominal
-from ..quality.limits import AttributeLimits
 from .jacobian import Jacobian
 
 VARIATION = 2.0  # standard deviations of the batches that are not there to be used

@@ -16,7 +16,7 @@ from snapo.case.settings import EvaluationTable, TrainingTable
 from ..control.records import Control, Goal
 from ..quality.records import Attribute, DesignSpace, Estimation, Parameter, Uncertainty
 from ..recipe.records import Optimise
-from ..time.numerics import Numerics
+from ..time.dynamics import Numerics
 from ..units.operation import Unit
 from .feed import Feed
 from .network import FlowNetwork

@@ -10,10 +10,9 @@ from ..time.dynamics import Dynamics
 from ..units.operation import Outcome, Timed, Unit
 from .case import Flowsheet
 from .feed import feed
-from .grid import NO_CRYSTALS, Sizes
 from .order import Group, groups, settled
 from .recycle import Closed, close, labels
-from .stream import Stream, blank
+from .stream import NO_CRYSTALS, Sizes, Stream, blank
 
 
 class Flow(NamedTuple):

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..time.numerics import Numerics
+from ..time.dynamics import Numerics
 from .stream import Stream
 
 # The guessed fields; the rest of a stream goes around the loop unchanged.

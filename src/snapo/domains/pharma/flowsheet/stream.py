@@ -1,14 +1,46 @@
-"""Streams between units: the material of one batch, in amounts."""
+"""Streams between units: the material of one batch, in amounts, with the grid of sizes on which
+crystals are counted; the delivery of a unit, and the terms of its balance other than its streams.
+"""
 
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from .grid import NO_CRYSTALS, Sizes
+
+@dataclass(frozen=True)
+class Grid:
+    """`edges`: [N + 1] m, rising, of N cells; () of a stream that has no crystals."""
+
+    edges: tuple[float, ...]
+
+    @classmethod
+    def of(cls, edges: np.ndarray) -> "Grid":
+        return cls(tuple(float(edge) for edge in edges))
+
+    @property
+    def cells(self) -> int:
+        return max(0, len(self.edges) - 1)
+
+    @property
+    def array(self) -> np.ndarray:
+        return np.array(self.edges)
+
+
+NO_CRYSTALS = Grid(())
+# Of crystals of which only the moments are known there is no grid.
+Sizes = Grid | None
+
+
+def together(sizes: tuple[Sizes, ...]) -> Sizes:
+    """On which grid crystals of several streams are counted together; None where they are not."""
+    some = {size for size in sizes if size != NO_CRYSTALS}
+    return NO_CRYSTALS if not some else some.pop() if len(some) == 1 else None
+
 
 MOMENTS = 6
 
@@ -105,3 +137,35 @@ def flat(stream: Stream) -> Float[Array, " K"]:
 def unflat(vector: Float[Array, " K"], like: Stream) -> Stream:
     """The stream that `flat` made a vector of; `like` has its shapes."""
     return ravel_pytree(like)[1](vector)
+
+
+class Ledger(NamedTuple):
+    """The terms of a unit's balance other than its streams, all of one batch.
+
+    - `made`: [S] kmol by reactions; `added`: [S] kmol, such as seed; `held`: [S] kmol more at
+      the end than at the start; `left`: [S] kmol of its inlets that it has not taken in.
+    - `solvent_added`, `solvent_left`: kg.
+    - `energy`: (into, out of, accumulated) J where a heat balance is part of the unit.
+    """
+
+    made: Float[Array, " S"]
+    added: Float[Array, " S"]
+    held: Float[Array, " S"]
+    left: Float[Array, " S"]
+    solvent_added: Float[Array, ""]
+    solvent_left: Float[Array, ""]
+    energy: tuple[Array, Array, Array] | None = None
+
+
+def ledger(species: int, **entries: Any) -> Ledger:
+    """A ledger in which all is zero but these entries."""
+    none, zero = jnp.zeros(species), jnp.zeros(())
+    return Ledger(none, none, none, none, zero, zero)._replace(**entries)
+
+
+class LedgerFinish(NamedTuple):
+    """The delivery of a unit: its outlets in order, its measures and ledger."""
+
+    outlets: tuple[Stream, ...]
+    measures: dict[str, Array]
+    ledger: Ledger

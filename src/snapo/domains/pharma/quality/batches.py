@@ -1,11 +1,14 @@
-"""Batches for every statistic of a study: one list of varied numbers, so one compiled function."""
+"""Batches for every statistic of a study: one list of varied numbers, so one compiled function; and
+quality limits as arrays: which hold, and how far a value is from them.
+"""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..flowsheet.case import PharmaCase
+from ..flowsheet.possible import smallest
 from ..given import Entry
 from .draws import all_draws, all_entries
 
@@ -58,3 +61,33 @@ def attributes(process: "Process", rows: np.ndarray) -> np.ndarray:
         rows = np.concatenate([rows, np.repeat(rows[:1], CHUNK - count, 0)])
     batch = process.batch(varied(process.case), rows, chunk=CHUNK)
     return np.where(batch.ok[:, None], batch.values, np.nan)[:count]
+
+
+class AttributeLimits(NamedTuple):
+    """[Q] `low` and `high` in the attributes' units; infinite where there is none. `least`: the
+    smallest possible value: a filtration time below 0 keeps no limit."""
+
+    low: np.ndarray
+    high: np.ndarray
+    lower: np.ndarray
+
+    @classmethod
+    def of(cls, case: PharmaCase) -> "AttributeLimits":
+        low = [-np.inf if attribute.low is None else attribute.low for attribute in case.attributes]
+        high = [np.inf if item.high is None else item.high for item in case.attributes]
+        possible = [entry.scale * smallest(entry.measure) for entry in case.attributes]
+        return cls(np.array(low), np.array(high), np.array(possible))
+
+    def hold(self, values: np.ndarray) -> np.ndarray:
+        """[…, Q] whether each limit holds; a non-finite value breaks a limit."""
+        selected = (values >= self.low) & (values <= self.high)
+        selected = selected | ~self.any() & np.isfinite(values)
+        return np.asarray(selected & (values >= self.lower))
+
+    def any(self) -> np.ndarray:
+        """[Q] whether an attribute has a limit."""
+        return np.isfinite(self.low) | np.isfinite(self.high)
+
+    def distance(self, values: np.ndarray) -> np.ndarray:
+        """[…, Q] to the nearest limit, below 0 beyond it, infinite where there is none."""
+        return np.minimum(values - self.low, self.high - values)

@@ -10,7 +10,7 @@ from snapo.study.chapter import Floats, Number
 
 from ..flowsheet.case import PharmaCase
 from . import batches, draws
-from .limits import AttributeLimits
+from .batches import AttributeLimits
 
 if TYPE_CHECKING:
     from ..flowsheet.process import Process

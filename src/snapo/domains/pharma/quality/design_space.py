@@ -12,9 +12,8 @@ from snapo.study.chapter import Floats, Number
 from ..flowsheet.case import PharmaCase
 from ..given import Entry
 from . import batches
-from .boundary import Boundary, boundaries, distances
-from .interval import interval
-from .limits import AttributeLimits
+from .batches import AttributeLimits
+from .boundary import Boundary, boundaries, distances, interval
 from .records import Parameter
 
 if TYPE_CHECKING:

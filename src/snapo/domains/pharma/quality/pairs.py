@@ -21,8 +21,8 @@ import numpy as np
 from snapo.study.chapter import Floats, Number
 
 from . import batches
-from .grades import Changes, Good, goods
-from .limits import AttributeLimits
+from .batches import AttributeLimits
+from .ranges import Changes, Good, goods
 from .records import Parameter
 
 if TYPE_CHECKING:

@@ -15,24 +15,25 @@ from snapo.case.table import TableContext, parse
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.feed import Feed
-from ..time.numerics import Numerics
+from ..time.dynamics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import TYPES, read_units
-from .connections import ordered, read_connections
 from .entries import EntryNumbers
 from .estimation import read_estimation
 from .fitted import read_fitted
-from .loops.control import read_control
-from .network import read_feeds, read_network
+from .loops import read_control
+from .network import ordered, read_connections, read_feeds, read_network
 from .optimise import OptimiseTable, read_design_space, read_goal, read_optimise
 from .plausible.checks import (
     check_amounts,
     check_decided,
     check_moved,
+    check_moved_solubility,
+    check_physics,
     check_spans,
     check_varied_once,
+    unusual,
 )
-from .plausible.physics import check_moved_solubility, check_physics, unusual
 from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
 from .tables import (
     AttributeTable,

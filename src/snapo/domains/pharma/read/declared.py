@@ -24,7 +24,6 @@ from pydantic_core import PydanticUndefined
 from snapo.case.quantity import KeyContext, Quantity, Range, custom, declared, quantity_of
 from snapo.case.table import CaseTable, TableContext, parse
 
-from .fields import TextKey
 from .numbers import (
     ANY,
     DENSITY,
@@ -37,7 +36,7 @@ from .numbers import (
     range_text,
     single,
 )
-from .reader import Reader
+from .reader import Reader, TextKey
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from ..given import Entry
 from ..quality.records import Distribution
 from .entries import EntryNumbers
 from .numbers import ANY, NOT_NEGATIVE, quantity
-from .plausible.drawn import check_drawn
+from .plausible.checks import check_drawn
 
 COLUMNS = ("of", "value", "logarithm", "deviation", "correlation")
 

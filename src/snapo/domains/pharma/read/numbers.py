@@ -1,6 +1,9 @@
-"""From the raw value of a key to numbers in the domain's units: quantities, lists, profiles."""
+"""From the raw value of a key to numbers in the domain's units: quantities, lists, profiles; and
+names that a user gives: of species, feeds, units and ports.
+"""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, Protocol
@@ -256,3 +259,18 @@ def suggest(name: str, available, noun: str) -> str:
         .replace("known keys", f"known {plural}", 1)
         .replace("known key", f"known {noun}", 1)
     )
+
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+RESERVED = ("process", "kinetics")
+
+
+def check_name(section: TableContext, key: str, name: Any) -> str:
+    """A name of letters, digits, - and _, so that "unit.measure" can be taken apart."""
+    if not isinstance(name, str) or NAME.fullmatch(name) is None or name in RESERVED:
+        message = "a name has letters, digits, - and _, and begins with a letter"
+        reserved = " and ".join(f'"{item}"' for item in RESERVED)
+        raise section.error(key, name, f"{message}; {reserved} are taken")
+    return name

@@ -13,10 +13,10 @@ from ..control.records import Goal
 from ..quality.records import Attribute, DesignSpace, Parameter
 from ..recipe.records import Decision, Optimise, Term
 from .entries import EntryNumbers
-from .fields import TextKey, tables, whole, within, word
-from .fields import quantity as quantity_field
 from .numbers import quantity, suggest, unit_of
 from .quantities import UnitError, check_basis, conversion, own_basis
+from .reader import TextKey, tables, whole, within, word
+from .reader import quantity as quantity_field
 from .tables import DesignSpaceTable, GoalTable
 
 

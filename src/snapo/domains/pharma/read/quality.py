@@ -16,7 +16,7 @@ from ..units.operation import Unit
 from .entries import EntryNumbers
 from .fitted import FittedRows
 from .numbers import ANY, POSITIVE, quantity, suggest, unit_of
-from .plausible.drawn import check_drawn
+from .plausible.checks import check_drawn
 from .quantities import UnitError, basis, check_basis, conversion, own_basis
 from .tables import (
     AttributeTable,

@@ -14,7 +14,7 @@ from snapo.case.quantity import Range
 from snapo.case.report import ReportTable
 from snapo.case.table import TITLE, CaseTable, Title
 
-from .fields import PROBABILITY, TextKey, pair, quantity, tables, whole, within, word
+from .reader import PROBABILITY, TextKey, pair, quantity, tables, whole, within, word
 
 
 class SpeciesTable(CaseTable):

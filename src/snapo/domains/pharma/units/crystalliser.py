@@ -17,9 +17,7 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 from snapo.case.table import TableContext
 
-from ..flowsheet.grid import NO_CRYSTALS, Grid
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import MOMENTS, Stream
+from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Stream, ledger
 from ..given import absent, fixed, use
 from ..read.declared import (
     ABSOLUTE,
@@ -37,14 +35,19 @@ from ..read.declared import (
 from ..read.numbers import NOT_NEGATIVE
 from ..read.reader import Reader
 from ..time.dynamics import Dynamics
-from ..time.event import saturation_share
-from ..time.profile import Profile, flow_of
-from .crystals.disappeared import disappeared
-from .crystals.finite_volumes import by_finite_volumes
+from ..time.profile import Profile, flow_of, saturation_share
 from .crystals.kinetics import Kinetics, kinetics
-from .crystals.moments import by_moments
-from .crystals.population import NUMBER, SIZE, UNITS, Population, mean_sizes
-from .crystals.quantiles import QUANTILES
+from .crystals.population import (
+    NUMBER,
+    QUANTILES,
+    SIZE,
+    UNITS,
+    Population,
+    by_finite_volumes,
+    by_moments,
+    disappeared,
+    mean_sizes,
+)
 from .crystals.seed import Seed, seed_moments, seed_numbers
 from .crystals.sizes import SizesTable, check_seed, halved, read_edges
 from .crystals.solubility import Solubility, antisolvent_factor, solubility

@@ -9,10 +9,8 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import GAS_CONSTANT
-from ..flowsheet.stream import Stream, clear
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger
 from ..given import use
 from ..read.declared import ABSOLUTE, ENERGY, LENGTH, RATE, TIME
 from ..time.dynamics import Track

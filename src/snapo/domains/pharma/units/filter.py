@@ -14,9 +14,7 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import Stream, clear
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger
 from ..given import use
 from ..read.declared import AREA, PRESSURE, UnitQuantity, key
 from ..read.numbers import NOT_NEGATIVE, POROSITY, POSITIVE, SHARE

@@ -12,8 +12,7 @@ from typing import Literal
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range, choice
 
-from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import LedgerFinish
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish
 from ..given import use
 from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, UnitQuantity, key, keys_of, values
 from ..read.numbers import NOT_NEGATIVE, POSITIVE

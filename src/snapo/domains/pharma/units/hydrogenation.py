@@ -16,10 +16,8 @@ from jaxtyping import Array
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import GAS_CONSTANT, rate_constants, rates
-from ..flowsheet.stream import clear
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger
 from ..given import use
 from ..read.declared import ABSOLUTE, ENERGY, PRESSURE, RATE, TIME, UnitQuantity, key, species_key
 from ..read.numbers import POSITIVE

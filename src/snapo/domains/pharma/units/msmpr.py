@@ -28,9 +28,7 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.grid import NO_CRYSTALS, Grid, Sizes
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import MOMENTS
+from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Sizes, ledger
 from ..given import fixed, use
 from ..read.declared import (
     ABSOLUTE,

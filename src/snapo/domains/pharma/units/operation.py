@@ -18,16 +18,12 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 
 from ..flowsheet.feed import Feed
-from ..flowsheet.grid import Grid, Sizes
-from ..flowsheet.ledger import LedgerFinish
 from ..flowsheet.network import FlowNetwork
-from ..flowsheet.stream import Stream
+from ..flowsheet.stream import Grid, LedgerFinish, Sizes, Stream
 from ..read.declared import TableOf, values
 from ..read.reader import Reader
-from ..time.defect import too_long
-from ..time.dynamics import Dynamics, Track
-from ..time.integrate import ended, integrate
-from ..time.numerics import Numerics
+from ..time.dynamics import Dynamics, Numerics, Track
+from ..time.integrate import ended, integrate, too_long
 from ..time.profile import Profile
 
 

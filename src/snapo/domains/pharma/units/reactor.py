@@ -16,18 +16,34 @@ from jaxtyping import Array
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import LedgerFinish, ledger
 from ..flowsheet.network import FlowNetwork, fastest_rate, rate_constants, rates
-from ..flowsheet.stream import Stream, clear
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger
 from ..given import use
-from ..read.declared import ABSOLUTE, FLOW, TIME, VOLUME, inner, key
-from ..read.fields import whole
+from ..read.declared import ABSOLUTE, FLOW, TIME, VOLUME, TableRecord, UnitQuantity, inner, key
+from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..read.reader import whole
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile, flow_of, mean_value
 from .operation import Inlet, Timed
-from .reactors.jacket import Jacket
 from .reactors.length import ELEMENTS, POINTS, Along
+
+
+@dataclass(frozen=True, eq=False)
+class Jacket(TableRecord):
+    """Heat balance: rho cp V dT/dt = -sum(H_i r_i) V - UA (T - T_jacket) + inflow's sensible heat.
+
+    `conductance`: UA; for a plug-flow reactor of its whole length.
+    """
+
+    heat_capacity: CaseInput = UnitQuantity("J/m3/K", POSITIVE, example="1.9e6 J/m^3/K")(
+        "heat capacity of the mixture"
+    )
+    conductance: CaseInput = UnitQuantity("W/K", NOT_NEGATIVE, example="120 W/K")(
+        "heat conductance to the jacket"
+    )
+    temperature: Profile = ABSOLUTE.profile("temperature of the jacket")
+
+    heading = "`[units.NAME.jacket]`"
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,7 @@ from typing import Any
 
 from snapo.case.table import TableContext, parse, record_kinds
 
-from ..read.names import check_name
-from ..read.numbers import suggest
+from ..read.numbers import check_name, suggest
 from ..read.reader import Reader
 from .crystalliser import Crystalliser
 from .dissolution import Dissolution

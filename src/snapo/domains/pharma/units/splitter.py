@@ -8,11 +8,10 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import Stream
+from ..flowsheet.stream import LedgerFinish, Stream, ledger
 from ..given import use
-from ..read.fields import TextKey
 from ..read.numbers import SHARE, several
+from ..read.reader import TextKey
 from .operation import Inlet, Instant
 
 EXTENSIVE = (

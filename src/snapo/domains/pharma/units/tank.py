@@ -7,10 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 from pydantic import Field
 
-from ..flowsheet.grid import together
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import Stream
-from ..read.fields import Texts
+from ..flowsheet.stream import LedgerFinish, Stream, ledger, together
+from ..read.reader import Texts
 from .operation import Inlet, Instant
 
 

@@ -4,9 +4,7 @@ from dataclasses import dataclass
 
 from snapo.case.given import CaseInput
 
-from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import clear
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger
 from ..given import use
 from ..read.declared import UnitQuantity
 from ..read.numbers import INSIDE

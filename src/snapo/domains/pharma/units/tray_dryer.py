@@ -22,14 +22,12 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 
-from ..flowsheet.grid import NO_CRYSTALS
-from ..flowsheet.ledger import LedgerFinish, ledger
-from ..flowsheet.stream import clear
+from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger
 from ..given import use
 from ..read.declared import ABSOLUTE, AREA, PRESSURE, TIME, TableRecord, UnitQuantity, inner, values
-from ..read.fields import TextKey
 from ..read.numbers import POSITIVE, ZERO_CELSIUS, case_input, with_units
 from ..read.quantities import UnitError, conversion
+from ..read.reader import TextKey
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
 from .crystals.population import mean_sizes

@@ -19,14 +19,22 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
 
-from ..flowsheet.ledger import LedgerFinish, ledger
+from ..flowsheet.stream import LedgerFinish, ledger
 from ..given import fixed, use
 from ..read.declared import LENGTH, POWER, RATE, SPEED, TIME, UnitQuantity
 from ..read.numbers import POSITIVE
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile
-from .crystals.population import NUMBER, SIZE, UNITS, cell_powers, mean_sizes
-from .crystals.quantiles import QUANTILES, size_measures, size_states
+from .crystals.population import (
+    NUMBER,
+    QUANTILES,
+    SIZE,
+    UNITS,
+    cell_powers,
+    mean_sizes,
+    size_measures,
+    size_states,
+)
 from .operation import Inlet, Timed
 
 

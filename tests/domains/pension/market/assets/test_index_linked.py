@@ -21,8 +21,7 @@ from tests.domains.pension.market_cases import (
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.assets.asset_class import log_prices
-from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.market.assets.index_linked import IndexLinked
+from snapo.domains.pension.market.assets.bond import Bond, IndexLinked
 from snapo.domains.pension.market.assets.swaps import swap_values
 from snapo.domains.pension.market.curve import log_bond
 from snapo.domains.pension.market.dynamics import move

@@ -9,7 +9,7 @@ import pytest
 from snapo.domains.pension.market.assets.asset_class import register
 from snapo.domains.pension.market.assets.cash import Cash
 from snapo.domains.pension.market.assets.priced import Priced
-from snapo.domains.pension.market.assets.registry import KINDS
+from snapo.domains.pension.market.registry import KINDS
 
 DOCS = Path(__file__).parents[5] / "docs" / "pension_case.md"
 

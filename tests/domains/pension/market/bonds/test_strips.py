@@ -14,8 +14,7 @@ from tests.domains.pension.market_cases import CASH, assets, case, cash_flows, c
 from snapo.domains.pension.chapters.stress import Stressed, stressed
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.assets.asset_class import log_prices
-from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.market.assets.coupon_bond import CouponBond
+from snapo.domains.pension.market.assets.bond import Bond, CouponBond
 from snapo.domains.pension.market.assets.swaps import swap_values
 from snapo.domains.pension.market.bonds.payments import AT_PAR, payments
 from snapo.domains.pension.market.bonds.strips import gain, shares

@@ -10,8 +10,8 @@ from tests.domains.pension.market_cases import full, given, steady
 from snapo.domains.pension.market.correlation import brownians
 from snapo.domains.pension.market.factors import factors, moments, nominal, shape, slope
 from snapo.domains.pension.market.rates import short_rate
-from snapo.domains.pension.market.rates.registry import MODELS
 from snapo.domains.pension.market.rates.short_rate import ShortRate, register
+from snapo.domains.pension.market.registry import MODELS
 from snapo.domains.pension.market.shocks import covariance
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain

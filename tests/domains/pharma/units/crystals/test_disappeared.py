@@ -16,9 +16,9 @@ from tests.domains.pharma.process_cases import (
 from tests.domains.pharma.units.crystals.test_finite_volumes import seeded
 
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.time.numerics import Numerics
-from snapo.domains.pharma.units.crystals.disappeared import disappeared
+from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.units.crystals.kinetics import Rates
+from snapo.domains.pharma.units.crystals.population import disappeared
 
 ERROR = Numerics("adaptive", 100, 1e-7, 20_000, True)
 TIME = np.linspace(0, 100.0, 401)

@@ -21,10 +21,14 @@ from tests.domains.pharma.process_cases import (
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.time.numerics import Numerics
-from snapo.domains.pharma.units.crystals.finite_volumes import by_finite_volumes, limited_steps
-from snapo.domains.pharma.units.crystals.population import NUMBER, SIZE
-from snapo.domains.pharma.units.crystals.quantiles import quantiles
+from snapo.domains.pharma.time.dynamics import Numerics
+from snapo.domains.pharma.units.crystals.population import (
+    NUMBER,
+    SIZE,
+    by_finite_volumes,
+    limited_steps,
+    quantiles,
+)
 from snapo.domains.pharma.units.crystals.seed import Seed, seed_numbers
 
 SPREAD, MEAN = 0.3, 60e-6

@@ -10,8 +10,13 @@ from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.units.crystalliser import Crystalliser
-from snapo.domains.pharma.units.crystals.nrtl import activity, ideal, share
-from snapo.domains.pharma.units.crystals.solubility import nominal_solubility, solubility
+from snapo.domains.pharma.units.crystals.solubility import (
+    activity,
+    ideal,
+    nominal_solubility,
+    share,
+    solubility,
+)
 
 TAU = np.array([[0.0, -0.178], [1.963, 0.0]])
 ALPHA = np.array([[0.0, 0.2974], [0.2974, 0.0]])

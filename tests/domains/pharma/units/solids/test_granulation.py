@@ -7,8 +7,8 @@ import pytest
 from tests.domains.pharma.process_cases import constant, network, number
 
 from snapo.domains.pharma.flowsheet.stream import Stream, clear
+from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.time.integrate import integrate
-from snapo.domains.pharma.time.numerics import Numerics
 from snapo.domains.pharma.units.solids.granulation import Granulation, lognormal
 
 SECONDS, MEETS, FALLS, SPREAD = 600.0, 0.012, 0.004, 0.15

@@ -9,7 +9,7 @@ from scipy.stats import lognorm
 from tests.domains.pharma.process_cases import dissolution, network
 from tests.domains.pharma.units.solids.test_granulation import crystals, granulator
 
-from snapo.domains.pharma.flowsheet.grid import Grid
+from snapo.domains.pharma.flowsheet.stream import Grid
 from snapo.domains.pharma.units.solids.release import gone, lasting, over_sizes, released
 
 EDGES = np.linspace(0.0, 400e-6, 201)

@@ -1,4 +1,4 @@
-"""Asset classes: one kind a file, found by `registry`; `returns` has those of a step together.
+"""Asset classes, found by `market.registry`; returns of a step are in `market.dynamics`.
 
 A new one is an `asset_class.AssetClass`: the columns of its row, and its return over a step.
 """

@@ -21,8 +21,8 @@ from ...records.assets import AssetRow
 from ...records.case import PensionModel
 from ...records.regulation import RISKS
 from ..bonds.payments import Payments, Prices, curve_prices, ratio
-from ..currencies import CurrencyTerms
 from ..factors import MarketFactors, Moments
+from ..spreads import CurrencyTerms
 
 # Columns that not every kind has; `AssetClass.columns` lists those of a kind.
 SPECIAL = ("mean", "volatility", "maturity", "coupon", "rating", "smoothing")

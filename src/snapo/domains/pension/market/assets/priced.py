@@ -1,9 +1,11 @@
-"""Classes with a separate shock: lognormal, with mean and volatility from the case.
+"""Classes with a separate shock, from equity to hedge funds: lognormal, with mean and volatility
+from the case.
 
 Under "Q" the drift over cash is minus half the variance, so that the class earns cash on average.
 Under "P" the mean is the case's (see `records.assets.Assets`).
 """
 
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -13,9 +15,9 @@ from jaxtyping import Array, Float
 from ...records.assets import AttributionPart
 from ...records.case import PensionModel
 from ...records.inputs import use
-from ..currencies import of_currency
 from ..shocks import slots
-from .asset_class import AssetClass, Scene
+from ..spreads import of_currency
+from .asset_class import AssetClass, Scene, register
 
 
 class PricedSteps(NamedTuple):
@@ -88,3 +90,49 @@ def _drift(case: PensionModel, inputs: dict[str, Any], rank: np.ndarray, varianc
         return mean * case.step + 0 * variance
     drift = jnp.log1p(mean) * case.step
     return drift - variance / 2 if case.assets.mean_kind == "arithmetic" else drift + 0 * variance
+
+
+@register
+@dataclass(frozen=True)
+class Equity(Priced):
+    """Shares, lognormal with a separate shock."""
+
+    kind: ClassVar[str] = "equity"
+    description: ClassVar[str] = (
+        "shares, listed or private, and infrastructure; lognormal with a separate shock"
+    )
+    risk: ClassVar[str] = "developed"
+
+
+@register
+@dataclass(frozen=True)
+class Property(Priced):
+    """Property, lognormal with a separate shock."""
+
+    kind: ClassVar[str] = "property"
+    description: ClassVar[str] = (
+        "buildings and land; lognormal with a separate shock, appraised values with a lag"
+    )
+    risk: ClassVar[str] = "unlisted-property"
+
+
+@register
+@dataclass(frozen=True)
+class Commodity(Priced):
+    """Commodities, lognormal with a separate shock."""
+
+    kind: ClassVar[str] = "commodity"
+    description: ClassVar[str] = "commodities; lognormal with a separate shock"
+    risk: ClassVar[str] = "commodity"
+
+
+@register
+@dataclass(frozen=True)
+class HedgeFund(Priced):
+    """A strategy without a market index, lognormal with a separate shock."""
+
+    kind: ClassVar[str] = "hedge-fund"
+    description: ClassVar[str] = (
+        "hedge funds and other alternatives; lognormal with a separate shock"
+    )
+    risk: ClassVar[str] = "unlisted"

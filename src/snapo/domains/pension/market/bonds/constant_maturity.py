@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 from ...records.case import PensionModel
 from ...records.inputs import use
 from ..assets.asset_class import Now, Scene
-from ..currencies import of_currency
 from ..factors import MarketFactors
 from ..shocks import slots
+from ..spreads import of_currency
 
 
 class HeldBonds(NamedTuple):

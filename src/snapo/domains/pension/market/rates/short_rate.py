@@ -1,9 +1,9 @@
-"""A model of the short rate: Gaussian factors that are fitted exactly to the initial curve.
+"""Models of the short rate: Gaussian factors that are fitted exactly to the initial curve.
 
 r = phi(t) + sum of F factors, dx_i = -a_i x_i dt + s_i(t) (dW_i + lambda_i dt), x_i(0) = 0; lambda
 counts under "P" only, and a negative one is a positive premium of long bonds. A model is a
-subclass in a separate file of this folder that names its factors; the names are those under
-which a case correlates them.
+subclass, here or in a separate file of this folder, that names its factors; the names are those
+under which a case correlates them.
 """
 
 from collections.abc import Sequence
@@ -84,3 +84,21 @@ def register(model: AnyModel) -> AnyModel:
         raise TypeError(f"{model.__name__}: there is a model {model.kind!r} already.")
     MODELS[model.kind] = model
     return model
+
+
+@register
+class G2(ShortRate):
+    """Two correlated factors (D. Brigo, F. Mercurio, Interest Rate Models, section 4.2)."""
+
+    kind: ClassVar[str] = "g2++"
+    factors: ClassVar[tuple[str, ...]] = ("rate", "rate 2")
+    description: ClassVar[str] = "G2++, two factors"
+
+
+@register
+class HullWhite(ShortRate):
+    """One factor: Vasicek's model with a drift that fits the curve (RFS 3, 1990)."""
+
+    kind: ClassVar[str] = "hull-white"
+    factors: ClassVar[tuple[str, ...]] = ("rate",)
+    description: ClassVar[str] = "Hull-White, one factor"

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
-from ...fund.contributions import CONTRIBUTIONS
-from ...fund.recovery import log_discount
+from ...fund.contributions import CONTRIBUTIONS, log_discount
 from ...records.case import PensionCase
 from ...records.inputs import every_given
 from ...records.people import ACTIVE

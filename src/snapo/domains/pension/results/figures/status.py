@@ -10,8 +10,8 @@ from jaxtyping import Array
 
 from snapo.problem.smooth import Exact
 
+from ...fund.contributions import annuity
 from ...fund.plan import contribution, indexation
-from ...fund.recovery import annuity
 from ...fund.schedule import agreed, basis_log_bond
 from ...fund.terms import plan_terms
 from ...market.curve import log_bond

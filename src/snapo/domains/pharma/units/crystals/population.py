@@ -1,13 +1,32 @@
-"""Crystals as a crystalliser sees them, whichever way their sizes are followed."""
+"""Crystals as a crystalliser sees them: by moments, or by finite volumes over their size.
+
+The moments 0 to 5 are exact where growth does not depend on size: mu_0' = B, and
+mu_k' = k G mu_(k-1) + B L0^k, per m3 of slurry. Where crystals dissolve they shrink, and none
+disappears: for that they have to be followed by finite volumes. All crystals grow and shrink by the
+same length l(t), so one of size L at a time s has the size L + l(t) - l(s) later. Once that is
+below 0 it is gone; in the moments it stays, of a size below 0, and grows again with the others.
+
+By finite volumes, the population balance itself: n_t + (G n)_L = 0 with births B at the smallest
+size, n(L, t) crystals per m3 and m. The state is the number of crystals in each cell of a fixed
+grid; between cells they pass at n G, n being the density on the side from which they come, by
+slopes with a limiter: of second order where n is smooth, and (almost) without new extremes where it
+is not. Crystals that dissolve shrink, and vanish below the smallest size. None grows out of the
+largest cell: crystals that accumulate there are reported, since the grid is too short. Moments take
+n constant within a cell, so the solute follows from the cells' third moment, and mass is conserved
+on any grid.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ...flowsheet.stream import MOMENTS
+from ...given import fixed
+from .kinetics import Rates
 
 # Sizes are counted in units of SIZE m and crystals in NUMBER per m3, so that both are of order one.
 SIZE, NUMBER = 1e-4, 1e10
@@ -48,3 +67,219 @@ def cell_powers(edges: np.ndarray) -> Float[np.ndarray, "6 N"]:
     """The mean of L^k over each cell, k = 0 to 5."""
     k = np.arange(1, MOMENTS + 1)[:, None]
     return np.diff(edges**k, axis=1) / (k * np.diff(edges))
+
+
+def by_moments(
+    shape: Array,
+    nuclei_size: Array | None,
+    separate: bool,
+    seed: Float[Array, " 6"],
+    fed: Float[Array, " 6"],
+) -> Population:
+    """`seed` and the `fed` crystals as moments, m^k/m3; `nuclei_size` in m, None where it is 0.
+    The state: scaled moments of all crystals, or with `separate` those of seed and feed, then those
+    of nuclei. `shape`: kv."""
+    units = fixed(UNITS)
+
+    def grow(moments, growth, source) -> list[Array]:
+        slope = [jnp.zeros(()) if source is None else source]
+        for k in range(1, MOMENTS):
+            change = k * growth * moments[k - 1]
+            if source is not None and nuclei_size is not None:
+                change = change + source * (nuclei_size / SIZE) ** k
+            slope.append(change)
+        return slope
+
+    def slope(y, growth, born):
+        result = grow(y[:MOMENTS], growth, None if separate else born)
+        if separate:
+            result += grow(y[MOMENTS:], growth, born)
+        return jnp.stack(result)
+
+    def measures(y):
+        if not separate:
+            return {}
+        volume = shape * units[3]
+        return {"seed_volume": volume * y[3], "nuclei_volume": volume * y[MOMENTS + 3]}
+
+    start = (seed + fed) / units
+    return Population(
+        start=jnp.concatenate([start, jnp.zeros(MOMENTS)]) if separate else start,
+        seed=seed[3] / units[3],
+        moments=lambda y: y[:MOMENTS] + y[MOMENTS:] if separate else y,
+        slope=slope,
+        numbers=lambda y: jnp.zeros(0),
+        states=lambda y: {},
+        measures=measures,
+    )
+
+
+SHARES = {"d10": 0.1, "d50": 0.5, "d90": 0.9}
+QUANTILES = dict.fromkeys(SHARES, "m")  # by volume
+
+
+def size_states(volume: Float[Array, " N"], edges: np.ndarray) -> dict[str, Array]:
+    """d10, d50 and d90 in m, of crystals with this volume in each cell; `edges` in `SIZE`."""
+    result = quantiles(volume, edges, tuple(SHARES.values()))
+    return {name: SIZE * size for name, size in zip(SHARES, result)}
+
+
+def size_measures(volume: Float[Array, " N"], edges: np.ndarray) -> dict[str, Array]:
+    """These, the span (d90 - d10) / d50, and the share of the volume in the largest cell."""
+    result, total = size_states(volume, edges), jnp.sum(volume)
+    empty = total <= 0
+    wide = result["d90"] - result["d10"]
+    result["span"] = jnp.where(empty, 0.0, wide / jnp.where(empty, 1.0, result["d50"]))
+    result["at_largest"] = jnp.where(empty, 0.0, volume[-1] / jnp.where(empty, 1.0, total))
+    return result
+
+
+def quantiles(
+    volume: Float[Array, " N"], edges: np.ndarray, shares: tuple[float, ...]
+) -> Float[Array, " S"]:
+    """Sizes below which these shares of the volume lie; 0 without crystals.
+
+    Between edges the volume rises along the monotone cubic of Fritsch and Carlson (1980), so
+    that a quantile's derivative does not jump where it passes an edge.
+    """
+    total = jnp.sum(volume)
+    empty = total <= 0
+    share = jnp.concatenate([jnp.zeros(1), jnp.cumsum(volume)]) / jnp.where(empty, 1.0, total)
+    width, grid = fixed(np.diff(edges)), fixed(edges)
+    secant = jnp.diff(share) / width
+    left, right = secant[:-1], secant[1:]
+    both = left * right > jnp.finfo(left.dtype).tiny ** 0.25
+    mean = jnp.where(both, 2 * left * right / jnp.where(both, left + right, 1.0), 0.0)
+    slope = jnp.pad(mean, 1)
+    inverses = []
+    for requested in shares:
+        cell = jnp.clip(jnp.sum(share <= requested) - 1, 0, len(edges) - 2)
+        h = width[cell]
+        endpoints = share[cell], share[cell + 1], h * slope[cell], h * slope[cell + 1]
+        inverses.append(grid[cell] + h * _inverse(endpoints, requested))
+    return jnp.where(empty, 0.0, jnp.stack(inverses))
+
+
+def _inverse(endpoints, requested: float) -> Float[Array, ""]:
+    """Where in 0 to 1 a rising cubic, of values and slopes at its `ends`, is as `requested`.
+
+    By bisection without derivatives, then two Newton steps, which carry them.
+    """
+
+    def cubic(s, bounds):
+        low, high, first, last = bounds
+        rise = s * s * (3 - 2 * s)
+        bend = s * (1 - s) * ((1 - s) * first - s * last)
+        return low + (high - low) * rise + bend
+
+    still = jax.lax.stop_gradient(endpoints)
+    below, above = jnp.zeros_like(still[0]), jnp.ones_like(still[0])
+    for _ in range(24):
+        middle = (below + above) / 2
+        under = cubic(middle, still) < requested
+        below, above = jnp.where(under, middle, below), jnp.where(under, above, middle)
+    s = jax.lax.stop_gradient((below + above) / 2)
+    for _ in range(2):
+        gap, slope = jax.jvp(lambda s: cubic(s, endpoints), (s,), (jnp.ones_like(s),))
+        s = s - (gap - requested) / jnp.where(slope > 0, slope, 1.0)
+    return s
+
+
+FLAT = 1e-16  # square of a gain so small that it counts as none; without it 0/0 in empty cells
+NEGATIVE = 0.05  # of the largest density: so far below zero a time step was unstable
+
+
+def by_finite_volumes(
+    edges: np.ndarray, seed: Float[Array, " N"], fed: Float[Array, " N"] | None = None
+) -> Population:
+    """The state: crystals in each cell, NUMBER per m3. `edges`: [N + 1] m; `seed`, `fed`: initial
+    ones."""
+    edges = edges / SIZE
+    powers = fixed(cell_powers(edges))
+    width = fixed(np.diff(edges))
+
+    def slope(y, growth, born):
+        n = y / width
+        # The limiter bounds waves that grow by too long a time step: they stay about zero.
+        n = jnp.where(jnp.min(n) > -NEGATIVE * jnp.max(n), n, jnp.nan)
+        step = limited_steps(n, edges) / 2
+        larger = jnp.where(growth > 0, growth, 0.0)
+        smaller = growth - larger
+        between = larger * (n + step)[:-1] + smaller * (n - step)[1:]
+        first = born + smaller * n[0]
+        flux = jnp.concatenate([first[None], between, jnp.zeros(1)])
+        return flux[:-1] - flux[1:]
+
+    return Population(
+        start=seed if fed is None else seed + fed,
+        seed=(powers @ seed)[3],
+        moments=lambda y: powers @ y,
+        slope=slope,
+        numbers=lambda y: y,
+        states=lambda y: size_states(y * powers[3], edges),
+        measures=lambda y: size_measures(y * powers[3], edges),
+    )
+
+
+def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"]:
+    """What a density gains across each cell, limited; 0 in the first and in the last.
+
+    With F and B its gain by the forward and the backward difference:
+    F B (F + B) / (F^2 + B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and
+    Astrophysics 108, 1982). It is the difference where both agree, at most 1.21 times the smaller
+    one where they agree in sign, and at most a fifth of it where they do not. Van Leer's has a
+    kink where F or B changes its sign: with it, central differences over 0.02 K of a cooling
+    crystalliser were 0.7 % off its derivative, and with this one 4e-5.
+    """
+    centre, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    difference, inner = jnp.diff(n) / fixed(np.diff(centre)), fixed(width[1:-1])
+    forward, backward = inner * difference[1:], inner * difference[:-1]
+    f, b = forward**2 + FLAT, backward**2 + FLAT
+    return jnp.pad((forward * b + backward * f) / (f + b), 1)
+
+
+SURFACE = 0.01  # of all crystals' surface that may belong to some which are gone
+MAXIMUM = 1000  # points in time
+REMEDY = 'by moments none disappears; use method = "finite-volumes"'
+
+
+def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:
+    """Crystals that dissolve along a `track` by moments with its `rates`, as text; "" if few do.
+
+    Of the crystals at the start those are the smallest below which two in a hundred lie, if
+    their sizes are lognormal with the track's first moments.
+    """
+    time, growth = track["time"], np.asarray(rates.growth)
+    born = np.append(0.0, _steps(np.asarray(rates.nucleation), time))
+    length = np.append(0.0, np.cumsum(_steps(growth, time)))
+    smallest, shrunk = _smallest(*(track[f"mu{k}"][0] for k in range(3))), -length.min()
+    if 0 < smallest <= shrunk:
+        return (
+            f"crystals shrink by {1e6 * shrunk:.3g} um, and the smallest at the start have "
+            f"{1e6 * smallest:.3g} um: {REMEDY}"
+        )
+    # Nuclei of an interval count as born at its end.
+    selected = np.unique(np.linspace(0, len(time) - 1, MAXIMUM).astype(int))
+    born = np.diff(np.cumsum(born)[selected], prepend=0.0)
+    size = (
+        nuclei_size + length[selected][:, None] - length[selected]
+    )  # of those born then, at every time
+    gone = np.minimum.accumulate(np.tril(size) + np.triu(np.full_like(size, np.inf), 1), 0) < 0
+    surface = np.where(gone, size**2, 0.0) @ born
+    complete = track["mu2"][selected]
+    share = np.max(surface / np.where(complete > 0, complete, np.inf))
+    if share > SURFACE:
+        return f"crystals that have dissolved hold {share:.2g} of the surface: {REMEDY}"
+    return ""
+
+
+def _steps(rate: np.ndarray, time: np.ndarray) -> np.ndarray:
+    return np.diff(time) * (rate[1:] + rate[:-1]) / 2
+
+
+def _smallest(mu0: float, mu1: float, mu2: float) -> float:
+    """exp(m - 2 s) of a lognormal distribution with these moments; 0 without crystals."""
+    if mu0 <= 0 or mu1 <= 0:
+        return 0.0
+    spread = np.sqrt(np.log(max(mu2 * mu0 / mu1**2, 1.0)))
+    return float(mu1 / mu0 * np.exp(-(spread**2) / 2 - 2 * spread))

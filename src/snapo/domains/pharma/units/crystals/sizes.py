@@ -10,9 +10,8 @@ from snapo.case.quantity import choice
 from snapo.case.table import CaseTable
 
 from ...read.declared import LENGTH
-from ...read.fields import whole
 from ...read.numbers import NOT_NEGATIVE
-from ...read.reader import Reader
+from ...read.reader import Reader, whole
 from .seed import Seed
 
 SEED_OUTSIDE = 0.01  # most of a seed's volume that may lie outside a grid

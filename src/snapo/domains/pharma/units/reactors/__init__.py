@@ -1,1 +1,1 @@
-"""Parts of reactors: their jacket, and the flow along a tube."""
+"""Parts of reactors: the flow along a tube."""

@@ -25,8 +25,7 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
 
-from ...flowsheet.ledger import LedgerFinish, ledger
-from ...flowsheet.stream import MOMENTS
+from ...flowsheet.stream import MOMENTS, LedgerFinish, ledger
 from ...given import use
 from ...read.declared import LENGTH, POWER, RATE, SPEED, TIME, UnitQuantity, species_key
 from ...read.numbers import DENSITY, INSIDE, LIQUID, POSITIVE

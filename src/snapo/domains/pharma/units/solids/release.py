@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...flowsheet.grid import NO_CRYSTALS
-from ...flowsheet.stream import Stream
+from ...flowsheet.stream import NO_CRYSTALS, Stream
 from ...given import fixed, use
 from ..crystals.population import mean_sizes
 

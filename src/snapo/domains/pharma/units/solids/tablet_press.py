@@ -25,8 +25,7 @@ from jaxtyping import Array, Float
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range, choice
 
-from ...flowsheet.ledger import LedgerFinish, ledger
-from ...flowsheet.stream import Stream
+from ...flowsheet.stream import LedgerFinish, Stream, ledger
 from ...given import use
 from ...read.declared import (
     CONCENTRATION,

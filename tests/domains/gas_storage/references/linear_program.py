@@ -12,10 +12,16 @@ import scipy.sparse as sparse
 from scipy.optimize import linprog
 from scipy.special import ndtr
 
-from .day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
-from .intrinsic import IntrinsicPlan, forward_prices, plan
-from .lattice_day import decide, free_volumes, inventory_nodes
-from .piecewise import visited
+from snapo.domains.gas_storage.references.day_terms import (
+    Interpolation,
+    end_value,
+    rates,
+    unit_prices,
+    volume_scale,
+)
+from snapo.domains.gas_storage.references.intrinsic import IntrinsicPlan, forward_prices, plan
+from snapo.domains.gas_storage.references.lattice_day import decide, free_volumes, inventory_nodes
+from snapo.domains.gas_storage.references.piecewise import visited
 
 
 def intrinsic_by_linear_program(schedule, interpolation: Interpolation) -> IntrinsicPlan | None:

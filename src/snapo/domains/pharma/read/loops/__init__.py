@@ -1,1 +1,0 @@
-"""Reads the decisions in closed loop."""

@@ -1,0 +1,112 @@
+"""run.json as typed records; a key that is missing, as in a run of an earlier version, is empty."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
+
+Entries = TypeVar("Entries", bound=tuple)
+EMPTY: Mapping[str, Any] = MappingProxyType({})
+
+
+def entries_of(kind: type[Entries], table: Any) -> Entries:
+    """A named tuple of the entries that a table of JSON has; an empty one of anything else."""
+    table = table if isinstance(table, Mapping) else EMPTY
+    names: Sequence[str] = kind._fields  # pyright: ignore[reportAttributeAccessIssue]
+    return kind(**{name: table[name] for name in names if name in table})
+
+
+class PartState(NamedTuple):
+    """How a part went: "done", "failed" or "skipped", and the reason where it was not done.
+
+    - `seconds`: that it took; `files`: {name: checksum} of those that it wrote.
+    """
+
+    state: str = ""
+    note: str = ""
+    seconds: float = 0.0
+    files: Mapping[str, str] | None = None
+
+
+class PreviousRun(NamedTuple):
+    """The run before: its name, value and standard error, and the settings that differ from it.
+
+    - `difference`, `difference_error`: of the values; `paired`: whether on the same paths.
+    """
+
+    run: str | None = None
+    value: float | None = None
+    standard_error: float | None = None
+    changes: Sequence[Mapping[str, Any]] = ()
+    difference: float | None = None
+    difference_error: float | None = None
+    paired: bool = False
+
+
+class RunOrigin(NamedTuple):
+    """Where a run comes from.
+
+    - `run`: its name; `began`, `began_utc`: when it did, ISO 8601.
+    - `case`: folder and file; `sha256`: of the file; `assignments`: of `--set`.
+    - `previous`: the run before, read with `PreviousRun`; None without one.
+    """
+
+    run: str | None = None
+    began: str = ""
+    began_utc: str | None = None
+    case: str = ""
+    sha256: str = ""
+    assignments: Sequence[str] = ()
+    machine: str = ""
+    previous: dict[str, Any] | None = None
+
+
+class PageTexts(NamedTuple):
+    """`[report]` of a case: texts of the page, and the name of a picture."""
+
+    title: str | None = None
+    author: str | None = None
+    note: str | None = None
+    logo: str | None = None
+
+
+class LibraryVersions(NamedTuple):
+    """The versions of snapo and of Python; those of further libraries are in the table."""
+
+    snapo: str = ""
+    python: str = ""
+
+
+class RunSettings(NamedTuple):
+    """The settings that decide a run: its case, the options of the command, and versions."""
+
+    case: Mapping[str, Any] = EMPTY
+    options: Mapping[str, Any] = EMPTY
+    versions: Mapping[str, str] = EMPTY
+
+
+class RunRecord(NamedTuple):
+    """The tables of run.json.
+
+    - `about`: the description of the study; `parts`: {name: state}, each read with `PartState`.
+    - `beside`: seconds outside parts, by name; `result`: the checksum of result.json.
+    """
+
+    kind: str | None = None
+    decides: Mapping[str, Any] = EMPTY
+    about: Mapping[str, Any] = EMPTY
+    parts: Mapping[str, Mapping[str, Any]] = EMPTY
+    provenance: Mapping[str, Any] | None = None
+    beside: Mapping[str, float] = EMPTY
+    result: str | None = None
+
+    def part(self, name: str) -> PartState:
+        """How a part went; an empty state where it has not begun."""
+        return entries_of(PartState, self.parts.get(name))
+
+    @property
+    def origin(self) -> RunOrigin:
+        return entries_of(RunOrigin, self.provenance)
+
+    @property
+    def settings(self) -> RunSettings:
+        return entries_of(RunSettings, self.decides)
