@@ -13,11 +13,12 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from snapo.case.error import CaseError
+from snapo.report.record import EMPTY
 from snapo.solver.tables import write_text
 
 from .order import Cost, OrderAnswer, opened
@@ -27,6 +28,34 @@ ANSWERS, POLICIES = "answers", "policies"
 TABLES = ("values", "deltas", "shares", "outputs", "exposure")
 POINTS = "points.csv"
 LAYOUT = 1
+
+
+class BookRecord(NamedTuple):
+    """Tables of book.json: the axes of a sweep, none of a book, and the versions."""
+
+    axes: Sequence[Mapping[str, str]] = ()
+    versions: Mapping[str, str] = EMPTY
+
+
+class BookResult(NamedTuple):
+    """Tables of result.json that not every book has: the points of the axes, the outputs by day,
+    and the number of policies that were trained."""
+
+    points: Sequence[Mapping[str, Any]] = ()
+    exposure: Any = None
+    policies: int = 1
+
+
+class StressSum(NamedTuple):
+    """The sum of the book under a stress, and its change, in part explained by derivatives."""
+
+    stress: str = ""
+    value: float | None = None
+    standard_error: float | None = None
+    change: float | None = None
+    change_error: float | None = None
+    explained: float | None = None
+    unexplained: float | None = None
 
 
 class BookFolder:

@@ -10,43 +10,16 @@ from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
 from snapo.report.quantity import decimals, measured, number, readable, seconds, with_unit
-from snapo.report.record import EMPTY, LibraryVersions, entries_of
+from snapo.report.record import LibraryVersions, entries_of
 from snapo.report.rows import Column, WithError, table
 
 from .axes import number_of
+from .folder import BookRecord, BookResult, StressSum
 
 BASE = "base"
 COLOURS = ("main", "withdraw", "inject", "limit", "good", "other")
 MAX_DRAWN = 8  # outputs that have a picture over the axes
 MAX_ROWS = 40  # rows of a table of stresses, and bars of a picture
-
-
-class BookRecord(NamedTuple):
-    """Tables of book.json: the axes of a sweep, none of a book, and the versions."""
-
-    axes: Sequence[Mapping[str, str]] = ()
-    versions: Mapping[str, str] = EMPTY
-
-
-class BookResult(NamedTuple):
-    """Tables of result.json that not every book has: the points of the axes, the outputs by day,
-    and the number of policies that were trained."""
-
-    points: Sequence[Mapping[str, Any]] = ()
-    exposure: Any = None
-    policies: int = 1
-
-
-class StressSum(NamedTuple):
-    """The sum of the book under a stress, and its change, in part explained by derivatives."""
-
-    stress: str = ""
-    value: float | None = None
-    standard_error: float | None = None
-    change: float | None = None
-    change_error: float | None = None
-    explained: float | None = None
-    unexplained: float | None = None
 
 
 class StressRow(NamedTuple):

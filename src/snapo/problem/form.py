@@ -79,7 +79,7 @@ def formed(record: T) -> T:
 
 
 def without_uses(tree: PyTree) -> PyTree:
-    """The tree without its `Use`s, whose shapes are often those of dates: what a step reads."""
+    """The tree without its `Use`s, whose shapes are often those of dates: steps read none."""
 
     def uses(leaf: Any) -> bool:
         return isinstance(leaf, Use)

@@ -12,7 +12,7 @@ import snapo
 from snapo.engine import Xla
 from snapo.problem.scenarios import Sources
 from snapo.solver.derivatives.bump import WIDE, Reaction, _Bumper, one_percent, reactions
-from snapo.solver.derivatives.moved import LONG, moved_problems, on_line, opposite, rebuilt_once
+from snapo.solver.derivatives.rebuilt import LONG, on_line, opposite, problems_at, rebuilt_once
 from snapo.solver.statistics import Estimate
 
 ENGINE = Xla("float64")
@@ -99,7 +99,7 @@ def test_a_table_of_a_long_problem_is_rebuilt_once_for_each_input(horizon, count
     problem = follows(counted)
     problem = replace(problem, simulator=replace(problem.simulator, horizon=horizon))
     assert rebuilt_once(problem) == (count == 1)
-    at_values, moves = moved_problems(problem), (0.01, -0.01, 0.03)
+    at_values, moves = problems_at(problem), (0.01, -0.01, 0.03)
     for move in moves:
         moved = at_values({"target": 2.0 + move})
         np.testing.assert_allclose(moved.simulator.table, (2.0 + move) ** 2, rtol=1e-3)

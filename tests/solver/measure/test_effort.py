@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from snapo.solver.derivatives.bump import PRECISE, Reaction, settled
-from snapo.solver.derivatives.moved import LONG
+from snapo.solver.derivatives.rebuilt import LONG
 from snapo.solver.measure.selection import BACK, FEWEST, PURPOSES, SMALL, Effort
 
 

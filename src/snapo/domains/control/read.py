@@ -121,20 +121,20 @@ def _field(parameter: PlantParameter) -> Any:
 
 
 class At(CaseTable):
-    """A initial state that is known."""
+    """An initial state that is known."""
 
     at: float | list[float] = Field(description="a number, or a list of them")
 
 
 class UniformStart(CaseTable):
-    """A initial state anywhere between two numbers."""
+    """An initial state anywhere between two numbers."""
 
     low: float = Field(description="a number below high")
     high: float = Field(description="a number above low")
 
 
 class NormalStart(CaseTable):
-    """A initial state that is normal, its numbers independent."""
+    """An initial state that is normal, its numbers independent."""
 
     mean: float | list[float] = Field(description="a number, or a list of them")
     deviation: float | list[float] = Field(description="a number above 0, or a list of them")

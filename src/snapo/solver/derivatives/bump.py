@@ -25,7 +25,7 @@ from snapo.problem.scenarios import BLOCKS
 from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
 from ..statistics import Estimate
-from .moved import moved_problems, opposite
+from .rebuilt import opposite, problems_at
 
 MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
@@ -196,7 +196,7 @@ class _Bumper:
     ):
         source = problem.sources.evaluation
         self.problem, self.policy, self.engine = problem, policy, engine
-        self.at_values = moved_problems(problem)
+        self.at_values = problems_at(problem)
         blocks = source.blocks(source.available(paths), count)
         # Interleaved blocks, as those of Sobol points are, can only be taken together.
         apart = np.array_equal(np.concatenate(blocks), np.arange(sum(map(len, blocks))))

@@ -24,7 +24,7 @@ from ..evaluate import path_totals
 from .bump import block_means, one_percent
 from .by_block import DerivativePass
 from .interval import THROUGH, Curvature, Reported
-from .moved import moved_problems
+from .rebuilt import problems_at
 from .surface import WIDEST, Surface, distance_factor, shifted_policy
 from .verdict import spread_of
 
@@ -123,7 +123,7 @@ class _Derivatives:
         """[n]: how the bump by one percent changes with every coordinate, per radius."""
         surface, value = self.surface, self.problem.inputs_by_name[name].value
         by = one_percent(self.problem.inputs_by_name[name])
-        at_values = moved_problems(self.problem)
+        at_values = problems_at(self.problem)
         sides = [at_values({name: value + sign * by}) for sign in (1.0, -1.0)]
 
         def bump(position: np.ndarray) -> float:

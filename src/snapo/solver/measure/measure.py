@@ -18,7 +18,7 @@ from snapo.problem.unseen import note
 
 from ..derivatives.bump import reactions
 from ..derivatives.margin import floor_of, margin_of, passes, with_margin
-from ..derivatives.moved import LONG, rebuilt_once
+from ..derivatives.rebuilt import LONG, rebuilt_once
 from ..derivatives.surface import Surface, coordinates, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import (

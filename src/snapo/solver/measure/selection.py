@@ -22,7 +22,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import VALIDATE, Pseudo, Scenarios, Sobol, Sources, stream
 
 from .. import statistics
-from ..derivatives.moved import LONG
+from ..derivatives.rebuilt import LONG
 from ..evaluate import of_groups, path_totals, shares_of, value_of
 
 SCENARIOS = ("pseudo-random", "sobol")

@@ -1,6 +1,6 @@
 """The five things that a contract tells the core: levels, modes, moves, cash and names.
 
-Everything else reads these alone: feasible moves, the simulator of one path, the policy, the
+Everything else reads only these: feasible moves, the simulator of one path, the policy, the
 lattice, the fitted value, the bound. A contract is a module of inputs with one method, `terms`, and
 a static `ContractLayout`. It may be in one of a few modes; on each step it makes one of the moves
 that begin in its mode, and each flow of that move takes a volume from an interval.

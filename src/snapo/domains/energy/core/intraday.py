@@ -54,7 +54,7 @@ class IntradaySimulator(EnergySimulator):
     """A contract with one move, its schedules and its trades.
 
     The first third of the observation depends only on the levels and prices at the last auction. A
-    policy must take the shares of the schedule from it alone, as `IntradayPolicy` does: one that
+    policy must take the shares of the schedule from that third, as `IntradayPolicy` does: one that
     uses later prices earns too much, and the mean of the output `GAIN` is not zero.
 
     **Arguments:** those of `EnergySimulator`, and

@@ -88,17 +88,17 @@ def grid_of(
     start = np.asarray(schedule.constants.start, float)
     before, after, exact = _nodes(layout, terms, found, start, parts, apart)
     scale = max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
-    known: dict[tuple, tuple] = {}
+    by_volumes: dict[tuple, tuple] = {}
     steps = []
     for t in range(len(after)):
         numbers = [terms.least[t], terms.most[t], *before[t], *after[t]]
         key = tuple(np.asarray(x).tobytes() for x in numbers)
-        if key not in known:
+        if key not in by_volumes:
             passages = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
             sizes = [[len(x) for x in nodes] for nodes in (before[t], after[t])]
-            known[key] = passages, StepWays(layout, passages, *sizes)
+            by_volumes[key] = passages, StepWays(layout, passages, *sizes)
         end = settling(layout, terms, t, before[t], after[t], before[t + 1])
-        passages, ways = known[key]
+        passages, ways = by_volumes[key]
         steps.append(StepGrid(passages, before[t], after[t], end, ways))
     return ContractGrid(layout, steps, before[-1], exact)
 

@@ -59,7 +59,7 @@ class _UnitRows:
         self.low, self.spacing = np.zeros((2, horizon, len(layout.levels)))
         self.slopes: np.ndarray | None = None  # [T, pairs, rows …, n]
         self.moves: np.ndarray | None = None  # [T, moves, rows …, n]
-        self.known: dict[tuple, _StepWeights] = {}  # steps with the same nodes have the same
+        self.by_nodes: dict[tuple, _StepWeights] = {}  # steps with the same nodes have the same
         self.flow_moves = [layout.every_move[m] for m, _ in layout.pairs]
 
     def add(self, t: int, later: np.ndarray) -> None:
@@ -67,9 +67,9 @@ class _UnitRows:
         layout, step = self.layout, self.grid.steps[t]
         after = self._after(t, later)
         key = tuple(x.tobytes() for x in step.after)
-        if key not in self.known:
-            self.known[key] = _step_weights(layout, step, self.counts)
-        weights = self.known[key]
+        if key not in self.by_nodes:
+            self.by_nodes[key] = _step_weights(layout, step, self.counts)
+        weights = self.by_nodes[key]
         self.low[t], self.spacing[t] = weights.rows
         if self.slopes is None:
             shape = len(self.low), len(layout.pairs), *self.counts, after.shape[-1]
@@ -116,7 +116,7 @@ class _SurpriseRows:
         dates, self.counts = len(grid.nodes), (SURPRISES[len(layout.levels)],) * len(layout.levels)
         self.low, self.spacing = np.zeros((2, dates, len(layout.levels)))
         self.values = np.zeros((dates, len(layout.modes), math.prod(self.counts), basis.plain))
-        self.known: dict[tuple, sparse.csr_array] = {}
+        self.by_nodes: dict[tuple, sparse.csr_array] = {}
 
     def add(self, t: int, coefficients: np.ndarray) -> None:
         """A date, from its coefficients."""
@@ -124,11 +124,11 @@ class _SurpriseRows:
         for i, (x, count) in enumerate(zip(nodes, self.counts)):
             self.low[t, i], self.spacing[t, i] = x[0], (x[-1] - x[0]) / (count - 1)
         key = tuple(x.tobytes() for x in nodes)
-        if key not in self.known:
+        if key not in self.by_nodes:
             rows = self.low[t] + self.spacing[t] * _numbers(self.counts)
-            self.known[key] = _between(nodes, rows)
+            self.by_nodes[key] = _between(nodes, rows)
         for k, mode in enumerate(coefficients @ self.available.plain(t)):
-            self.values[t, k] = self.known[key] @ mode
+            self.values[t, k] = self.by_nodes[key] @ mode
 
     def table(self) -> Surprises:
         """The table of all dates."""

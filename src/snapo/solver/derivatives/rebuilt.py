@@ -17,7 +17,7 @@ from snapo.problem.problem import Problem
 LONG = 2190  # steps: three months by the hour
 
 
-def moved_problems(problem: Problem) -> Callable[[dict[str, Any]], Problem]:
+def problems_at(problem: Problem) -> Callable[[dict[str, Any]], Problem]:
     """The problem at other values of one input; of a long one see above."""
     if not rebuilt_once(problem):
         return problem.at_values
@@ -35,9 +35,9 @@ class _RebuiltOnce:
         ((name, value),) = values.items()
         move = value - self.problem.inputs_by_name[name].value
         if self.last is not None and self.last[0] == name:
-            _, by, moved = self.last
+            _, by, other = self.last
             share = float(np.vdot(move, by) / np.vdot(by, by))
-            if (between := on_line(self.problem, moved, values, share)) is not None:
+            if (between := on_line(self.problem, other, values, share)) is not None:
                 return between
         result = self.problem.at_values(values)
         self.last = name, move, result
@@ -50,16 +50,16 @@ def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Prob
 
 
 def on_line(
-    problem: Problem, moved: Problem, values: Mapping[str, Any], share: float
+    problem: Problem, other: Problem, values: Mapping[str, Any], share: float
 ) -> Problem | None:
-    """The problem at `values`, a share of the way to `moved`, with all that depends on the inputs
-    on that line: x + share (y - x) for a number that is x in `problem` and y in `moved`. None where
-    `moved` has a different structure.
+    """The problem at `values`, a share of the way to `other`, with all that depends on the inputs
+    on that line: x + share (y - x) for a number that is x in `problem` and y in `other`. None where
+    `other` has a different structure.
 
     Building a problem takes longer than a few paths. The line neglects curvature, whose effect on
     a value near its maximum is far smaller.
     """
-    here, there = (jax.tree.flatten(item.simulator) for item in (problem, moved))
+    here, there = (jax.tree.flatten(item.simulator) for item in (problem, other))
     if here[1] != there[1] or list(map(np.shape, here[0])) != list(map(np.shape, there[0])):
         return None
     leaves = []
@@ -74,5 +74,5 @@ def on_line(
 
 
 def rebuilt_once(problem: Problem) -> bool:
-    """Whether tables are rebuilt at one move of an input alone."""
+    """Whether tables are rebuilt at only one move of an input."""
     return problem.rebuild is not None and problem.simulator.horizon > LONG
