@@ -107,7 +107,7 @@ def updated_prices(
     units = np.where(np.isnan(units), _deviation(objective, totals) / local, units)
     far = units * excess / np.maximum(local, np.abs(excess))
     # Far from the level the damping term dominates: a multiplier that accumulated all the way would
-    # overshoot far. With much room it falls by a tenth at least, whatever the unit is by then.
+    # overshoot far. With much slack it falls by a tenth at least, whatever the unit is by then.
     move = far * local / np.maximum(local, np.abs(excess))
     move = np.where(excess < -local, np.minimum(far, -old), move)
     multipliers = np.maximum(old + slower * MOVE * move, 0.0)
@@ -210,7 +210,7 @@ def limits_found(
 
 
 def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
-    """Sentences on the limits that are not met, and on those with room."""
+    """Sentences on the limits that are not met, and on those with slack."""
     return tuple(sentence for item in limits if (sentence := _note(item)))
 
 
@@ -225,13 +225,13 @@ def _note(limit: LimitFound) -> str:
             "are at bounds of their set, where none has a derivative. Training ended at a price "
             f"of {limit.multiplier:,.4g} for it."
         )
-    room = f"Limit with slack, and so without a price: {limit.name}, and it is {limit.value:,.6g}."
+    slack = f"Limit with slack, and so without a price: {limit.name}, and it is {limit.value:,.6g}."
     if limit.multiplier:
-        room += (
+        slack += (
             f" Training ended at a price of {limit.multiplier:,.4g} for it: its decisions "
             "may be caught at a bound of their set. Try more steps or a lower learning_rate."
         )
-    return room
+    return slack
 
 
 def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Smooth, engine: Engine):

@@ -298,8 +298,8 @@ def test_without_noise_a_limit_is_met_up_to_round_off():
     assert not found.notes
 
 
-def test_a_limit_at_its_level_without_a_price_is_not_said_to_have_room():
+def test_a_limit_at_its_level_without_a_price_is_said_to_be_met_exactly():
     """All decisions at bounds of their set: nothing moves, and derivatives tell no price."""
     at = LimitFound("doses", 2.0, 1.9999999, 0.0, 1.9999999, 1.9999999, 0.0, 0.0, 1.5, "met")
-    assert "no room" in notes_of((at,))[0] and "a price of 1.5" in notes_of((at,))[0]
-    assert "with room" in notes_of((at._replace(value=1.8, high=1.8),))[0]
+    assert "met exactly" in notes_of((at,))[0] and "a price of 1.5" in notes_of((at,))[0]
+    assert "with slack" in notes_of((at._replace(value=1.8, high=1.8),))[0]
