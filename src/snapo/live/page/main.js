@@ -188,7 +188,7 @@ function reason() {
   if (!page.ready) return "for the previous inputs: the calculation is starting";
   if (page.valued === page.n) return "for the previous inputs: this follows";
   const time = seconds() >= LONG ? `, ${seconds()} s` : "";
-  return isCompiled() ? `for the previous inputs: being valued${time}` : `of the inputs before: this choice is compiled, once${time}`;
+  return isCompiled() ? `for the previous inputs: being valued${time}` : `for the previous inputs: this choice is compiled, once${time}`;
 }
 
 // Every stale number is dimmed; the value is shown to first order, where that is known.
