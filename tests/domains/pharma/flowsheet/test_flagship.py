@@ -37,7 +37,7 @@ def test_values(process):
 @pytest.mark.prove
 def test_matrix_against_published_rows(forward):
     """1e-5 of the row's largest, or half a unit of the last digit printed."""
-    assert forward.mode == "forward" and "6.6 forward tangents" in forward.reason
+    assert forward.mode == "forward" and "6.6 forward passes" in forward.reason
     np.testing.assert_allclose(forward.jacobian[0], YIELD, atol=1e-5 * 0.58)
     np.testing.assert_allclose(forward.jacobian[1], SIZE, atol=1e-5 * 1.26)
 

@@ -70,7 +70,7 @@ def fitted_rule(
 def _regressed(functions: np.ndarray, values: np.ndarray) -> np.ndarray:
     """[nodes, K] coefficients of values [nodes, N] on functions [K, N]."""
     count = functions.shape[1]
-    rows = [slice(first, first + FITTED_BLOCK) for first in range(0, count, BLOCK)]
+    rows = [slice(first, first + FITTED_BLOCK) for first in range(0, count, FITTED_BLOCK)]
     moments = sum(product(functions[:, row], functions[:, row].T) for row in rows)
     target = sum(product(values[:, row], functions[:, row].T) for row in rows)
     scale = np.sqrt(np.maximum(np.diagonal(moments), 1e-300))
