@@ -20,7 +20,7 @@ from snapo.domains.inventory.read.case import read_case as read_inventory
 from snapo.domains.inventory.setup import make_setup as inventory_setup
 from snapo.domains.pension import DOMAIN as PENSION
 from snapo.domains.pension.fund.simulator import PensionSimulator
-from snapo.domains.pension.policies.limits import AllocationLimits, new_policy, present
+from snapo.domains.pension.policies.allocation import AllocationLimits, new_policy, present
 from snapo.domains.pension.read.case import read_case as read_fund
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.smooth import Exact

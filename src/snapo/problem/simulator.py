@@ -99,10 +99,10 @@ class Simulator(eqx.Module):
         return self
 
     def on_step(self) -> "Simulator":
-        """This simulator as `initial`, `observe`, `step` and `terminal` read it on one path.
+        """This simulator as its methods for one path read it, in the native engine.
 
-        Without whatever depends on the number of steps or on their dates, its `horizon` too: the
-        native engine's code then serves every horizon.
+        A simulator without the fields that depend on the number of steps or on their dates, its
+        `horizon` too, has code that serves every horizon. By default each has code of its own.
         """
         return self
 

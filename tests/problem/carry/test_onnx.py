@@ -8,7 +8,7 @@ import pytest
 
 import snapo
 from snapo.domains.gas_storage.policy.network import HEAD, StoragePolicy
-from snapo.domains.pension.policies.limits import PensionPolicy
+from snapo.domains.pension.policies.allocation import PensionPolicy
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
 from snapo.study import commands

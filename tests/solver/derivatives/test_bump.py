@@ -12,7 +12,7 @@ import snapo
 from snapo.engine import Xla
 from snapo.problem.scenarios import Sources
 from snapo.solver.derivatives.bump import WIDE, Reaction, _Bumper, one_percent, reactions
-from snapo.solver.derivatives.rebuilt import LONG, on_line, opposite, problems_at, rebuilt_once
+from snapo.solver.derivatives.rebuilt import LONG, on_line, problems_at, rebuilt_once
 from snapo.solver.statistics import Estimate
 
 ENGINE = Xla("float64")
@@ -62,7 +62,7 @@ def follows(rebuild=built):
 
 def test_what_was_built_for_more_of_an_input_is_mirrored_for_less():
     problem = follows()
-    less = opposite(problem, problem.at_values({"target": 2.02}), {"target": 1.98})
+    less = on_line(problem, problem.at_values({"target": 2.02}), {"target": 1.98}, -1.0)
     assert less.inputs_by_name["target"].value == 1.98
     np.testing.assert_allclose(less.simulator.table, 2 * 4.0 - 2.02**2, rtol=1e-15)
     np.testing.assert_allclose(less.simulator.table, 1.98**2, rtol=3e-4)
@@ -71,10 +71,10 @@ def test_what_was_built_for_more_of_an_input_is_mirrored_for_less():
 def test_what_was_built_in_another_form_is_not_mirrored():
     problem, more = follows(), follows().at_values({"target": 2.02})
     longer = replace(more, simulator=replace(more.simulator, table=np.zeros(2)))
-    assert opposite(problem, longer, {"target": 1.98}) is None
+    assert on_line(problem, longer, {"target": 1.98}, -1.0) is None
     whole = replace(more, simulator=replace(more.simulator, table=np.array([4])))
     counted = replace(problem, simulator=replace(problem.simulator, table=np.array([5])))
-    assert opposite(counted, whole, {"target": 1.98}) is None
+    assert on_line(counted, whole, {"target": 1.98}, -1.0) is None
 
 
 def test_a_table_on_a_line_is_that_of_the_moves_to_first_order():
@@ -104,6 +104,19 @@ def test_a_table_of_a_long_problem_is_rebuilt_once_for_each_input(horizon, count
         moved = at_values({"target": 2.0 + move})
         np.testing.assert_allclose(moved.simulator.table, (2.0 + move) ** 2, rtol=1e-3)
     assert len(builds) == count
+
+
+def test_a_move_in_another_direction_has_a_table_of_its_own():
+    """An input of two numbers: a move of the second says nothing about one of the first."""
+    start = np.array([2.0, 3.0])
+    inputs, simulator = {"target": snapo.Input(start)}, Follows(np.zeros(1), horizon=LONG + 1)
+    problem = snapo.Problem(
+        simulator, inputs, snapo.Mean("reward"), Sources.of(None, 0), rebuild=built
+    )
+    at_values = problems_at(built(problem))
+    for move in ([0.01, 0.0], [0.0, 0.01]):
+        moved = at_values({"target": start + move})
+        np.testing.assert_array_equal(moved.simulator.table, [(start + move) ** 2])
 
 
 def test_a_table_that_is_built_anew_shows_no_reaction_of_an_optimal_policy():

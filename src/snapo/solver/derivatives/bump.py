@@ -25,7 +25,7 @@ from snapo.problem.scenarios import BLOCKS
 from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
 from ..statistics import Estimate
-from .rebuilt import opposite, problems_at
+from .rebuilt import on_line, problems_at
 
 MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
@@ -278,7 +278,7 @@ class _Bumper:
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
-        `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `opposite`.
+        `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `on_line`.
         `more`: the problem at more of the input, where it is known; it is taken from the list.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
@@ -286,7 +286,7 @@ class _Bumper:
         at_values = at_values or self.at_values
         side = more.pop() if more else at_values({name: value + by})
         high = block_means(objective, self._totals(side, count), blocks)
-        side = opposite(self.problem, side, {name: value - by}) if mirrored else None
+        side = on_line(self.problem, side, {name: value - by}, -1.0) if mirrored else None
         side = side or at_values({name: value - by})
         low = block_means(objective, self._totals(side, count), blocks)
         size = sum(map(len, blocks))

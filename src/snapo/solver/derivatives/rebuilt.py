@@ -2,7 +2,7 @@
 
 Tables of a long problem, such as the fitted value of 8,760 hours, take longer than the paths that
 are valued with them. They are rebuilt at one move of each input; at other moves of the same input
-they are on the line through both.
+they are on the line through both, if they lie on it.
 """
 
 from collections.abc import Callable, Mapping
@@ -37,16 +37,13 @@ class _RebuiltOnce:
         if self.last is not None and self.last[0] == name:
             _, by, other = self.last
             share = float(np.vdot(move, by) / np.vdot(by, by))
-            if (between := on_line(self.problem, other, values, share)) is not None:
+            parallel = np.allclose(move, share * by, atol=0.0)
+            between = on_line(self.problem, other, values, share) if parallel else None
+            if between is not None:
                 return between
         result = self.problem.at_values(values)
         self.last = name, move, result
         return result
-
-
-def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:
-    """The problem at `values`, on the other side of `more`: that of `on_line` at -1."""
-    return on_line(problem, more, values, -1.0)
 
 
 def on_line(

@@ -9,7 +9,7 @@ import pytest
 from tests.domains.pension.market_cases import full, given, no_contribution, plan
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
-from snapo.domains.pension.policies.limits import new_policy
+from snapo.domains.pension.policies.allocation import new_policy
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
 from snapo.engine import Xla

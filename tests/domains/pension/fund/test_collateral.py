@@ -14,7 +14,7 @@ from snapo.domains.pension.fund.collateral import stressed
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.trading import trade
 from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.policies.limits import AllocationLimits
+from snapo.domains.pension.policies.allocation import AllocationLimits
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results.balance import Headroom, headroom

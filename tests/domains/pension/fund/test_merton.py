@@ -13,7 +13,7 @@ import pytest
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, cash_flows
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
-from snapo.domains.pension.policies.limits import new_policy
+from snapo.domains.pension.policies.allocation import new_policy
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine.native import Native
 from snapo.problem.objective import CRRA, ExpectedUtility

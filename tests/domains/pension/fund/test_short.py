@@ -9,8 +9,8 @@ import pytest
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, cash_flows, full, given
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.policies.allocation import new_policy
 from snapo.domains.pension.policies.classical import ConstantMix, PresentMix
-from snapo.domains.pension.policies.limits import new_policy
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported

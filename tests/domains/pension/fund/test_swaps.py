@@ -11,7 +11,12 @@ from tests.domains.pension.market_cases import cash_flows, full, given
 
 from snapo.domains.pension.chapters.sensitivities import usual_move
 from snapo.domains.pension.fund.simulator import PensionSimulator
-from snapo.domains.pension.policies.limits import AllocationLimits, limit_unit, notionals, present
+from snapo.domains.pension.policies.allocation import (
+    AllocationLimits,
+    limit_unit,
+    notionals,
+    present,
+)
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results import balance
 from snapo.domains.pension.results.balance import Headroom

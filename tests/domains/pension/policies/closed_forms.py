@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from snapo.domains.pension.fund.observation import slots
-from snapo.domains.pension.policies.limits import AllocationLimits
+from snapo.domains.pension.policies.allocation import AllocationLimits
 from snapo.domains.pension.records.case import PensionCase
 from snapo.problem.policy import Policy, as_observation
 from snapo.problem.smooth import EXACT

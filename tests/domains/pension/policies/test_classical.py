@@ -14,8 +14,8 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.terms import trading_limits
 from snapo.domains.pension.fund.trading import excess
 from snapo.domains.pension.market.assets.bond import Bond
+from snapo.domains.pension.policies.allocation import AllocationLimits, new_policy
 from snapo.domains.pension.policies.classical import ConstantMix, followers
-from snapo.domains.pension.policies.limits import AllocationLimits, new_policy
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine.native import unsupported

@@ -16,8 +16,8 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.terms import trading_limits
 from snapo.domains.pension.fund.trading import excess
 from snapo.domains.pension.market.assets.bond import Bond
+from snapo.domains.pension.policies.allocation import AllocationLimits, new_policy
 from snapo.domains.pension.policies.classical import ConstantMix, PresentMix, followers
-from snapo.domains.pension.policies.limits import AllocationLimits, new_policy
 from snapo.domains.pension.records.assets import AssetGroup, Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.problem import prepare

@@ -11,7 +11,7 @@ from snapo.case.error import CaseError
 from snapo.domains.pension.read.cells import TableReader
 from snapo.domains.pension.read.tables import RegulationTable
 from snapo.domains.pension.regulation.in_force import read_regulation
-from snapo.domains.pension.regulation.stand import (
+from snapo.domains.pension.regulation.position import (
     Losses,
     correlated,
     currency_loss,

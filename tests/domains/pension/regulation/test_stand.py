@@ -16,7 +16,7 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
 from snapo.domains.pension.regulation.bases import due
 from snapo.domains.pension.regulation.in_force import read_regulation
-from snapo.domains.pension.regulation.stand import recovery, regulation_of, shocked, stand
+from snapo.domains.pension.regulation.position import recovery, regulation_of, shocked, stand
 from snapo.problem.inputs import plain
 
 

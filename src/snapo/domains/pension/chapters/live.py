@@ -14,7 +14,7 @@ from snapo.report.quantity import SPACE, number
 from snapo.solver.evaluate import estimate
 from snapo.study.study import DisplayedValue, LiveTable, PathTotals, Setup, Today
 
-from ..policies.limits import limit_unit
+from ..policies.allocation import limit_unit
 from ..results import balance
 from ..results.balance import ClassTrade
 from ..results.setup import case_in, outcome_measure

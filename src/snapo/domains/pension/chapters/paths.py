@@ -21,7 +21,7 @@ from snapo.study.study import StudyRun
 from ..fund.terms import trading_limits
 from ..fund.trading import dealt
 from ..records.case import PensionCase
-from ..regulation.stand import RecoveryCourse, recovery, stand
+from ..regulation.position import RecoveryCourse, recovery, stand
 from ..results.setup import case_of
 from ..run import PensionRun, with_measure
 

@@ -17,7 +17,7 @@ from snapo.study.study import StudyRun
 from ..records.case import PensionCase
 from ..records.inputs import pension_inputs
 from ..regulation.bases import Bases, bases
-from ..regulation.stand import RecoveryCourse, Stand, stand
+from ..regulation.position import RecoveryCourse, Stand, stand
 from ..results.figures.in_words import in_words
 from ..results.figures.lines import examine
 from ..results.figures.reconcile import BASIS_POINT, LiabilityFigures, ReconciledFigure

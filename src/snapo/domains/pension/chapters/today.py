@@ -13,7 +13,7 @@ from snapo.report.quantity import number
 from snapo.study.chapter import Chapter
 from snapo.study.study import StudyRun
 
-from ..policies.limits import limit_unit, notionals
+from ..policies.allocation import limit_unit, notionals
 from ..records.case import PensionCase
 from ..results import balance
 from ..results.balance import CurveLadder, Headroom, TradeList

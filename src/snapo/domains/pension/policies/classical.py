@@ -15,7 +15,7 @@ from snapo.problem.smooth import EXACT, Exact
 
 from ..fund.observation import RATIO, slots
 from ..records.case import PensionCase
-from .limits import AllocationLimits, limit_unit, logits_of, present
+from .allocation import AllocationLimits, limit_unit, logits_of, present
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
 MINIMUM = 1e-3  # a class of less weight is tuned from this one, where it can still learn

@@ -17,7 +17,7 @@ from snapo.study.chapter import Floats, Number, floats
 from ..fund.collateral import slope, stressed
 from ..market.assets.asset_class import log_prices
 from ..market.assets.swaps import swap_values
-from ..policies.limits import notionals
+from ..policies.allocation import notionals
 from ..records.case import PensionCase
 from ..records.market import MarketCurve
 from .figures.reconcile import LiabilityFigures

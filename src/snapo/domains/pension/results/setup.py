@@ -16,7 +16,7 @@ from snapo.study.ready import engines_for
 from snapo.study.study import Setup, StudyRun
 
 from ..fund.simulator import PensionSimulator
-from ..policies.limits import new_policy
+from ..policies.allocation import new_policy
 from ..pots.simulator import PotSimulator
 from ..records.case import PensionCase, PensionModel
 from ..records.inputs import pension_inputs

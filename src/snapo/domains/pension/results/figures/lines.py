@@ -13,7 +13,7 @@ from snapo.problem.inputs import plain
 from ...records.case import PensionCase
 from ...records.inputs import pension_inputs
 from ...regulation.bases import bases
-from ...regulation.stand import stand
+from ...regulation.position import stand
 from .human import Human, human
 from .in_words import in_words
 from .plausible import remarks
