@@ -223,6 +223,6 @@ def _finite_leaves(tree: PyTree) -> bool:
 
 
 def _distinct(leaf) -> np.ndarray:
-    """An array without its copies along axes: zeros of a table that no path moves are one number."""
+    """An array without copies along axes: zeros of a table that no path moves are one number."""
     array = np.asarray(leaf)
     return array[tuple(slice(None) if step else slice(1) for step in array.strides)]
