@@ -118,6 +118,8 @@ def test_a_table_without_its_derivative_is_read_where_it_is():
     weights = {"cash": np.linspace(0, 1, 33)}
     expected, found = (x.adjoint(*values, weights) for x in (Xla("float64"), Native("float64")))
     assert difference(expected, found) < TOLERANCE["float64"]
-    call = NativeCall(Native("float64"), *values, None, None, None)
-    code = call.runner(False, (), False, ()).kernel.code
+    engine = Native("float64")
+    with engine.numbers():
+        call = NativeCall(engine, *values, None, None, None)
+        code = call.runner(False, (), False, ()).kernel.code
     assert code.strides["steps"] - code.filled["steps"] < 64  # no copy of the table
