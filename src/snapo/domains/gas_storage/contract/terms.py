@@ -5,7 +5,7 @@ inputs in a simulator. Nothing here imports JAX, so that `snapo check` can do wi
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,9 @@ from snapo.case.given import CaseInput
 from .reachable import InventoryLimits, reachable
 from .records import Contract, GasMarket, StorageCase
 
-if TYPE_CHECKING:
-    from jaxtyping import Array
 
-At = Callable[[Any], Any]
+Numbers = Any  # an array of NumPy, or of JAX in a simulator
+At = Callable[[Any], Numbers]
 _PER_DAY = (
     "injection_cost",
     "withdrawal_cost",
@@ -37,27 +36,27 @@ class Day(NamedTuple):
     volume of the control variate, `innovation` the fitted value of the other one.
     """
 
-    day: "Array"
-    forward: "Array"
-    gas_discount: "Array"
-    flow_discount: "Array"
-    injection_cost: "Array"
-    withdrawal_cost: "Array"
-    injection_cost_discount: "Array"
-    withdrawal_cost_discount: "Array"
-    inventory_cost: "Array"
-    injection_fuel: "Array"
-    withdrawal_fuel: "Array"
-    inventory_loss: "Array"
-    levels: "Array"
-    withdrawal_rate: "Array"
-    injection_rate: "Array"
-    min_injection: "Array"
-    min_withdrawal: "Array"
-    low: "Array"
-    high: "Array"
-    next_low: "Array"
-    next_high: "Array"
+    day: Numbers
+    forward: Numbers
+    gas_discount: Numbers
+    flow_discount: Numbers
+    injection_cost: Numbers
+    withdrawal_cost: Numbers
+    injection_cost_discount: Numbers
+    withdrawal_cost_discount: Numbers
+    inventory_cost: Numbers
+    injection_fuel: Numbers
+    withdrawal_fuel: Numbers
+    inventory_loss: Numbers
+    levels: Numbers
+    withdrawal_rate: Numbers
+    injection_rate: Numbers
+    min_injection: Numbers
+    min_withdrawal: Numbers
+    low: Numbers
+    high: Numbers
+    next_low: Numbers
+    next_high: Numbers
     price: Any = None
     ahead: Any = None
     value_table: Any = None
@@ -74,14 +73,14 @@ class ContractTerms(NamedTuple):
     largest daily rate, `innovation` the end of its control variate.
     """
 
-    inventory: "Array"
-    end_levels: "Array"
-    end_values: "Array"
-    end_fraction: "Array"
-    end_forward: "Array"
-    end_discount: "Array"
-    fixed_costs: "Array"
-    last_day: "Array"
+    inventory: Numbers
+    end_levels: Numbers
+    end_values: Numbers
+    end_fraction: Numbers
+    end_forward: Numbers
+    end_discount: Numbers
+    fixed_costs: Numbers
+    last_day: Numbers
     price: Any = None
     end_price: Any = None
     price_scale: Any = None
