@@ -2,7 +2,7 @@
 
 from snapo.problem.inputs import named_inputs
 
-from .records import ControlCase
+from .records import ControlCase, unit
 
 
 def lines(case: ControlCase) -> list[str]:
@@ -16,8 +16,3 @@ def lines(case: ControlCase) -> list[str]:
         f"{len(numbers)} inputs with {sum(numbers)} numbers, each with a sensitivity",
         f"the {case.objective_words} is maximised",
     ]
-
-
-def unit(text: str) -> str:
-    """A unit, or words for a pure number."""
-    return "a pure number" if text in ("", "1") else text

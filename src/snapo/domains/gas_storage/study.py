@@ -25,9 +25,8 @@ from .chapters.today import today
 from .chapters.value import INTRINSIC, REFERENCE, VALUES, Reference, intrinsic_chapter
 from .chapters.vega import VEGA, volatilities
 from .contract.records import StorageCase
-from .contract.terms import fixed_costs_value
+from .contract.terms import fixed_costs_value, value_without_decisions
 from .setup import bare_problem, fitted_value, make_setup, setup_at
-from .summary import value_without_decisions
 
 KIND = "gas-storage"
 

@@ -28,10 +28,10 @@ from snapo.domains.gas_storage.contract.terms import (
     end_interval,
     inventory_limits,
     known_schedule,
+    value_without_decisions,
 )
 from snapo.domains.gas_storage.prices.process import in_numpy
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
-from snapo.domains.gas_storage.summary import value_without_decisions
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import Mean

@@ -6,7 +6,7 @@ feasible ones are an interval there; neighbouring intervals are joined and the l
 That is the complete reachable set where I - withdrawal(I) and I + injection(I) do not decrease;
 where step ratchets break that, it is the largest interval in which every point is feasible.
 
-The formulas are those of `Arrays`: of JAX in a simulator, of NumPy where a case is checked.
+The formulas are those of `ArrayLibrary`: of JAX in a simulator, of NumPy where a case is checked.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ class InventoryLimits(NamedTuple):
     min_withdrawal: 'Float[Array, " T"]'
 
 
-class Arrays(NamedTuple):
+class ArrayLibrary(NamedTuple):
     """An array library: its functions as in NumPy, and two that JAX has its own names for.
 
     - `running_maximum(x)`: of the elements up to each.
@@ -53,11 +53,15 @@ def _backwards(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
     return tuple(np.array(leaves[::-1]) for leaves in zip(*results))
 
 
-NUMPY = Arrays(np, np.maximum.accumulate, _backwards)
+NUMPY = ArrayLibrary(np, np.maximum.accumulate, _backwards)
 
 
 def reachable(
-    limits: InventoryLimits, end_low: Any, end_high: Any, interpolation: str, arrays: Arrays = NUMPY
+    limits: InventoryLimits,
+    end_low: Any,
+    end_high: Any,
+    interpolation: str,
+    arrays: ArrayLibrary = NUMPY,
 ) -> "tuple[Float[Array, ' T+1'], Float[Array, ' T+1']]":
     """Least and greatest inventory at the start of every day, and on the end date.
 
@@ -73,7 +77,7 @@ def reachable(
     return xp.append(low, end_low), xp.append(high, end_high)
 
 
-def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance, arrays: Arrays):
+def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance, arrays: ArrayLibrary):
     """The longest interval of one day from which that of the next day can be reached."""
     xp, (next_low, next_high) = arrays.xp, successor
     # A row at a limit is the limit: with clip each would take half of the derivative.
@@ -149,7 +153,7 @@ def _between(inventory, levels, rates, xp):
     return low[1:] + share * (high[1:] - low[1:])
 
 
-def _longest(low, high, some, touches, arrays: Arrays):
+def _longest(low, high, some, touches, arrays: ArrayLibrary):
     """Joins neighbouring pieces that touch, and keeps the longest run."""
     xp, (enters, leaves) = arrays.xp, touches
     joined = xp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])

@@ -36,12 +36,12 @@ class EndTerms(NamedTuple):
     `levels`, `values` [M] are zeros where no table is given; undiscounted, in currency.
     """
 
-    levels: Float[Array, " M"]
-    values: Float[Array, " M"]
-    fraction: Float[Array, ""]
+    levels: Float[Array | np.ndarray, " M"]
+    values: Float[Array | np.ndarray, " M"]
+    fraction: Float[Array | np.ndarray, ""]
 
 
-def _no_table() -> tuple[np.ndarray, np.ndarray]:
+def _no_table() -> tuple[Any, Any]:
     return np.zeros(2), np.zeros(2)
 
 

@@ -28,7 +28,7 @@ from snapo.problem.smooth import Exact
 from ..policy.guide import Innovations, ValueTable, of_day, of_end
 from ..policy.network import curve_ahead, observation
 from ..prices.process import PricedSimulator, PriceProcess, use
-from .reachable import Arrays, reachable
+from .reachable import ArrayLibrary, reachable
 from .records import Contract, EndTerms, StorageCase, storage_inputs
 from .schedule import Discounts, FlowLimits, StoreState
 from .terms import ContractTerms, Day, end_interval, inventory_limits, per_day
@@ -42,7 +42,7 @@ def _backwards(step, last, rows):
     return jax.lax.scan(result, last, rows, reverse=True)[1]
 
 
-TRACED = Arrays(jnp, jax.lax.cummax, _backwards)
+TRACED = ArrayLibrary(jnp, jax.lax.cummax, _backwards)
 
 
 class StorageSimulator(PricedSimulator):

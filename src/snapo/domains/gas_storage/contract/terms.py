@@ -1,6 +1,6 @@
 """The terms of a contract where they are used: in a simulator, and in a case at known prices.
 
-`At` gives the numbers of an input on its days: `CaseInput.used` of a case, and a `Use` of traced
+`NumbersOf` gives the numbers of an input on its days: `CaseInput.used` of a case, and a `Use` of traced
 inputs in a simulator. Nothing here imports JAX, so that `snapo check` can do without.
 """
 
@@ -14,9 +14,8 @@ from snapo.case.given import CaseInput
 from .reachable import InventoryLimits, reachable
 from .records import Contract, GasMarket, StorageCase
 
-
-Numbers = Any  # an array of NumPy, or of JAX in a simulator
-At = Callable[[Any], Numbers]
+AnyArray = Any  # an array of NumPy, or of JAX in a simulator
+NumbersOf = Callable[[Any], AnyArray]
 _PER_DAY = (
     "injection_cost",
     "withdrawal_cost",
@@ -36,27 +35,27 @@ class Day(NamedTuple):
     volume of the control variate, `innovation` the fitted value of the other one.
     """
 
-    day: Numbers
-    forward: Numbers
-    gas_discount: Numbers
-    flow_discount: Numbers
-    injection_cost: Numbers
-    withdrawal_cost: Numbers
-    injection_cost_discount: Numbers
-    withdrawal_cost_discount: Numbers
-    inventory_cost: Numbers
-    injection_fuel: Numbers
-    withdrawal_fuel: Numbers
-    inventory_loss: Numbers
-    levels: Numbers
-    withdrawal_rate: Numbers
-    injection_rate: Numbers
-    min_injection: Numbers
-    min_withdrawal: Numbers
-    low: Numbers
-    high: Numbers
-    next_low: Numbers
-    next_high: Numbers
+    day: AnyArray
+    forward: AnyArray
+    gas_discount: AnyArray
+    flow_discount: AnyArray
+    injection_cost: AnyArray
+    withdrawal_cost: AnyArray
+    injection_cost_discount: AnyArray
+    withdrawal_cost_discount: AnyArray
+    inventory_cost: AnyArray
+    injection_fuel: AnyArray
+    withdrawal_fuel: AnyArray
+    inventory_loss: AnyArray
+    levels: AnyArray
+    withdrawal_rate: AnyArray
+    injection_rate: AnyArray
+    min_injection: AnyArray
+    min_withdrawal: AnyArray
+    low: AnyArray
+    high: AnyArray
+    next_low: AnyArray
+    next_high: AnyArray
     price: Any = None
     ahead: Any = None
     value_table: Any = None
@@ -65,7 +64,7 @@ class Day(NamedTuple):
 
 
 class ContractTerms(NamedTuple):
-    """Numbers of the whole contract: start, end and fixed costs.
+    """AnyArray of the whole contract: start, end and fixed costs.
 
     `end_levels`, `end_values` [M]: currency for the gas left, on top of `end_fraction` of its
     spot value; `fixed_costs` is a present value. `price` holds the constants of the price process,
@@ -73,14 +72,14 @@ class ContractTerms(NamedTuple):
     largest daily rate, `innovation` the end of its control variate.
     """
 
-    inventory: Numbers
-    end_levels: Numbers
-    end_values: Numbers
-    end_fraction: Numbers
-    end_forward: Numbers
-    end_discount: Numbers
-    fixed_costs: Numbers
-    last_day: Numbers
+    inventory: AnyArray
+    end_levels: AnyArray
+    end_values: AnyArray
+    end_fraction: AnyArray
+    end_forward: AnyArray
+    end_discount: AnyArray
+    fixed_costs: AnyArray
+    last_day: AnyArray
     price: Any = None
     end_price: Any = None
     price_scale: Any = None
@@ -95,7 +94,7 @@ class KnownSchedule(NamedTuple):
     steps: Day
 
 
-def inventory_limits(contract: Contract, at: At) -> InventoryLimits:
+def inventory_limits(contract: Contract, at: NumbersOf) -> InventoryLimits:
     """Inventory limits, rates after outages, losses and forced flows per day."""
     rows = contract.ratchets
     return InventoryLimits(
@@ -110,13 +109,15 @@ def inventory_limits(contract: Contract, at: At) -> InventoryLimits:
     )
 
 
-def end_interval(contract: Contract, at: At) -> tuple[Any, Any]:
+def end_interval(contract: Contract, at: NumbersOf) -> tuple[Any, Any]:
     """The inventories allowed on the end date."""
     low, high = (at(item)[-1] for item in (contract.min_inventory, contract.max_inventory))
     return contract.at_end.interval(at, low, high)
 
 
-def per_day(contract: Contract, at: At, limits: InventoryLimits, low: Any, high: Any) -> dict:
+def per_day(
+    contract: Contract, at: NumbersOf, limits: InventoryLimits, low: Any, high: Any
+) -> dict:
     """The numbers of each `Day` that are the contract's; `low`, `high` [T + 1]: `reachable`."""
     names = set(InventoryLimits._fields) & set(Day._fields)
     return {
@@ -171,3 +172,19 @@ def known_schedule(case: StorageCase) -> KnownSchedule:
         last_day=np.asarray(case.end_day),
     )
     return KnownSchedule(constants, days)
+
+
+def value_without_decisions(case: StorageCase) -> float:
+    """The value, before fixed costs, of a case with no decision days.
+
+    Zero after the end date; else that of the inventory on the end date, discounted from it: its
+    level is met (or the case would have been refused), and its price is the forward price.
+    """
+    if case.days:
+        raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")
+    if case.expired:
+        return 0.0
+    inventory = float(case.contract.inventory.used())
+    factor = float(discount(case.market, np.array(case.end_day)))
+    price = float(case.market.forward_curve.used()[-1]) if case.has_end_price else 0.0
+    return factor * case.contract.at_end.value_known(inventory, price)
