@@ -1,7 +1,7 @@
 """The terms of a contract where they are used: in a simulator, and in a case at known prices.
 
-`NumbersOf` gives the numbers of an input on its days: `CaseInput.used` of a case, and a `Use` of traced
-inputs in a simulator. Nothing here imports JAX, so that `snapo check` can do without.
+`NumbersOf` gives the numbers of an input on its days: `CaseInput.used` of a case, and a `Use` of
+traced inputs in a simulator. The formulas are the same for both; nothing here uses JAX.
 """
 
 from collections.abc import Callable
