@@ -12,7 +12,7 @@ files where another value can be written:
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from datetime import date
 from typing import Any, NamedTuple
@@ -257,3 +257,12 @@ def numbers_in(record: Any) -> Iterator[CaseInput]:
         yield from numbers_in(tuple(value for _, value in record))
     elif is_dataclass(record):
         yield from numbers_in(tuple(getattr(record, field.name, None) for field in fields(record)))
+
+
+def by_name(numbers: Iterable[CaseInput]) -> dict[str, CaseInput]:
+    """{name: numbers} of a case; two inputs of one name are an error of its reader."""
+    named: dict[str, CaseInput] = {}
+    for entry in numbers:
+        if named.setdefault(entry.name, entry) is not entry:
+            raise ValueError(f"{entry.name}: two inputs of a case share this name.")
+    return named

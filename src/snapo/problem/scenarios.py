@@ -19,7 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import special
 
 from .noise.counter import INITIAL_STREAM, STEP_STREAM, Counter, Draws, Stored
 from .simulator import Simulator
@@ -175,7 +174,9 @@ class Sobol(Scenarios):
         later = sobol.random(max(1, int(points[-1]) - start + 1))
         drawn = np.concatenate([zeroth, later])[np.where(points == 0, 0, points - start + 1)]
         # Points lie on a grid of 2^-30 that holds 0: the middle of a cell represents the cell.
-        z = special.ndtri(drawn + 2.0**-31)
+        from scipy.special import ndtri  # late: a case is checked without it
+
+        z = ndtri(drawn + 2.0**-31)
         if width == z.shape[1]:
             return z
         rest = Pseudo(self.seed, antithetic=False, stream=1 + scramble).counter(points)

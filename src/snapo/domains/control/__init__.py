@@ -13,5 +13,6 @@ DOMAIN = Kind(
     __name__,
     {size: f"template/{size}" for size in SIZES},
     reader="read:read_case",
+    summary="summary:lines",
     tables="read:formats",
 )

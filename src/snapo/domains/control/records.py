@@ -32,3 +32,8 @@ class ControlCase:
     training: FollowingTable
     evaluation: EvaluationTable
     positions: Mapping[str, tuple[FilePosition, ...]]
+
+
+def unit(text: str) -> str:
+    """A unit, or words for a pure number."""
+    return "a pure number" if text in ("", "1") else text

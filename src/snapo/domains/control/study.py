@@ -31,24 +31,6 @@ from .plants.plant import MEASURED, Plant
 from .records import ControlCase
 
 
-def lines(case: ControlCase) -> list[str]:
-    """The case in a few lines."""
-    plant, numbers = case.plant, [item.input.value.size for item in named_inputs(case.inputs)]
-    states = ", ".join(f"{name} ({unit(state.unit)})" for name, state in plant.states.items())
-    actions = ", ".join(f"{name} ({unit(action.unit)})" for name, action in plant.actions.items())
-    return [
-        f"{case.title}: {plant.description}",
-        f"{plant.horizon} steps; states {states}; actions {actions}",
-        f"{len(numbers)} inputs with {sum(numbers)} numbers, each with a sensitivity",
-        f"the {case.objective_words} is maximised",
-    ]
-
-
-def unit(text: str) -> str:
-    """A unit, or words for a pure number."""
-    return "a pure number" if text in ("", "1") else text
-
-
 def units(plant: Plant) -> dict[str, str]:
     """{state or action: unit}; an action is shown as the share of its limit, as in training."""
     table = {name: state.unit for name, state in plant.states.items() if state.unit != "1"}

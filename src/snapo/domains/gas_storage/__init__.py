@@ -7,5 +7,6 @@ DOMAIN = Kind(
     "a gas storage contract: value, deltas, trigger prices",
     __name__,
     {"flagship": "template"},
+    summary="summary:lines",
     timer="bench:bench",
 )

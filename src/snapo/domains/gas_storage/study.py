@@ -4,8 +4,6 @@ from dataclasses import asdict
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from snapo.problem.problem import Problem
 from snapo.study.chapters.bound import BOUND
 from snapo.study.domain import Options
@@ -26,57 +24,11 @@ from .chapters.run import InputEntry
 from .chapters.today import today
 from .chapters.value import INTRINSIC, REFERENCE, VALUES, Reference, intrinsic_chapter
 from .chapters.vega import VEGA, volatilities
-from .contract.records import GasMarket, StorageCase
-from .references.intrinsic import intrinsic
+from .contract.records import StorageCase
+from .contract.terms import fixed_costs_value, value_without_decisions
 from .setup import bare_problem, fitted_value, make_setup, setup_at
 
-
-def discount(market: GasMarket, days: np.ndarray) -> np.ndarray:
-    """exp(-r(d) d / 365) for payments on integer days since the valuation date; 1 where d <= 0."""
-    later = np.maximum(np.asarray(days, np.float64), 0)
-    rates = np.interp(later, market.zero_rate_day, market.zero_rate.used())
-    return np.exp(-rates * later / 365)
-
-
-def value_without_decisions(case: StorageCase) -> float:
-    """The value, before fixed costs, of a case with no decision days.
-
-    Zero after the end date; else that of the inventory on the end date, discounted from it: its
-    level is met (or the case would have been refused), and its price is the forward price.
-    """
-    if case.days:
-        raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")
-    if case.expired:
-        return 0.0
-    inventory = float(case.contract.inventory.used())
-    factor = float(discount(case.market, np.array(case.end_day)))
-    price = float(case.market.forward_curve.used()[-1]) if case.has_end_price else 0.0
-    return factor * case.contract.at_end.value_known(inventory, price)
-
-
-def fixed_costs_value(case: StorageCase) -> float:
-    """The present value of the fixed costs still owed, in currency; to be taken off the value."""
-    amounts = case.contract.fixed_costs.used()
-    return float(np.sum(amounts * discount(case.market, case.contract.fixed_cost_day)))
-
-
 KIND = "gas-storage"
-
-
-def lines(case: StorageCase) -> list[str]:
-    """The case in a few lines: nothing is trained."""
-    if not case.days:
-        value = value_without_decisions(case)
-        return [f"{case.title}: no decision day is left; the value is {value:,.2f}"]
-    problem = bare_problem(case)
-    plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
-    numbers = sum(entry.value.size for entry in problem.inputs_by_name.values())
-    return [
-        f"{case.title}: {len(case.days)} decision days, {case.days[0]} to {case.days[-1]}",
-        f"{len(problem.inputs_by_name)} inputs with {numbers} numbers, each with a sensitivity",
-        f"intrinsic value {plan.value:,.2f} {case.currency}",
-        "the contract can be met",
-    ]
 
 
 def study(case: StorageCase, options: Options) -> Study:

@@ -2,6 +2,7 @@
 
 import datetime
 import shutil
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -21,9 +22,16 @@ from tests.domains.gas_storage.storage_cases import (
     untrained,
 )
 
+from snapo.domains.gas_storage.contract.reachable import reachable
 from snapo.domains.gas_storage.contract.schedule import StoreState, of_prices
+from snapo.domains.gas_storage.contract.terms import (
+    end_interval,
+    inventory_limits,
+    known_schedule,
+    value_without_decisions,
+)
+from snapo.domains.gas_storage.prices.process import in_numpy
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
-from snapo.domains.gas_storage.study import value_without_decisions
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import Mean
@@ -163,14 +171,33 @@ def flows_of_a_day(steps, t, inventory, kind):
     return np.where(impossible, np.inf, least), np.where(impossible, -np.inf, most)
 
 
+@pytest.mark.parametrize("name", ["quick", "G4", "G5"])
+def test_the_schedule_of_known_prices_is_that_of_the_simulator(name):
+    """In NumPy and compiled, to rounding; forced flows, dated costs and fuel, worth at the end."""
+    case = read(name)
+    known, schedule = known_schedule(case), bare(case)[2]
+    for part, other in ((known.steps, schedule.steps), (known.constants, schedule.constants)):
+        names = [key for key, x in part._asdict().items() if isinstance(x, np.ndarray | float)]
+        assert len(names) > 7
+        for key in set(names) - {"hedge"}:
+            numbers = getattr(part, key)
+            assert_allclose(numbers, getattr(other, key), rtol=1e-12, atol=1e-9, err_msg=key)
+
+
 @pytest.mark.prove
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 10**6))
 def test_reachable_is_the_longest_interval_that_can_go_on(template, seed):
     simulator, inputs, schedule = with_numbers(template, seed)
     steps, kind = schedule.steps, simulator.interpolation
-    with jax.enable_x64(True):
-        limits = simulator.limits({name: entry.value for name, entry in inputs.items()})
+    numbers = {name: entry.value for name, entry in inputs.items()}
+    at_inputs = partial(in_numpy, numbers)
+    limits = inventory_limits(simulator.contract, at_inputs)
+    in_numpy_too = reachable(limits, *end_interval(simulator.contract, at_inputs), kind)
+    low, high = (x[:-1] for x in in_numpy_too)
+    if np.all(np.abs(high - low) > 1e-6):  # a set of one point is there or not by rounding
+        assert_allclose(low, steps.low, rtol=1e-12, atol=1e-9)
+        assert_allclose(high, steps.high, rtol=1e-12, atol=1e-9)
     for t in reversed(range(DAYS)):
         if steps.next_low[t] > steps.next_high[t]:
             assert steps.low[t] > steps.high[t]

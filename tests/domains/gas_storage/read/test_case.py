@@ -12,13 +12,13 @@ from tests.domains.gas_storage.storage_cases import read_case
 
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.contract.records import LevelAtEnd, PriceAtEnd, ValueAtEnd
-from snapo.domains.gas_storage.prices.supplied import SuppliedPrices
-from snapo.domains.gas_storage.prices.three_factor_seasonal import ThreeFactorSeasonal
-from snapo.domains.gas_storage.study import (
+from snapo.domains.gas_storage.contract.terms import (
     discount,
     fixed_costs_value,
     value_without_decisions,
 )
+from snapo.domains.gas_storage.prices.supplied import SuppliedPrices
+from snapo.domains.gas_storage.prices.three_factor_seasonal import ThreeFactorSeasonal
 
 CASES = Path(__file__).parents[1] / "cases"
 D = datetime.date

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
-from snapo.case.quantity import numbers_in
+from snapo.case.quantity import by_name, numbers_in
 from snapo.case.report import ReportTable
 from snapo.case.settings import (
     EvaluationTable,
@@ -205,11 +205,7 @@ class EnergyCase:
 
     def inputs(self) -> dict[str, Input]:
         """{name: Input}; those of contract, market and model."""
-        numbers: dict[str, CaseInput] = {}
-        for entry in self.numbers():
-            if numbers.setdefault(entry.name, entry) is not entry:
-                raise ValueError(f"{entry.name}: two inputs of a case share this name.")
-        return {name: entry.input() for name, entry in numbers.items()}
+        return {name: entry.input() for name, entry in by_name(self.numbers()).items()}
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:

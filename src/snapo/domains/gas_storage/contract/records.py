@@ -20,14 +20,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import numbers_in
+from snapo.case.quantity import by_name, numbers_in
 from snapo.case.settings import EvaluationTable, FittedTable, ObjectiveTable
 from snapo.problem.inputs import Input
 
 from ..curves.quotes import QuotedCurve
 from ..hedges.table import Hedges
 from ..ladder.products import TradedProducts
-from ..prices.process import PriceProcess, use
+from ..prices.process import PriceProcess
 
 
 class EndTerms(NamedTuple):
@@ -36,13 +36,13 @@ class EndTerms(NamedTuple):
     `levels`, `values` [M] are zeros where no table is given; undiscounted, in currency.
     """
 
-    levels: Float[Array, " M"]
-    values: Float[Array, " M"]
-    fraction: Float[Array, ""]
+    levels: Float[Array | np.ndarray, " M"]
+    values: Float[Array | np.ndarray, " M"]
+    fraction: Float[Array | np.ndarray, ""]
 
 
-def _no_table() -> tuple[Array, Array]:
-    return jnp.zeros(2), jnp.zeros(2)
+def _no_table() -> tuple[Any, Any]:
+    return np.zeros(2), np.zeros(2)
 
 
 class EndRule(eqx.Module):
@@ -62,12 +62,13 @@ class EndRule(eqx.Module):
         """Whether the value depends on the spot price of the end date."""
         return False
 
-    def interval(self, inputs: dict[str, Any], low: Array, high: Array) -> tuple[Array, Array]:
-        """The inventories allowed on the end date, out of those within its limits."""
+    def interval(self, at: Callable[[Any], Any], low: Any, high: Any) -> tuple[Any, Any]:
+        """The inventories allowed on the end date, out of those within its limits; `at`: the
+        numbers of an input where they are used."""
         return low, high
 
     @abc.abstractmethod
-    def terms(self, inputs: dict[str, Any]) -> EndTerms:
+    def terms(self, at: Callable[[Any], Any]) -> EndTerms:
         """The numbers of the value, for the schedule."""
 
     @abc.abstractmethod
@@ -88,12 +89,12 @@ class LevelAtEnd(EndRule):
     def owed(self) -> float:
         return float(self.inventory.used())
 
-    def interval(self, inputs, low, high):
-        level = use(inputs, self.inventory)
+    def interval(self, at, low, high):
+        level = at(self.inventory)
         return level, level
 
-    def terms(self, inputs):
-        return EndTerms(*_no_table(), jnp.asarray(0.0))
+    def terms(self, at):
+        return EndTerms(*_no_table(), np.zeros(()))
 
     def end_value(self, terms, inventory, price):
         return jnp.zeros_like(inventory)
@@ -116,8 +117,8 @@ class PriceAtEnd(EndRule):
     def needs_price(self) -> bool:
         return bool(self.fraction.values[0] != 0)
 
-    def terms(self, inputs):
-        return EndTerms(*_no_table(), use(inputs, self.fraction))
+    def terms(self, at):
+        return EndTerms(*_no_table(), at(self.fraction))
 
     def end_value(self, terms, inventory, price):
         return inventory * terms.fraction * price()
@@ -135,8 +136,8 @@ class ValueAtEnd(EndRule):
     inventory: CaseInput
     value: CaseInput
 
-    def terms(self, inputs):
-        return EndTerms(use(inputs, self.inventory), use(inputs, self.value), jnp.asarray(0.0))
+    def terms(self, at):
+        return EndTerms(at(self.inventory), at(self.value), np.zeros(()))
 
     def end_value(self, terms, inventory, price):
         return jnp.interp(inventory, terms.levels, terms.values)
@@ -265,11 +266,12 @@ class StorageCase:
 
 def storage_inputs(case: StorageCase) -> dict[str, Input]:
     """{name: Input} of contract, market and prices: forward prices, rates, ratchets, costs …"""
-    numbers: dict[str, CaseInput] = {}
-    for entry in numbers_of(case):
-        if numbers.setdefault(entry.name, entry) is not entry:
-            raise ValueError(f"{entry.name}: two inputs of a case share this name.")
-    return {name: entry.input() for name, entry in numbers.items()}
+    return {name: entry.input() for name, entry in numbers_by_name(case).items()}
+
+
+def numbers_by_name(case: StorageCase) -> dict[str, CaseInput]:
+    """The same as they were given."""
+    return by_name(numbers_of(case))
 
 
 def numbers_of(case: StorageCase) -> Iterator[CaseInput]:

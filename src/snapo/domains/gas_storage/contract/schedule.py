@@ -1,6 +1,6 @@
-"""The numbers of a storage problem that all paths share, and the state of one path."""
+"""The state of one path of a store, discount factors, and the schedule of its prices."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,68 +12,6 @@ from snapo.problem.simulator import Schedule
 
 from ..prices.process import YEAR
 from .records import StorageCase
-
-
-class Day(NamedTuple):
-    """One decision day, the same for all paths; every leaf has a leading axis T in the schedule.
-
-    Prices in currency per unit, volumes in units per day, discount factors to the valuation date.
-    `low`, `high` bound the inventory at the start of the day, `next_low`, `next_high` at its end.
-    `price` is the row of the price process, `ahead` is the curve's shape for the network,
-    `value_table` holds the marginal value of gas that the policy starts from, `hedge` the forward
-    volume of the control variate, `innovation` the fitted value of the other one.
-    """
-
-    day: Array
-    forward: Array
-    gas_discount: Array
-    flow_discount: Array
-    injection_cost: Array
-    withdrawal_cost: Array
-    injection_cost_discount: Array
-    withdrawal_cost_discount: Array
-    inventory_cost: Array
-    injection_fuel: Array
-    withdrawal_fuel: Array
-    inventory_loss: Array
-    levels: Array
-    withdrawal_rate: Array
-    injection_rate: Array
-    min_injection: Array
-    min_withdrawal: Array
-    low: Array
-    high: Array
-    next_low: Array
-    next_high: Array
-    price: PyTree
-    ahead: Array
-    value_table: Any = None
-    hedge: Any = 0.0
-    innovation: Any = None
-
-
-class ContractTerms(NamedTuple):
-    """Numbers of the whole contract: start, end and fixed costs.
-
-    `end_levels`, `end_values` [M]: currency for the gas left, on top of `end_fraction` of its
-    spot value; `fixed_costs` is a present value. `price` holds the constants of the price process,
-    `end_price` its row of the end date. `price_scale` is the mean forward price, `rate_scale` the
-    largest daily rate, `innovation` the end of its control variate.
-    """
-
-    inventory: Array
-    end_levels: Array
-    end_values: Array
-    end_fraction: Array
-    end_forward: Array
-    end_discount: Array
-    fixed_costs: Array
-    last_day: Array
-    price: PyTree
-    end_price: PyTree
-    price_scale: Array
-    rate_scale: Array
-    innovation: Any = None
 
 
 class StoreState(NamedTuple):

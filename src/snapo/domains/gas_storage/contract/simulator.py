@@ -10,6 +10,7 @@ valuation date.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, Self
 
 import equinox as eqx
@@ -27,9 +28,21 @@ from snapo.problem.smooth import Exact
 from ..policy.guide import Innovations, ValueTable, of_day, of_end
 from ..policy.network import curve_ahead, observation
 from ..prices.process import PricedSimulator, PriceProcess, use
-from .feasibility import InventoryLimits, reachable
+from .reachable import ArrayLibrary, reachable
 from .records import Contract, EndTerms, StorageCase, storage_inputs
-from .schedule import ContractTerms, Day, Discounts, FlowLimits, StoreState
+from .schedule import Discounts, FlowLimits, StoreState
+from .terms import ContractTerms, Day, end_interval, inventory_limits, per_day
+
+
+def _backwards(step, last, rows):
+    def result(following, row):
+        row = step(following, row)
+        return row, row
+
+    return jax.lax.scan(result, last, rows, reverse=True)[1]
+
+
+TRACED = ArrayLibrary(jnp, jax.lax.cummax, _backwards)
 
 
 class StorageSimulator(PricedSimulator):
@@ -144,8 +157,10 @@ class StorageSimulator(PricedSimulator):
 
     def _days(self, inputs: dict[str, Any], prices) -> Day:
         contract, discounts, rates = self.contract, self.discounts, use(inputs, self.rate)
-        forward, limits = use(inputs, self.curve)[: self.horizon], self.limits(inputs)
-        low, high = reachable(limits, *self.end_interval(inputs), self.interpolation)
+        at = partial(use, inputs)
+        forward, limits = at(self.curve)[: self.horizon], inventory_limits(contract, at)
+        interval = end_interval(contract, at)
+        low, high = reachable(limits, *interval, self.interpolation, TRACED)
         return Day(
             day=jnp.asarray(self.day, float),
             forward=forward,
@@ -153,24 +168,14 @@ class StorageSimulator(PricedSimulator):
             flow_discount=discounts.flow(rates),
             injection_cost_discount=discounts.injection_cost(rates),
             withdrawal_cost_discount=discounts.withdrawal_cost(rates),
-            inventory_loss=limits.inventory_loss,
-            levels=limits.levels,
-            withdrawal_rate=limits.withdrawal_rate,
-            injection_rate=limits.injection_rate,
-            min_injection=limits.min_injection,
-            min_withdrawal=limits.min_withdrawal,
-            low=low[:-1],
-            high=high[:-1],
-            next_low=low[1:],
-            next_high=high[1:],
             price=prices,
             ahead=curve_ahead(forward, self.price_scale),
-            **{name: use(inputs, getattr(contract, name)) for name in _PER_DAY},
+            **per_day(contract, at, limits, low, high),
         )
 
     def _terms(self, inputs: dict[str, Any], constants, last) -> ContractTerms:
         contract, discounts, rates = self.contract, self.discounts, use(inputs, self.rate)
-        end = contract.at_end.terms(inputs)
+        end = contract.at_end.terms(partial(use, inputs))
         fixed = use(inputs, contract.fixed_costs) * discounts.fixed(rates)
         return ContractTerms(
             inventory=use(inputs, contract.inventory),
@@ -186,29 +191,6 @@ class StorageSimulator(PricedSimulator):
             price_scale=jnp.asarray(self.price_scale),
             rate_scale=jnp.asarray(self.rate_scale),
         )
-
-    def limits(self, inputs: dict[str, Any]) -> InventoryLimits:
-        """Inventory limits, rates after outages, losses and forced flows per day."""
-        contract, rows = self.contract, self.contract.ratchets
-        out, into = contract.withdrawal_factor[:, None], contract.injection_factor[:, None]
-        return InventoryLimits(
-            minimum=use(inputs, contract.min_inventory)[:-1],
-            maximum=use(inputs, contract.max_inventory)[:-1],
-            inventory_loss=use(inputs, contract.inventory_loss),
-            levels=use(inputs, rows.inventory),
-            withdrawal_rate=use(inputs, rows.withdrawal) * out,
-            injection_rate=use(inputs, rows.injection) * into,
-            min_injection=use(inputs, contract.min_injection),
-            min_withdrawal=use(inputs, contract.min_withdrawal),
-        )
-
-    def end_interval(self, inputs: dict[str, Any]) -> tuple[Array, Array]:
-        """The inventories allowed on the end date."""
-        contract = self.contract
-        low, high = (
-            use(inputs, item)[-1] for item in (contract.min_inventory, contract.max_inventory)
-        )
-        return contract.at_end.interval(inputs, low, high)
 
     def initial(self, constants: ContractTerms, noise) -> StoreState:
         return StoreState(constants.inventory, self.process.initial(constants.price, noise))
@@ -325,15 +307,6 @@ def simulator_of(problem: Problem) -> StorageSimulator:
     if not isinstance(simulator, StorageSimulator):
         raise TypeError(f"{type(simulator).__name__} is not a gas store.")
     return simulator
-
-
-_PER_DAY = (
-    "injection_cost",
-    "withdrawal_cost",
-    "inventory_cost",
-    "injection_fuel",
-    "withdrawal_fuel",
-)
 
 
 def rate(levels, rates, inventory, interpolation: str, smooth):

@@ -7,7 +7,6 @@ size ("Bernoulli"), or what is left of a compound Poisson process. Everything he
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import hyp1f1
 
 REACH = 30.0  # of the exponent of the density times exp(J), up to which that is integrated
 PANELS = 48  # of the quadrature, with 4 nodes each
@@ -56,6 +55,8 @@ class Spikes(NamedTuple):
             # A negative binomial number of exponentials: Kummer's form of the mixture of gammas.
             shape, left = self._shape, self._left
             z = x * (1 - left) / left
+            from scipy.special import hyp1f1  # late: a case is checked without it
+
             density = density * hyp1f1(1 - shape, 2, -z) * shape * (1 - left) / left
         mass = density * (half[:, None] * weights).ravel()
         mass = mass * ((1 - none) / mass.sum())

@@ -3,6 +3,7 @@
 from typing import Literal, NamedTuple
 
 import numpy as np
+import scipy.sparse as sparse
 
 from .day_terms import (
     DayRates,
@@ -11,7 +12,6 @@ from .day_terms import (
     UnitPrices,
     cash,
     holding_cost,
-    interpolation_matrix,
     moves,
 )
 
@@ -154,3 +154,19 @@ def follow(day: DayDecisions, weight: np.ndarray) -> LatticeFlow:
         withdrawn += np.bincount(column, np.maximum(-net, 0.0), weight.shape[1])
         np.add.at(after, (node, column), moved)
     return LatticeFlow(injected, withdrawn, after)
+
+
+def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> sparse.csr_array:
+    """Linear interpolation from rising nodes [m] to points [n], flat outside. [n, m], sparse
+
+    Linear on purpose: it keeps the order of values, and on a concave value it can only lose.
+    """
+    count, size = len(points), len(nodes)
+    if size == 1:
+        return sparse.csr_array(np.ones((count, 1)))
+    points = np.clip(points, nodes[0], nodes[-1])
+    left = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, size - 2)
+    share = (points - nodes[left]) / (nodes[left + 1] - nodes[left])
+    weights = np.stack([1 - share, share], axis=1).ravel()
+    columns = np.stack([left, left + 1], axis=1).ravel()
+    return sparse.csr_array((weights, columns, np.arange(0, 2 * count + 1, 2)), (count, size))

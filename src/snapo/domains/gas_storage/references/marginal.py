@@ -20,9 +20,9 @@ import numpy as np
 
 from ..prices.process import GaussianFactors
 from ..prices.spikes import spike_nodes, spike_weights
-from .day_terms import Interpolation, end_value, interpolation_matrix, rates, unit_prices
+from .day_terms import Interpolation, end_value, rates, unit_prices
 from .intrinsic import values_after
-from .lattice_day import decide, free_volumes
+from .lattice_day import decide, free_volumes, interpolation_matrix
 
 # Where a grid ends, in standard deviations of its factor at its widest.
 FAST_REACH, SLOW_REACH = 6.0, 4.5

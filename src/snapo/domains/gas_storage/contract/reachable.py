@@ -1,0 +1,168 @@
+"""The inventories from which a contract can be met, as one interval of each day.
+
+For policies, and differentiable: backwards from the end, an inventory is feasible when some flow
+reaches a feasible one. Between ratchet rows every condition is linear in the inventory, so the
+feasible ones are an interval there; neighbouring intervals are joined and the longest is selected.
+That is the complete reachable set where I - withdrawal(I) and I + injection(I) do not decrease;
+where step ratchets break that, it is the largest interval in which every point is feasible.
+
+The formulas are those of `ArrayLibrary`: of JAX in a simulator, of NumPy where a case is checked.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Array, Float
+
+TOLERANCE = 1e-9  # of the largest limit: rounding must not turn a contract met exactly into none
+
+
+class InventoryLimits(NamedTuple):
+    """Bounds of the inventory and of its change, per day: leaves [T] or [T, K]."""
+
+    minimum: 'Float[Array, " T"]'
+    maximum: 'Float[Array, " T"]'
+    inventory_loss: 'Float[Array, " T"]'
+    levels: 'Float[Array, "T K"]'
+    withdrawal_rate: 'Float[Array, "T K"]'
+    injection_rate: 'Float[Array, "T K"]'
+    min_injection: 'Float[Array, " T"]'
+    min_withdrawal: 'Float[Array, " T"]'
+
+
+class ArrayLibrary(NamedTuple):
+    """An array library: its functions as in NumPy, and two that JAX has its own names for.
+
+    - `running_maximum(x)`: of the elements up to each.
+    - `backwards(step, last, rows)`: stacked results of `step(result of the next row, row)`.
+    """
+
+    xp: Any
+    running_maximum: Callable[[Any], Any]
+    backwards: Callable[[Callable[[Any, Any], Any], Any, Any], Any]
+
+
+def _backwards(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
+    results = []
+    for row in reversed([type(rows)(*leaves) for leaves in zip(*rows)]):
+        last = step(last, row)
+        results.append(last)
+    return tuple(np.array(leaves[::-1]) for leaves in zip(*results))
+
+
+NUMPY = ArrayLibrary(np, np.maximum.accumulate, _backwards)
+
+
+def reachable(
+    limits: InventoryLimits,
+    end_low: Any,
+    end_high: Any,
+    interpolation: str,
+    arrays: ArrayLibrary = NUMPY,
+) -> "tuple[Float[Array, ' T+1'], Float[Array, ' T+1']]":
+    """Least and greatest inventory at the start of every day, and on the end date.
+
+    A day without a feasible continuation has least > greatest (and so have all days before it).
+    """
+    xp = arrays.xp
+    tolerance = TOLERANCE * xp.max(xp.abs(limits.maximum), initial=1.0)
+
+    def back(successor, day):
+        return _going_on(day, successor, interpolation, tolerance, arrays)
+
+    low, high = arrays.backwards(back, (end_low, end_high), limits)
+    return xp.append(low, end_low), xp.append(high, end_high)
+
+
+def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance, arrays: ArrayLibrary):
+    """The longest interval of one day from which that of the next day can be reached."""
+    xp, (next_low, next_high) = arrays.xp, successor
+    # A row at a limit is the limit: with clip each would take half of the derivative.
+    inner = xp.where(day.levels <= day.minimum, day.minimum, day.levels)
+    inner = xp.where(inner >= day.maximum, day.maximum, inner)
+    left = xp.concatenate([day.minimum[None], inner])
+    right = xp.concatenate([inner, day.maximum[None]])
+    starts = _conditions(day, left, next_low, next_high, _rates(day, left, interpolation, xp), xp)
+    endpoints = _conditions(
+        day, right, next_low, next_high, _rates(day, right, interpolation, xp), xp
+    )
+    starts, endpoints = (xp.where(xp.abs(x) < tolerance, 0.0, x) for x in (starts, endpoints))
+    crossing = xp.where(starts != endpoints, starts - endpoints, 1.0)
+    zero = xp.clip(starts / crossing, 0.0, 1.0)  # where a condition changes sign, 0 to 1
+    enter = xp.max(xp.where(starts >= 0, 0.0, xp.where(endpoints >= 0, zero, 2.0)), axis=0)
+    leave = xp.min(xp.where(endpoints >= 0, 1.0, xp.where(starts >= 0, zero, -1.0)), axis=0)
+    some = (enter <= leave) & (next_low <= next_high)
+    low, high = left + enter * (right - left), left + leave * (right - left)
+    touches = enter <= 0, leave >= 1
+    if interpolation == "step":
+        # Rows that hold nowhere within the limits do not count.
+        following_row = xp.append(day.levels[1:], xp.inf)
+        contains = (day.levels <= day.maximum) & (following_row > day.minimum)
+        some = some & xp.concatenate([contains[:1], contains])
+        # At a row its own rates apply: if these are infeasible, stop before it.
+        goes_on = some[1:] & touches[0][1:]
+        stops = touches[1][:-1] & ~goes_on & (day.levels <= day.maximum)
+        spare = xp.where(high[:-1] - low[:-1] > tolerance, tolerance, 0.0)
+        high = high - xp.append(xp.where(stops, spare, 0.0), 0.0)
+    return _longest(low, high, some, touches, arrays)
+
+
+def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates, xp):
+    """Four numbers [4, pieces] that must not be negative for an inventory to be feasible."""
+    withdrawal, injection = rates
+    selected = inventory * (1 - day.inventory_loss)
+    minimum = xp.where(day.min_injection > 0, day.min_injection, -withdrawal)
+    maximum = xp.where(day.min_withdrawal > 0, -day.min_withdrawal, injection)
+    return xp.stack(
+        [
+            next_high - selected - minimum,
+            selected + maximum - next_low,
+            injection - day.min_injection,
+            withdrawal - day.min_withdrawal,
+        ]
+    )
+
+
+def _rates(day: InventoryLimits, inventory, interpolation: str, xp):
+    """Withdrawal and injection at these inventories; step rates are those of the piece."""
+    if interpolation == "linear":
+        return _between(
+            inventory, day.levels, xp.stack([day.withdrawal_rate, day.injection_rate]), xp
+        )
+    # Piece j lies between rows j - 1 and j; below the first row that row holds.
+    rows = xp.maximum(xp.arange(inventory.shape[0]) - 1, 0)
+    return day.withdrawal_rate[rows], day.injection_rate[rows]
+
+
+def _between(inventory, levels, rates, xp):
+    """Rates [2, n] at inventories [n], linear between the rows and constant beyond them.
+
+    As `interp` of each, in a third of the operations: `prepare` is soon compiled.
+    """
+    if levels.shape[0] == 1:
+        return xp.broadcast_to(rates, (2, inventory.shape[0]))
+    row = xp.sum(levels[1:-1] <= inventory[:, None], axis=1)
+    table = xp.concatenate([levels[None], rates])
+    low, high = table[:, row], table[:, row + 1]
+    width = high[0] - low[0]
+    share = (inventory - low[0]) / xp.where(width > 0, width, 1.0)
+    share = xp.where(inventory > levels[-1], 1.0, xp.where(inventory < levels[0], 0.0, share))
+    return low[1:] + share * (high[1:] - low[1:])
+
+
+def _longest(low, high, some, touches, arrays: ArrayLibrary):
+    """Joins neighbouring pieces that touch, and keeps the longest run."""
+    xp, (enters, leaves) = arrays.xp, touches
+    joined = xp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])
+    # A run begins at its last piece that is not joined to the one before.
+    first = arrays.running_maximum(xp.where(joined, 0, xp.arange(low.shape[0])))
+    start = low[first]
+    selected = xp.argmax(xp.where(some, high - start, -1.0))
+    result = xp.any(some)
+    return (
+        xp.where(result, start[selected], 1.0),
+        xp.where(result, high[selected], -1.0),
+    )
