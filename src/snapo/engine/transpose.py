@@ -32,7 +32,7 @@ def pull_back(
     def one(schedule: PyTree) -> PyTree:
         # Both are each thread's own.
         with jax.enable_x64(True), read_context(version):
-            cotangent = jax.tree.map(_given, schedule)
+            cotangent = jax.tree.map(_without_zeros, schedule)
             return jax.tree.map(np.asarray, _pull_back(simulator, bare, values, cotangent))
 
     # One by one: all at once would be compiled for every number of them, in far more time than the
@@ -62,7 +62,7 @@ def _zeros(leaf) -> np.ndarray:
     return np.broadcast_to(np.zeros(()), np.shape(leaf)) if large else np.zeros(np.shape(leaf))
 
 
-def _given(leaf) -> np.ndarray | None:
+def _without_zeros(leaf) -> np.ndarray | None:
     """A cotangent in float64; None for a large one that is a single zero."""
     array = np.asarray(leaf)
     if array.size > LARGE and not any(array.strides) and not array.flat[0]:

@@ -22,7 +22,7 @@ from snapo.problem.inputs import Input
 from snapo.problem.policy import MLP
 from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
-from snapo.problem.simulator import probe
+from snapo.problem.simulator import Schedule, probe
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import pull_back
 
@@ -106,7 +106,7 @@ class Tabled(Store):
     def prepare(self, inputs):
         made = super().prepare(inputs)
         table = jnp.cos(jnp.arange(100.0 * self.horizon)).reshape(self.horizon, 100)
-        return made._replace(steps=made.steps | {"table": table})
+        return Schedule(made.constants, made.steps | {"table": table})
 
     def step(self, constants, now, state, action, noise, smooth):
         after, outputs = super().step(constants, now, state, action, noise, smooth)
@@ -120,7 +120,7 @@ def test_a_table_without_its_derivative_is_read_where_it_is():
     simulator, policy = Tabled(), Tanh((4, 14, 2))
     draws, schedule = Pseudo(0).draws(np.arange(33), simulator), simulator.prepare(None)
     values = simulator, policy, schedule, draws, Smooth(0.2)
-    weights = {"cash": np.linspace(0, 1, 33)}
+    weights = {"cash": jnp.linspace(0, 1, 33)}
     expected, found = (x.adjoint(*values, weights) for x in (Xla("float64"), Native("float64")))
     assert difference(expected, found) < TOLERANCE["float64"]
     engine = Native("float64")
