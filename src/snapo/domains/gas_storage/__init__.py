@@ -8,4 +8,5 @@ DOMAIN = Kind(
     __name__,
     {"flagship": "template"},
     timer="bench:bench",
+    explainer="explain.parts:explained_change",
 )
