@@ -284,3 +284,19 @@ def test_no_right_is_left_in_a_rest():
     assert contract.keys_at({"rights": 1.0}, "free", None) == {"rights.most": 2}
     with pytest.raises(ValueError, match='no contract begins in "rest 2"'):
         contract.keys_at({"rights": 1.0}, "rest 2", None)
+
+
+@pytest.mark.prove
+def test_the_fixing_of_an_index_is_a_part_of_its_own(tmp_path):
+    """Units that must be taken cost the index: its part is minus their discounted volume a unit."""
+    few = STRIP | {"contract.end": datetime.date(2026, 11, 1), "contract.min_daily": 1.0}
+    strike = {"index": "month-ahead", "factor": 1.0, "add": 0.0}
+    few |= {"evaluation.paths": 64, "market.valuation_date": datetime.date(2026, 10, 5)}
+    changes = [few | {"contract.strike": strike | {"fixing": x}} for x in (27.0, 28.5)]
+    first, setup, policy = valued(tmp_path / "a", "swing", changes[0])
+    second, *_ = valued(tmp_path / "b", "swing", changes[1], setup, policy)
+    change = explained_change(first, second, silent)
+    rows = by_name(change)
+    discounted = np.sum(np.exp(-0.03 * np.arange(len(first.case.days)) / 365))
+    assert rows["strike fixing", ""].amount == pytest.approx(-1.5 * discounted, abs=1e-3)
+    assert abs(rows[REST, ""].amount) <= 1e-3

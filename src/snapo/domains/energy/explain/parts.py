@@ -147,6 +147,11 @@ class _ContractChain(ChangeChain):
     def terms(self, case: EnergyCase) -> tuple[Any, ...]:
         return case.contract, case.market, case.day, case.time
 
+    def with_model(self, case: EnergyCase, model: Any) -> EnergyCase:
+        # The fixing of an index is a number of the contract too.
+        numbers = {x.name: x for x in numbers_in((model,))}
+        return replace(case, model=model, contract=with_numbers(case.contract, numbers))
+
     def periods(self) -> Sequence[DeliveryPeriod]:
         case = self.second.case
         # The index of a month is a mean of its prices: months are then the periods.

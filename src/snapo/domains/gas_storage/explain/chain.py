@@ -229,6 +229,10 @@ class ChangeChain(abc.ABC):
             self._total(ChangePart(name, "", amount, error, NOTES[name]))
         return effect, tuple(moves)
 
+    def with_model(self, case: Any, model: Any) -> Any:
+        """The case with this price model."""
+        return replace(case, model=model)
+
     def periods(self) -> Sequence[DeliveryPeriod]:
         """The delivery periods by which the curve is shown."""
         case = self.second.case
@@ -238,7 +242,7 @@ class ChangeChain(abc.ABC):
         """(name, note, case) of each later cause, on top of those before, where the runs differ."""
         target = self.second.case
         for name, note, model in models_between(case.model, target.model):
-            case = replace(case, model=model)
+            case = self.with_model(case, model)
             yield name, note, case
         market = case.market, target.market
         names = ("zero_rate", "zero_rate_day")
