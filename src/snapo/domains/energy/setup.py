@@ -38,10 +38,11 @@ def bare_problem(case: EnergyCase) -> Problem:
 
 def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
     """Simulator with its fitted value, scenarios, policy and engines."""
-    training = TrainingPlan.from_settings(case.training.model_dump())
-    evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
+    evaluation, seed = Evaluation(**case.evaluation.model_dump()), case.training.seed
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = fitted_problem(replace(bare_problem(case), sources=sources, rebuild=rebuilt))
+    fitted = simulator_of(problem).surprises is not None and case.objective.kind == "mean"
+    training = TrainingPlan.from_settings(case.training.model_dump(), fitted)
     rule = UnitValuePolicy if case.scheduled is None else IntradayPolicy
     policy = rule(simulator_of(problem).layout, problem.features, key=jax.random.key(seed))
     return Setup(

@@ -44,11 +44,12 @@ def make_setup(
     case: StorageCase, engine: EngineName = "auto", fit: FittedValue | None = None
 ) -> Setup:
     """Simulator with its guide and its hedge, scenarios, policy and engines."""
-    training = TrainingPlan.from_settings(case.training.model_dump())
-    evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
+    evaluation, seed = Evaluation(**case.evaluation.model_dump()), case.training.seed
     problem = bare_problem(case)
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = _guided(replace(problem, sources=sources, rebuild=rebuilt), fit)
+    fitted = simulator_of(problem).innovations is not None and case.objective.kind == "mean"
+    training = TrainingPlan.from_settings(case.training.model_dump(), fitted)
     policy = StoragePolicy(problem.features, key=jax.random.key(seed))
     engines = engines_for(engine, problem, policy)
     return _hedged(Setup(problem, policy, training, evaluation, engines, case=case))

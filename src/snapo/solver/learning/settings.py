@@ -21,6 +21,11 @@ with a decay of .2, seven times as large.
 
 A `Choice`, `Integers` or a `Stop` decides between few values, so that the initial weights matter
 more: training begins from several of them and continues with the better half (`starts`).
+
+A rule fitted to the best mean is at the optimum up to the error of its fit, and the smooth problem
+that training climbs has another one: in the examples of a store, a swing contract, a battery, a
+park and loan and a plant, 20 to 120 steps gained nothing, or 0.03 % (battery); the store's 120
+steps lost 128 ± 54 of 78,377. A few small steps show whether more would be worth it (`FITTED`).
 """
 
 import math
@@ -41,6 +46,8 @@ RATE = 0.01  # of Adam, where nothing else is chosen
 FOLLOWING = (  # settings that may be "auto"
     "steps", "paths", "learning_rate", "decay", "exploration", "validation_every", "starts",
 )  # fmt: skip
+USUAL_STEPS = 240  # of a case
+FITTED = {"steps": 20, "learning_rate": 0.001}  # of a case whose policy begins from a fitted rule
 EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a training, at least
 
 
@@ -149,10 +156,15 @@ class TrainingPlan(Training):
         object.__setattr__(self, "automatic", tuple(self.automatic))
 
     @classmethod
-    def from_settings(cls, settings: Mapping[str, Any]) -> "TrainingPlan":
-        """The plan of a case's settings; a missing one or None has its default."""
-        numbers: dict[str, Any] = {"validation_every": every(settings["steps"])}
-        numbers |= {name: value for name, value in settings.items() if value is not None}
+    def from_settings(cls, settings: Mapping[str, Any], fitted: bool = False) -> "TrainingPlan":
+        """The plan of a case's settings; a missing one or None has its default.
+
+        `fitted`: whether the policy begins from a rule fitted to the best mean of all risks.
+        """
+        numbers: dict[str, Any] = {k: value for k, value in settings.items() if value is not None}
+        if "steps" not in numbers:
+            numbers = (FITTED if fitted else {"steps": USUAL_STEPS}) | numbers
+        numbers = {"validation_every": every(numbers["steps"])} | numbers
         return cls(**numbers)
 
     @classmethod

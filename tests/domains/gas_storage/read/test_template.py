@@ -4,17 +4,22 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from snapo.case.load import load
-from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.case.settings import EvaluationTable, FittedTable, ObjectiveTable
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.hedges.table import HedgeTable
 from snapo.domains.gas_storage.ladder.products import ProductsTable
 from snapo.domains.gas_storage.prices.registry import kinds
 from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
+from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
+from snapo.solver.learning.settings import FITTED
 from snapo.study import commands
+
+from ..storage_cases import read
 
 G1 = Path(__file__).parents[1] / "cases" / "G1"
 # Keys whose comment shows an example, since they have no default or a plain one.
@@ -34,7 +39,7 @@ def test_commented_keys_of_the_new_case_are_right():
         "objective": ObjectiveTable.model_fields,
         "products": ProductsTable.model_fields,
         "hedge": HedgeTable.model_fields,
-        "training": TrainingTable.model_fields,
+        "training": FittedTable.model_fields,
         "evaluation": EvaluationTable.model_fields,
     }
     text = (DOMAIN.templates["flagship"] / "case.toml").read_text(encoding="utf-8")
@@ -53,7 +58,7 @@ def test_commented_keys_of_the_new_case_are_right():
             field = tables[table][key]
             mentioned[table].add(key)
             if line.startswith("#") and table != "model" and key not in EXAMPLES:
-                assert value == field.default, key
+                assert value == (FITTED.get(key) or field.default), key
     for name, fields in tables.items():
         assert set(fields) == mentioned[name], name
 
@@ -84,9 +89,22 @@ def test_new_writes_the_flagship_case(tmp_path):
     assert written.days == reference.days
     for record in ("market", "contract", "model"):
         assert numbers(getattr(written, record)) == numbers(getattr(reference, record))
-    # The guide is near the best already, so that half of the usual steps do.
-    assert written.training == reference.training.model_copy(update={"steps": 120})
+    assert written.training == reference.training
     assert written.evaluation == reference.evaluation
+
+
+def test_a_fitted_mean_has_few_small_steps():
+    """Of a tail, whose rule is fitted to another objective, and where steps are specified, the
+    usual rate."""
+
+    def trained(**tables: dict[str, Any]) -> tuple[int, float]:
+        case = read("G1", **tables)
+        plan = make_setup(case, fit=fitted_value(bare_problem(case))).training
+        return plan.steps, plan.learning_rate
+
+    assert trained() == (20, 0.001)
+    assert trained(training={"steps": 30}) == (30, 0.01)
+    assert trained(objective={"kind": "cvar", "level": 0.9}) == (240, 0.01)
 
 
 def numbers(record) -> dict:

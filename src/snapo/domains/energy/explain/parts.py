@@ -38,12 +38,8 @@ from ..core.policy import UnitValuePolicy, reordered
 from ..core.simulator import simulator_of
 from ..read.case import EnergyCase, read_case
 from ..setup import bare_problem, make_setup, rebuilt, setup_at
+from . import NOT_AS_PLANNED
 from .plan import PlannedSteps, planned_steps, state_of
-
-NOT_AS_PLANNED = (
-    "the contract is in another state than planned: the cash flow of the days between is that of "
-    "the plan; --cash gives it as it was"
-)
 
 
 def explained_change(

@@ -15,8 +15,8 @@ from snapo.case.quantity import numbers_in
 from snapo.case.report import ReportTable
 from snapo.case.settings import (
     EvaluationTable,
+    FittedTable,
     ObjectiveTable,
-    TrainingTable,
     check_window,
     read_evaluation,
     read_objective,
@@ -194,7 +194,7 @@ class EnergyCase:
     market: GasMarket
     model: PriceProcess
     objective: ObjectiveTable
-    training: TrainingTable
+    training: FittedTable
     evaluation: EvaluationTable
     notes: tuple[str, ...] = ()
     products: TradedProducts | None = None
@@ -265,7 +265,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         message = "products trade by the day; an hourly contract has none"
         raise CaseError(name, "products", None, message)
     products = products_of(file, top.products, notes, days, valuation)
-    objective, training = read_objective(top.objective, name), read_training(top.training, name)
+    objective = read_objective(top.objective, name)
+    training = read_training(top.training, name, FittedTable)
     check_window(training, [objective.kind], name)
     if not kind.hourly:
         check_nomination(where, table, objective.kind, products)
@@ -319,7 +320,7 @@ def formats(kind: str) -> Formats:
         **(PAIR if this.pair else {"model": [process.table for process in kinds().values()]}),
         **({} if this.hourly else PRODUCTS),
         "objective": ObjectiveTable,
-        "training": TrainingTable,
+        "training": FittedTable,
         "evaluation": EvaluationTable,
         "report": ReportTable,
     }

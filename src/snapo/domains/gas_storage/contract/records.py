@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import numbers_in
-from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.case.settings import EvaluationTable, FittedTable, ObjectiveTable
 from snapo.problem.inputs import Input
 
 from ..curves.quotes import QuotedCurve
@@ -248,7 +248,7 @@ class StorageCase:
     market: GasMarket
     model: PriceProcess
     objective: ObjectiveTable
-    training: TrainingTable
+    training: FittedTable
     evaluation: EvaluationTable
     notes: tuple[str, ...] = ()
     quotes: QuotedCurve | None = None

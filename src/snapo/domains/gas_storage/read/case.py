@@ -18,8 +18,8 @@ from snapo.case.plausible import CaseFiles, Plausible, implausible
 from snapo.case.report import ReportTable
 from snapo.case.settings import (
     EvaluationTable,
+    FittedTable,
     ObjectiveTable,
-    TrainingTable,
     check_window,
     read_evaluation,
     read_objective,
@@ -235,7 +235,7 @@ FORMATS = {
     "hedge": HedgeTable,
     "report": ReportTable,
     "objective": ObjectiveTable,
-    "training": TrainingTable,
+    "training": FittedTable,
     "evaluation": EvaluationTable,
 }
 
@@ -288,7 +288,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         hedges=hedges_of(file, top.hedge, notes, products),
         model=model,
         objective=read_objective(top.objective, str(file)),
-        training=read_training(top.training, str(file)),
+        training=read_training(top.training, str(file), FittedTable),
         evaluation=read_evaluation(top.evaluation, str(file)),
         notes=tuple(notes),
     )
