@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.engine.transpose import compiled_meanwhile, pull_back
+from snapo.engine.transpose import LARGE, compiled_meanwhile, pull_back
 from snapo.problem.inputs import Input
 from snapo.problem.problem import prepare
 from snapo.problem.simulator import Schedule
@@ -53,3 +53,21 @@ def test_a_failure_is_told_by_the_call_that_needs_it():
         pass
     with pytest.raises(RuntimeError, match="no schedule"):
         pull_back(Broken(), INPUTS, [nothing])  # pyright: ignore[reportArgumentType]
+
+
+class Tabled(Grown):
+    """With a table that no input makes, as that of a fitted value."""
+
+    table = jnp.ones((2, LARGE))
+
+    def prepare(self, inputs):
+        made = super().prepare(inputs)
+        return Schedule(made.constants | {"table": self.table}, {})
+
+
+def test_a_large_cotangent_of_one_zero_takes_no_memory_and_changes_nothing():
+    zero = np.broadcast_to(np.zeros(()), Tabled.table.shape)
+    for table in (zero, np.zeros(zero.shape)):
+        schedule = Schedule({"whole": np.ones(()), "table": table}, {})
+        found = pull_back(Tabled(), INPUTS, [schedule])["rate"]  # pyright: ignore[reportArgumentType]
+        np.testing.assert_allclose(found, np.full((1, 2), np.exp(0.4)), rtol=1e-14)

@@ -16,6 +16,7 @@ from snapo.problem.quickly import compiled_sooner
 from snapo.problem.simulator import Simulator
 
 MAX_THREADS = 8  # each needs the memory of one transpose
+LARGE = 2**20  # numbers of a leaf, whose zeros as a cotangent are made where they are used
 
 
 def pull_back(
@@ -31,7 +32,7 @@ def pull_back(
     def one(schedule: PyTree) -> PyTree:
         # Both are each thread's own.
         with jax.enable_x64(True), read_context(version):
-            cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), schedule)
+            cotangent = jax.tree.map(_given, schedule)
             return jax.tree.map(np.asarray, _pull_back(simulator, bare, values, cotangent))
 
     # One by one: all at once would be compiled for every number of them, in far more time than the
@@ -51,8 +52,22 @@ def compiled_meanwhile(
 
     A failure is ignored here: `pull_back` reports it.
     """
-    nothing = jax.tree.map(np.zeros_like, eqx.filter(schedule, eqx.is_inexact_array))
+    nothing = jax.tree.map(_zeros, eqx.filter(schedule, eqx.is_inexact_array))
     return in_thread(lambda: pull_back(simulator, inputs, [nothing]))
+
+
+def _zeros(leaf) -> np.ndarray:
+    """Zeros like a leaf; of a large one a single zero in its shape."""
+    large = np.size(leaf) > LARGE
+    return np.broadcast_to(np.zeros(()), np.shape(leaf)) if large else np.zeros(np.shape(leaf))
+
+
+def _given(leaf) -> np.ndarray | None:
+    """A cotangent in float64; None for a large one that is a single zero."""
+    array = np.asarray(leaf)
+    if array.size > LARGE and not any(array.strides) and not array.flat[0]:
+        return None
+    return np.asarray(array, np.float64)
 
 
 @compiled_sooner
@@ -63,5 +78,10 @@ def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangent: Py
         return eqx.filter(made, eqx.is_inexact_array)
 
     made, pull = jax.vjp(schedule, values)
+
     # A leaf that the author made in float32 takes its cotangent in float32.
-    return pull(jax.tree.map(lambda c, leaf: c.astype(leaf.dtype), cotangent, made))[0]
+    def of(leaf, value):
+        return jnp.zeros_like(leaf) if value is None else value.astype(leaf.dtype)
+
+    leaves, tree = jax.tree.flatten(made)
+    return pull(jax.tree.unflatten(tree, map(of, leaves, tree.flatten_up_to(cotangent))))[0]

@@ -126,7 +126,8 @@ def solve(
             progress = recorded(problem, progress, plan)
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
-        run = MeasuredRun(problem, start, progress, plan, evaluation, engines)
+        measured_on = evaluation.within(problem.simulator.horizon)
+        run = MeasuredRun(problem, start, progress, plan, measured_on, engines)
         with shown(bar) as line:
             line.tell("measuring the policy" if progress.status != INTERRUPTED else MEASURING)
             measured = measure(run)

@@ -4,11 +4,12 @@ from dataclasses import replace
 from functools import cache
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests import test_examples as examples
 from tests.domains.gas_storage.storage_cases import setup as storage
-from tests.engine.native.problems import difference
+from tests.engine.native.problems import TOLERANCE, Store, Tanh, difference
 from tests.solver import test_constant_mix as mix
 from tests.solver import test_funding as funding
 from tests.solver import test_lqr as lqr
@@ -16,6 +17,7 @@ from tests.solver import test_merton as merton
 
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
+from snapo.engine.native.call import NativeCall
 from snapo.problem.inputs import Input
 from snapo.problem.policy import MLP
 from snapo.problem.problem import prepare
@@ -96,3 +98,33 @@ def test_engines_agree(name, constraints):
 
     assert gap(Native("float64")) < 2e-11
     assert gap(Native("float32")) < 1e-5 + 5 * gap(Xla("float32"))
+
+
+class Tabled(Store):
+    """A table of a step that is read without and with a derivative, as a fitted value's is."""
+
+    def prepare(self, inputs):
+        made = super().prepare(inputs)
+        table = jnp.cos(jnp.arange(100.0 * self.horizon)).reshape(self.horizon, 100)
+        return made._replace(steps=made.steps | {"table": table})
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, outputs = super().step(constants, now, state, action, noise, smooth)
+        still = jax.lax.stop_gradient(now["table"]).reshape(50, 2)
+        place = jnp.clip(jnp.floor(50 * state["level"]), 0, 49).astype(int)
+        cash = outputs["cash"] + still[place, 0] * state["x"] + now["table"][1] ** 2
+        return after, outputs | {"cash": cash}
+
+
+def test_a_table_without_its_derivative_is_read_where_it_is():
+    simulator, policy = Tabled(), Tanh((4, 14, 2))
+    draws, schedule = Pseudo(0).draws(np.arange(33), simulator), simulator.prepare(None)
+    values = simulator, policy, schedule, draws, Smooth(0.2)
+    weights = {"cash": np.linspace(0, 1, 33)}
+    expected, found = (x.adjoint(*values, weights) for x in (Xla("float64"), Native("float64")))
+    assert difference(expected, found) < TOLERANCE["float64"]
+    engine = Native("float64")
+    with engine.numbers():
+        call = NativeCall(engine, *values, None, None, None)
+        code = call.runner(False, (), False, ()).kernel.code
+    assert code.strides["steps"] - code.filled["steps"] < 400  # a copy of the table has 800 bytes

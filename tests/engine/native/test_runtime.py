@@ -16,7 +16,7 @@ from tests.engine.native.problems import Store, Tanh, difference
 
 from snapo.engine import Xla
 from snapo.engine.native import Native, explain, runtime
-from snapo.engine.native.call import forget_kernels
+from snapo.engine.native.call import NativeCall, forget_kernels
 from snapo.lanes.machine import disk, pipeline, threads
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
@@ -223,6 +223,25 @@ def test_scratch_memory_of_all_kernels_together_is_bounded(monkeypatch):
     call(Native(threads=2))
     assert 0 < runtime.spare.bytes() <= runtime.SPARE
     monkeypatch.setattr(runtime, "SPARE", 1000)
+    call(Native(threads=2))
+    assert runtime.spare.bytes() <= 1000
+
+
+def test_scratch_memory_makes_room_for_large_inputs(monkeypatch):
+    """Twice the inputs of a call and the scratch memory that waits are bounded together."""
+    sizes = []
+    inputs = NativeCall.inputs
+
+    def measured(self, *values):
+        result = inputs(self, *values)
+        sizes.append(result.memory.size)
+        return result
+
+    monkeypatch.setattr(NativeCall, "inputs", measured)
+    call(Native(threads=2))
+    waiting = runtime.spare.bytes()
+    assert waiting > 1000
+    monkeypatch.setattr(runtime, "SPARE", 2 * sizes[0] + 1000)
     call(Native(threads=2))
     assert runtime.spare.bytes() <= 1000
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from snapo.solver.derivatives.bump import PRECISE, Reaction, settled
-from snapo.solver.derivatives.rebuilt import LONG
-from snapo.solver.measure.selection import BACK, FEWEST, PURPOSES, SMALL, Effort
+from snapo.solver.derivatives.rebuilt import LONG, fewer
+from snapo.solver.measure.selection import BACK, FEWEST, PURPOSES, SMALL, Effort, Evaluation
 
 
 @pytest.mark.parametrize("horizon", [1, 365])
@@ -45,3 +45,14 @@ def reaction(value, error, held=10.0, blocks=16):
 )
 def test_more_paths_are_taken_where_a_reaction_is_not_known(value, error, slight, enough):
     assert settled(reaction(value, error), PRECISE, slight) == enough
+
+
+@pytest.mark.parametrize(
+    ("asked", "horizon", "left"),
+    [(4096, LONG, 4096), (4096, 4 * LONG, 1024), (1000, 4 * LONG, 512), (100, 4 * LONG, 100)],
+)
+def test_long_paths_have_as_many_steps_together_as_those_of_three_months(asked, horizon, left):
+    assert fewer(asked, horizon) == left
+    evaluation = Evaluation(asked, asked, asked, asked, asked, asked).within(horizon)
+    assert evaluation.paths == asked  # those of the value stay
+    assert evaluation.sensitivity_paths == evaluation.judge_paths == left

@@ -20,7 +20,7 @@ from .kernel.kernel import Kernel, KernelCode
 TAPE = 256 * 2**20  # bytes of tape per thread; longer horizons are done in segments, twice forward
 SUMS = 256 * 2**20  # bytes of gradients of all groups together
 SLOTS = {name: i for i, name in enumerate(CONTEXT)}
-SPARE = 2**30  # bytes of scratch memory that all kernels together keep between calls
+SPARE = 2**30  # bytes of scratch memory that kernels keep between calls, next to inputs
 GROUPS = 32  # independent partial sums: fixed, so that threads do not change the answer
 
 
@@ -136,8 +136,10 @@ class GroupRunner:
     def _own(self, context: np.ndarray, inputs: KernelInputs) -> Iterator[np.ndarray]:
         """The context with separate scratch memory."""
         sizes = self._scratch(inputs.length, inputs.columns)
+        limit = max(SPARE - 2 * inputs.memory.size, 0)
         scratch = spare.take(self)
         if scratch is None or not scratch.suffices(sizes):
+            spare.shrink(limit - sum(sizes.values()))
             scratch = KernelMemory(sizes)
         local = context.copy()
         for name, position in scratch.where.items():
@@ -146,7 +148,7 @@ class GroupRunner:
         try:
             yield local
         finally:
-            spare.give(self, scratch)
+            spare.give(self, scratch, limit)
 
     def _scratch(self, length: int, columns: int) -> dict[str, int]:
         """The sizes of one thread's scratch memory."""
@@ -216,7 +218,8 @@ class Runner(GroupRunner):
 
 
 class Spare:
-    """Scratch memory between calls: of all kernels together, at most `SPARE` bytes.
+    """Scratch memory between calls: of all kernels together, at most `SPARE` bytes less twice the
+    inputs of the latest call: those of long paths are large, and the caller has them too.
 
     Memory returns to the kernel that had it; memory unused for longest is freed first.
     """
@@ -237,12 +240,17 @@ class Spare:
             self._keep([item for item in self._waiting if item[0]() is not None])
         return None
 
-    def give(self, runner: GroupRunner, memory: KernelMemory) -> None:
+    def give(self, runner: GroupRunner, memory: KernelMemory, limit: int) -> None:
         """Keeps memory for this kernel's next call, if there is room."""
         with self._lock:
             self._waiting.append((runner.reference, memory))
             self._bytes += memory.size
-            while self._bytes > SPARE:
+        self.shrink(limit)
+
+    def shrink(self, limit: int) -> None:
+        """Frees memory until at most so many bytes are left."""
+        with self._lock:
+            while self._waiting and self._bytes > limit:
                 self._bytes -= self._waiting.pop(0)[1].size
 
     def _keep(self, waiting: list) -> None:

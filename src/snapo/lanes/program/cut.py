@@ -22,8 +22,9 @@ CONSTANT, CALL, STEP, PATH = range(4)
 # another kernel is computed at the same level, and is not known while compiling.
 BARRIER = "optimization_barrier"
 STILL = "stop_gradient"  # nothing after it has a derivative
-# Operations that only rearrange: kept with whoever reads them, so that nothing is copied.
-LAYOUT = {"broadcast_in_dim", "reshape", "transpose", "squeeze", "expand_dims"}
+# Operations that only rearrange, or leave out derivatives: kept with whoever reads them, so that
+# nothing is copied.
+LAYOUT = {"broadcast_in_dim", "reshape", "transpose", "squeeze", "expand_dims", STILL}
 
 
 @dataclass(eq=False)

@@ -25,7 +25,7 @@ from snapo.problem.scenarios import BLOCKS
 from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
 from ..statistics import Estimate
-from .rebuilt import on_line, problems_at
+from .rebuilt import on_line, problems_at, rebuilt_once
 
 MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
@@ -235,6 +235,8 @@ class _Bumper:
                 if fixed is None or self._without_reaction(still):
                     continue
                 values = {name: problem.inputs_by_name[name].value + by}
+                if waiting and rebuilt_once(problem):  # long: two at once would take much memory
+                    value_first()
                 waiting.append((name, pool.submit(copy_context().run, problem.at_values, values)))
                 if len(waiting) > 1:
                     value_first()

@@ -124,14 +124,15 @@ class _Derivatives:
         surface, value = self.surface, self.problem.inputs_by_name[name].value
         by = one_percent(self.problem.inputs_by_name[name])
         at_values = problems_at(self.problem)
-        sides = [at_values({name: value + sign * by}) for sign in (1.0, -1.0)]
-
-        def bump(position: np.ndarray) -> float:
-            move = (surface.radius * position) @ surface.coordinates.directions
-            high, low = (self._value(side, shifted_policy(policy, move)) for side in sides)
-            return (high - low) / 2
-
-        return np.array([(bump(one) - bump(-one)) / 2 for one in np.eye(len(surface.radius))])
+        positions = [sign * one for one in np.eye(len(surface.radius)) for sign in (1.0, -1.0)]
+        directions = surface.coordinates.directions
+        moved = [shifted_policy(policy, (surface.radius * x) @ directions) for x in positions]
+        side = at_values({name: value + by})
+        high = np.array([self._value(side, item) for item in moved])
+        side = at_values({name: value - by})
+        del at_values  # and the tables of the other side
+        bumps = (high - np.array([self._value(side, item) for item in moved])) / 2
+        return (bumps[::2] - bumps[1::2]) / 2
 
     def value(self, policy: Policy) -> float:
         """The exact value."""

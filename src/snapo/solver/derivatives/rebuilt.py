@@ -15,6 +15,19 @@ import numpy as np
 from snapo.problem.problem import Problem
 
 LONG = 2190  # steps: three months by the hour
+FEWEST = 512  # paths, for all that is measured next to the value
+
+
+def fewer(paths: int, horizon: int) -> int:
+    """Of a number of paths as many as make no more steps than all would with `LONG` of them; at
+    least 512, where there are so many.
+
+    A path of a year by the hour has as many days as four of three months: what is a mean over days
+    is known as well from a quarter of the paths.
+    """
+    if horizon <= LONG:
+        return paths
+    return min(paths, max(FEWEST, paths * LONG // horizon))
 
 
 def problems_at(problem: Problem) -> Callable[[dict[str, Any]], Problem]:

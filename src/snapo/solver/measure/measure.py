@@ -18,7 +18,7 @@ from snapo.problem.unseen import note
 
 from ..derivatives.bump import reactions
 from ..derivatives.margin import floor_of, margin_of, passes, with_margin
-from ..derivatives.rebuilt import LONG, rebuilt_once
+from ..derivatives.rebuilt import LONG, fewer, rebuilt_once
 from ..derivatives.surface import Surface, coordinates, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import (
@@ -163,9 +163,13 @@ def measure(run: MeasuredRun) -> dict[str, Any]:
 
 def _compiled_meanwhile(run: MeasuredRun) -> AbstractContextManager:
     """Compiles the smooth derivatives during the work of the block, where the engine's programs
-    serve any number of paths and the objective is known already."""
+    serve any number of paths and the objective is known already.
+
+    Of long paths later: their tables need much memory, and other threads are busy.
+    """
     problem, engine = run.problem, run.engines.evaluate
     requested = run.held_paths and run.evaluation.smooth_paths and not problem.constraints
+    requested = requested and problem.simulator.horizon <= LONG
     if not requested or not isinstance(engine, Native):
         return nullcontext()
     return in_thread(through_policy(problem, run.progress.best, run.smooth, engine).compile)
@@ -263,7 +267,8 @@ def _smoothing_gap(
     """Exact less smooth with its standard error, on the first of the paths whose exact totals are
     known; `soft`: the smooth totals on as many, where the derivatives have them."""
     objective, source = problem.objective, problem.sources.evaluation
-    paths = min(GAP_PATHS, len(exact[objective.outputs[0]]))
+    maximum = fewer(GAP_PATHS, problem.simulator.horizon)
+    paths = min(maximum, len(exact[objective.outputs[0]]))
     if soft is None or len(soft[objective.outputs[0]]) < paths:
         soft = path_totals(problem, policy, paths, smooth=smooth, engine=engine, controls=False)
     same = {name: total[: len(soft[name])] for name, total in exact.items() if name in soft}
@@ -295,14 +300,23 @@ def _tails(problem: Problem, paths: int) -> list[str]:
 
 def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
     """A sentence about work that long paths save."""
-    if table is None or not run.evaluation.judge_paths or not rebuilt_once(run.problem):
+    if table is None or run.problem.simulator.horizon <= LONG:
         return []
-    return [
-        f"Paths have more than {LONG:,} steps: the part of the intervals of derivatives that is "
-        f"due to the policy was measured on {run.effort.fewest} paths (of shorter ones {FEWEST}), "
-        "and for the bump of an input the policy's tables were recomputed at one move of the "
-        "input; at its other moves they are to first order."
+    notes = [
+        f"Paths have more than {LONG:,} steps: derivatives were measured on {run.held_paths:,} of "
+        f"them, with no more steps together than the paths asked for would have with {LONG:,}."
     ]
+    if run.evaluation.judge_paths:
+        notes.append(
+            "The part of the intervals of derivatives that is due to the policy was measured on "
+            f"{run.effort.fewest} paths (of shorter ones {FEWEST})."
+        )
+        if rebuilt_once(run.problem):
+            notes.append(
+                "For the bump of an input the policy's tables were recomputed at one move of the "
+                "input; at its other moves they are to first order."
+            )
+    return [" ".join(notes)]
 
 
 def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import VALIDATE, Pseudo, Scenarios, Sobol, Sources, stream
 
 from .. import statistics
-from ..derivatives.rebuilt import LONG
+from ..derivatives.rebuilt import LONG, fewer
 from ..evaluate import of_groups, path_totals, shares_of, value_of
 
 SCENARIOS = ("pseudo-random", "sobol")
@@ -68,6 +68,11 @@ class Evaluation:
         """Fresh scenarios for every role, with the kind requested here for the evaluation."""
         fresh = Sources.of(None, seed)
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
+
+    def within(self, horizon: int) -> "Evaluation":
+        """The same with `fewer` long paths for all but the value."""
+        counts = {name: fewer(getattr(self, name), horizon) for name in MINIMUM if name != "paths"}
+        return replace(self, **counts)
 
 
 MINIMUM = {

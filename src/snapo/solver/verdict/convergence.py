@@ -21,6 +21,7 @@ from snapo.problem.smooth import Exact
 
 from .. import statistics
 from ..adjoint import finite, float64
+from ..derivatives.rebuilt import LONG, fewer
 from ..evaluate import DECIDED, chunks, in_a_row, value_of
 from ..learning.settings import TrainingPlan
 from ..limits import NEARLY
@@ -242,7 +243,9 @@ def _over(
 ) -> Gain:
     """On the first chunks of the evaluation, whose kernels are there."""
     source, bound = problem.sources.evaluation, engine.bind(_unpriced(problem))
-    paths = len(exact[problem.objective.outputs[0]])
+    paths, horizon = len(exact[problem.objective.outputs[0]]), problem.simulator.horizon
+    if horizon > LONG:
+        paths = min(paths, fewer(enough, horizon))
     blocks = _first(chunks(source, paths, problem.simulator), enough)
     totals = [
         bound.values(other, source.draws(block, problem.simulator), Exact()).totals

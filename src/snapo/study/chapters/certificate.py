@@ -12,6 +12,7 @@ from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Table
 from snapo.report.quantity import finite, number, percent, power, readable
 from snapo.solver.certificate import certify_derivatives, feasibility, in_the_mean, nudged
+from snapo.solver.derivatives.rebuilt import fewer
 
 from ..chapter import Chapter, Number
 from ..study import Setup, StudyRun
@@ -109,7 +110,7 @@ def certificate(
         problem, policy, engine = problem_of(setup), solution.policy, setup.engines.evaluate
         if policy is None:
             raise ValueError("the run has no policy")
-        paths = min(LIMIT_PATHS, setup.evaluation.paths)
+        paths = fewer(min(LIMIT_PATHS, setup.evaluation.paths), problem.simulator.horizon)
         bumps = certify_derivatives(
             problem, policy, paths=min(bump_paths, paths), near=near, engine=engine
         )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Text
 from snapo.report.rows import Column, WithError, table
+from snapo.solver.derivatives.rebuilt import fewer
 from snapo.solver.evaluate import evaluate
 from snapo.study.chapter import Chapter, Number
 from snapo.study.chapters.bound import BOUND
@@ -43,8 +44,9 @@ def measure(run: StudyRun) -> MethodValues:
         rows.append(MethodValue("Intrinsic", plan.intrinsic, None, note))
     policy = solution.policy
     if isinstance(policy, UnitValuePolicy):
+        paths = fewer(PATHS, setup.problem.simulator.horizon)
         rule = evaluate(
-            setup.problem, policy.value_rule, paths=PATHS, engine=setup.engines.evaluate
+            setup.problem, policy.value_rule, paths=paths, engine=setup.engines.evaluate
         )
         note = "least squares, before training; other paths"
         rows.append(MethodValue("Fitted rule", rule.value, rule.standard_error, note))

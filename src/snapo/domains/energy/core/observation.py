@@ -76,12 +76,12 @@ def head(
                 unit = prices.unit(now.terms, flow)
                 gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
                 if unit_values is not None and any(layout.flows[flow].effects):
-                    table = unit_values.slopes[pairs.index((i, flow))]
+                    pair = pairs.index((i, flow))
                     for j in range(POINTS):
                         volume = room.forced[k] + free_volume * j / (POINTS - 1)
                         last, place = j == POINTS - 1, start + volume * effects
                         effects_of = layout.flows[flow].effects
-                        row = _slope(unit_values, table, effects_of, place, last, layout.banked)
+                        row = _slope(unit_values, pair, effects_of, place, last, layout.banked)
                         gains[j] = unit + jnp.sum(row * read)
                 if (i, flow) in pairs:
                     units.append(jnp.stack(gains) / price)
@@ -90,12 +90,9 @@ def head(
         if i in choices:
             others = move.before in first[: i + 1]  # of the first of a mode, these are zero
             if unit_values is not None and unit_values.moves is not None and others:
-                table = unit_values.moves[i]
-                flat, position = (
-                    table.reshape((-1, table.shape[-1])),
-                    _position(unit_values, state.levels),
-                )
-                row = nearest_row(flat, jnp.round(position), table.shape[:-1])
+                table, position = unit_values.moves, _position(unit_values, state.levels)
+                flat = table.reshape((-1, table.shape[-1]))
+                row = nearest_row(flat, i, jnp.round(position), table.shape[1:-1])
                 forced_gain = forced_gain + jnp.sum(row * read) / price / size
             base.append(jnp.where(free[i] > 0, forced_gain, CLOSED))
     return Head(jnp.stack(units), jnp.stack(rooms), jnp.stack(base) if base else jnp.zeros(0))
@@ -108,7 +105,7 @@ def _position(unit_values: UnitValues, levels: Array) -> Array:
 
 def _slope(
     unit_values: UnitValues,
-    table: Array,
+    pair: int,
     effects: tuple[float, ...],
     levels: Array,
     last: bool,
@@ -116,16 +113,17 @@ def _slope(
 ) -> Array:
     """The row of the unit that starts at a level, or of the last one up to it; between the rows of
     a bank's balance, which is the last level."""
-    dims, flat = table.shape[:-1], table.reshape((-1, table.shape[-1]))
+    table = unit_values.slopes
+    dims, flat = table.shape[1:-1], table.reshape((-1, table.shape[-1]))
     if not dims:
-        return flat[0]
+        return flat[pair]
     position = _position(unit_values, levels)
     row = along(position, effects, not last)
     if not banked:
-        return nearest_row(flat, row, dims)
+        return nearest_row(flat, pair, row, dims)
     left = jnp.clip(jnp.floor(position[-1]), 0.0, max(dims[-1] - 2, 0))
     share = jnp.clip(position[-1] - left, 0.0, 1.0)
-    sides = [nearest_row(flat, row.at[-1].set(left + k), dims) for k in (0, 1)]
+    sides = [nearest_row(flat, pair, row.at[-1].set(left + k), dims) for k in (0, 1)]
     return sides[0] + share * (sides[1] - sides[0])
 
 

@@ -58,9 +58,12 @@ class UnitValueTable(eqx.Module):
     steps: Any
 
 
-def nearest_row(table: Array, position: Array, dims: tuple[int, ...]) -> Array:
-    """The row of `table` [rows …, n] at a position of whole numbers [levels]."""
-    place = jnp.zeros((), jnp.int32)
+def nearest_row(table: Array, k: int, position: Array, dims: tuple[int, ...]) -> Array:
+    """The row of `table` [tables x rows …, n] at a position of whole numbers [levels] in table k.
+
+    All tables are read from one array: a part of it would be copied for every step.
+    """
+    place = jnp.full((), k, jnp.int32)
     for i, count in enumerate(dims):
         place = place * count + jnp.clip(position[i], 0, count - 1).astype(jnp.int32)
     return table[place]
@@ -126,24 +129,24 @@ def _value(table: Values, state: Any, observed: Array) -> Array:
     """Linear between rows, flat beyond them."""
     total = jnp.zeros(())
     for mode in range(table.coefficients.shape[0]):
-        rows = table.coefficients[mode]
-        total = total + state.mode[mode] * _between(rows, table.rows, state.levels) @ observed
+        row = _between(table.coefficients, mode, table.rows, state.levels)
+        total = total + state.mode[mode] * row @ observed
     return total
 
 
-def _between(table: Array, rows: LevelRows, levels: Array) -> Array:
-    """[n] a row between those around the levels; the table has an axis for each level."""
-    dims = table.shape[:-1]
-    flat = table.reshape((-1, table.shape[-1]))
+def _between(tables: Array, k: int, rows: LevelRows, levels: Array) -> Array:
+    """[n] a row between those around the levels, in table k of [tables, rows …, n]."""
+    dims = tables.shape[1:-1]
+    flat = tables.reshape((-1, tables.shape[-1]))
     if not dims:
-        return flat[0]
+        return flat[k]
     width = jnp.where(rows.spacing > 0, rows.spacing, 1.0)
     top = jnp.asarray([max(count - 1, 0) for count in dims], levels.dtype)
     position = jnp.clip((levels - rows.low) / width, 0.0, top)
     left = jnp.minimum(jnp.floor(position), jnp.maximum(top - 1, 0.0))
     share, total = position - left, jnp.zeros(flat.shape[-1])
     for corner in range(2 ** len(dims)):
-        weight, place = jnp.ones(()), jnp.zeros((), jnp.int32)
+        weight, place = jnp.ones(()), jnp.full((), k, jnp.int32)
         for i, count in enumerate(dims):
             up = (corner >> i) & 1
             weight = weight * (share[i] if up else 1 - share[i])

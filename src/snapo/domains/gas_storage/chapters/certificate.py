@@ -69,7 +69,8 @@ def homogeneity(setup: Setup, solution: Solution) -> Homogeneity | None:
     table, case = solution.sensitivities, case_of(setup)
     if table is None or not case.model.proportional:
         return None
-    evaluation, curve = setup.evaluation, case.market.forward_curve
+    evaluation = setup.evaluation.within(setup.problem.simulator.horizon)
+    curve = case.market.forward_curve
     source = setup.problem.sources.evaluation
     paths = source.available(min(evaluation.sensitivity_paths, evaluation.paths))
     left = float(np.sum(curve.values * table.held[curve.name].value))

@@ -83,7 +83,8 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
         return Vegas()
     months = np.array([day.strftime("%Y-%m") for day in dates])
     wide = by_date(problem, names, len(dates))
-    paths, engine = setup.evaluation.sensitivity_paths, setup.engines.evaluate
+    evaluation = setup.evaluation.within(problem.simulator.horizon)
+    paths, engine = evaluation.sensitivity_paths, setup.engines.evaluate
     held = sensitivities(wide, policy, paths=paths, engine=engine).held
     # The end date has a price only where gas left is paid by it.
     last = [held[name].value.reshape(len(dates), -1)[-1] for name in names]
