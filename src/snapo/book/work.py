@@ -56,6 +56,7 @@ from .order import (
     enclosed,
 )
 from .plan import kinds_of
+from .stress import moved_numbers
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
@@ -133,12 +134,7 @@ class _Contract:
         if settings:
             tables, _ = assigned(tables, settings)
             case = self.domain.read(self.file, tables)
-        values = dict[str, np.ndarray]()
-        for move in moves:
-            if not move.value:
-                name = _input(move.key, inputs)
-                value = values.get(name, inputs[name].value)
-                values[name] = _moved(inputs[name], value, move)
+        values = moved_numbers(case, inputs, [move for move in moves if not move.value])
         if not values:
             return case
         files = read_files(self.file.parent, tables)
@@ -344,28 +340,6 @@ def _settings(order: BookOrder) -> list[str]:
     """The settings of a case that the book decides."""
     untested = [] if order.judged else ["evaluation.judge_paths=0"]
     return [f"training.seed={order.seed}", f"evaluation.paths={order.tasks.paths}", *untested]
-
-
-def _input(key: str, inputs: Mapping[str, Input]) -> str:
-    """The input of a key of the case: "market.forward_curve" is `forward_curve`, and
-    "units.dryer.temperature" is `dryer.temperature`."""
-    parts = key.split(".")
-    for i in range(len(parts)):
-        if (name := ".".join(parts[i:])) in inputs:
-            return name
-    raise CaseError("stress", key, None, f"allowed is one of {', '.join(inputs)}")
-
-
-def _moved(entry: Input, value: np.ndarray, move: StressMove) -> np.ndarray:
-    """The numbers of an input under a stress; `when`: where its labels begin with a date within."""
-    if move.when is None:
-        return value * move.scale + move.shift
-    first, last = (day.isoformat() for day in move.when)
-    labels = np.array([str(label)[:10] for label in entry.names()])
-    inside = np.array([first[: len(x)] <= x <= last[: len(x)] for x in labels]).reshape(value.shape)
-    if not inside.any():
-        raise CaseError("stress", move.key, None, f"none of its numbers lies in {first}/{last}")
-    return np.where(inside, value * move.scale + move.shift, value)
 
 
 def batched(shares: np.ndarray) -> np.ndarray:

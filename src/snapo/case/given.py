@@ -200,3 +200,22 @@ class CaseInput:
             starts=np.insert(self.starts, 0, day.toordinal()),
             positions=(None, *self.positions),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class SourceNumbers:
+    """Numbers of a case that are no input of its simulator, but from which one is made: the quotes
+    of a forward curve.
+
+    - `numbers` [n]: with their positions; `input`: the name of the input, which is `matrix` [N, n]
+      times them.
+    - `periods` [n]: the first and the last day of each.
+    - `implied` [m]: numbers of the same file that must be `weights` [m, n] times `numbers`.
+    """
+
+    numbers: CaseInput
+    input: str
+    matrix: np.ndarray
+    periods: tuple[tuple[date, date], ...]
+    implied: CaseInput
+    weights: np.ndarray

@@ -120,7 +120,7 @@ def add_explain(commands) -> None:
     run = "a run folder, or a case, which means its latest run"
     explain = commands.add_parser(
         "explain",
-        help="split the change of value between two runs of a gas store into its causes",
+        help="split the change of value between two runs of a contract into its causes",
         epilog="snapo explain mystore/runs/2026-11-24T0800-7f3a mystore",
     )
     explain.add_argument("first", metavar="RUN_A", type=Path, help=f"the earlier one: {run}")
@@ -129,8 +129,15 @@ def add_explain(commands) -> None:
         "--flows",
         metavar="FILE",
         type=Path,
-        help="CSV of the flows on the days between the two valuation dates: date,volume,price, "
-        "volumes into the store above 0 (default: from the inventories, at forward prices)",
+        help="of a gas store, CSV of the flows on the days between the two valuation dates: "
+        "date,volume,price, volumes into the store above 0 (default: from the inventories, at "
+        "forward prices)",
+    )
+    explain.add_argument(
+        "--cash",
+        metavar="AMOUNT",
+        type=float,
+        help="of other contracts, the cash flow of the days between (default: as planned)",
     )
     explain.add_argument(
         "--out",

@@ -317,7 +317,7 @@ def _explain(options: argparse.Namespace) -> Answer:
     from snapo.study.runs.store import located
 
     runs = located(options.first), located(options.second)
-    result = explain(*runs, say, flows=options.flows, out=options.out)
+    result = explain(*runs, say, flows=options.flows, cash=options.cash, out=options.out)
     return result, parts(result), OK
 
 

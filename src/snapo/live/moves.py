@@ -18,7 +18,7 @@ from snapo.solver import statistics
 from snapo.study.study import DisplayedValue, Recalculated, Study
 
 from .files import Files, Key
-from .positions import ChangedCase, InputPositions
+from .positions import ChangedCase, InputPositions, movable
 from .terms import described, handles
 
 OWN = ("title", "name", "label")  # keys by which the row of a table names itself
@@ -182,12 +182,8 @@ class WhatIf:
     def __init__(
         self, study: Study, inputs: Mapping[str, Input], positions: InputPositions, rebuilt: Rebuild
     ):
-        self.study, self.inputs_by_name, self.positions, self.rebuild = (
-            study,
-            inputs,
-            positions,
-            rebuilt,
-        )
+        self.study, self.positions, self.rebuild = study, positions, rebuilt
+        self.inputs_by_name = movable(inputs, positions.case)
         self.slopes: dict[str, np.ndarray] = {}
 
     @abstractmethod

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput, FilePosition, NoPosition
+from snapo.case.given import CaseInput, FilePosition, NoPosition, SourceNumbers
 from snapo.problem.inputs import Input
 
 from .files import Files, readable, with_numbers
@@ -81,6 +81,13 @@ class InputPositions:
     ):
         self.read, self.files, self.inputs, self.of = read, files, inputs, of
         self.case = self.reread(files) if case is None else case
+        self.sources = sources_of(self.case)
+
+    @property
+    def movable(self) -> dict[str, Input]:
+        """The inputs as a user moves them: instead of one that is made from other numbers of the
+        case, these numbers."""
+        return movable(self.inputs, self.case)
 
     @cached_property
     def recorded(self) -> dict[str, CaseInput]:
@@ -97,6 +104,7 @@ class InputPositions:
             recorded[name] = CaseInput(
                 name, x.value.ravel(), x.names(), x.unit, index, positions=located
             )
+        recorded |= {name: source.numbers for name, source in self.sources.items()}
         # Two inputs of one file would both move.
         inputs_at = Counter(at for x in recorded.values() for at in set(x.positions))
         return {
@@ -118,6 +126,9 @@ class InputPositions:
                 message = "this input cannot be written into the files of the case"
                 raise CaseError(name, "", None, message)
             files = with_numbers(files, self.recorded[name], requested)
+            if name in self.sources:
+                source = self.sources[name]
+                files = with_numbers(files, source.implied, source.weights @ requested)
         case = self.reread(files)
         numbers = self._numbers(case)
         for name, requested in values.items():
@@ -127,14 +138,28 @@ class InputPositions:
         return ChangedCase(files, case)
 
     def _numbers(self, case: Any) -> dict[str, np.ndarray]:
+        sources = {name: source.numbers.values for name, source in sources_of(case).items()}
         if self.of is None:
-            return numbers_of(case)
-        return {name: values.value for name, values in self.of(case).items()}
+            return numbers_of(case) | sources
+        return {name: values.value for name, values in self.of(case).items()} | sources
 
     def reread(self, files: Files) -> Any:
         """The case in these files, as its domain reads it."""
         with tempfile.TemporaryDirectory(prefix="snapo-live-") as folder:
             return self.read(files.write(Path(folder)), files.tables)
+
+
+def sources_of(case: Any) -> dict[str, SourceNumbers]:
+    """{name: numbers} of a case from which inputs are made."""
+    return {source.numbers.name: source for source in getattr(case, "sources", ())}
+
+
+def movable(inputs: Mapping[str, Input], case: Any) -> dict[str, Input]:
+    """See `InputPositions.movable`."""
+    sources = sources_of(case)
+    made = {source.input for source in sources.values()}
+    first = {name: source.numbers.input() for name, source in sources.items()}
+    return first | {name: entry for name, entry in inputs.items() if name not in made}
 
 
 def _is_none(position: FilePosition) -> bool:

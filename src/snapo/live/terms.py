@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError, Unquoted
+from snapo.case.given import SourceNumbers
 from snapo.problem.inputs import Input
 from snapo.report.quantity import number, power, raised, unit_words
 from snapo.solver.derivatives.bump import one_percent
@@ -18,6 +19,7 @@ from snapo.solver.derivatives.verdict import plain
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.statistics import LEVEL, Estimate, critical
 
+NONE: Mapping[str, SourceNumbers] = {}
 MAX_DAYS = 62  # dates with separate handles; more of them are moved by month
 MAX_ROWS = 60  # of one input in a table of derivatives
 SHARE = 0.01  # of a number that does not say its `move`
@@ -134,9 +136,14 @@ class Deltas(NamedTuple):
         )
 
 
-def derivatives(deltas: Deltas, inputs: Mapping[str, Input]) -> list[dict[str, Any]]:
-    """A row for each input: the effect of its move, and of one unit more at every handle."""
-    return [_derivative(name, deltas, inputs[name]) for name in inputs]
+def derivatives(
+    deltas: Deltas, inputs: Mapping[str, Input], sources: Mapping[str, SourceNumbers] = NONE
+) -> list[dict[str, Any]]:
+    """A row for each input: the effect of its move, and of one unit more at every handle.
+
+    `sources`: numbers from which inputs are made, whose derivatives follow from those of these.
+    """
+    return [_derivative(name, deltas, inputs[name], sources.get(name)) for name in inputs]
 
 
 def usual(entry: Input) -> np.ndarray:
@@ -146,14 +153,22 @@ def usual(entry: Input) -> np.ndarray:
     return np.full(entry.value.shape, entry.move)
 
 
-def _derivative(name: str, deltas: Deltas, of: Input) -> dict[str, Any]:
+def _derivative(
+    name: str, deltas: Deltas, of: Input, source: SourceNumbers | None = None
+) -> dict[str, Any]:
     bump, rows = one_percent(of), []
+
+    def along(direction: np.ndarray) -> Interval:
+        if source is None:
+            return deltas.along(name, direction, bump)
+        return deltas.along(source.input, source.matrix @ direction, source.matrix @ bump)
+
     for label, positions in handles(of)[:MAX_ROWS]:
         direction = np.zeros(of.value.size)
         direction[positions] = 1.0
-        interval = deltas.along(name, direction.reshape(of.value.shape), bump)
+        interval = along(direction.reshape(of.value.shape))
         rows.append({"label": label, "value": interval.value, **_limits(interval)})
-    effect = deltas.along(name, usual(of), bump)
+    effect = along(usual(of))
     return {"input": name, "effect": effect.value, **_limits(effect), "rows": rows}
 
 

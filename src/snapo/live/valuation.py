@@ -32,7 +32,7 @@ from snapo.study.run_folder import POLICY
 from snapo.study.study import DisplayedValue, PathTotals, Setup, Study
 
 from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf, explained_by
-from .positions import InputPositions
+from .positions import InputPositions, movable
 from .rollout import PathCounts, Simulated, simulate, totals_of
 from .terms import MAXIMUM, Deltas, derivatives, no_value, slopes
 
@@ -58,7 +58,9 @@ class Valuation(WhatIf):
         assert solution.policy is not None
         self.policy: Policy = solution.policy  # that is valued: the run's, or one trained here
         self._policies: list[Policy] = [self.policy]
-        self.slopes = slopes(solution.sensitivities, self.inputs_by_name)
+        known = slopes(solution.sensitivities, self.setup.problem.inputs_by_name)
+        known |= {name: x.matrix.T @ known[x.input] for name, x in positions.sources.items()}
+        self.slopes = {name: known[name] for name in self.inputs_by_name}
         self._base: np.ndarray | None = None
         self._held: dict[str, Estimate] | None = None
         self._trained: tuple[float, float] | None = None
@@ -107,8 +109,8 @@ class Valuation(WhatIf):
         return self.study.headline(self._last, value)
 
     def source(self, name: str) -> str:
-        table = self.solution.sensitivities
-        return table.source(name) if table else ""
+        table, made = self.solution.sensitivities, self.positions.sources.get(name)
+        return table.source(made.input if made else name) if table else ""
 
     def counted(self) -> dict[str, int]:
         return self.counts._asdict()
@@ -290,8 +292,12 @@ class Valuation(WhatIf):
         now = self._held_at(setup, rollout, self.policy) if again else self._held
         assert now is not None
         self._held = now if self._held is None else self._held
+        sources = self.positions.sources
+        inputs = movable(setup.problem.inputs_by_name, setup.case) if sources else None
         return derivatives(
-            Deltas(self.solution.sensitivities, self._held, now), setup.problem.inputs_by_name
+            Deltas(self.solution.sensitivities, self._held, now),
+            inputs or setup.problem.inputs_by_name,
+            sources,
         )
 
     def _held_at(self, setup: Setup, rollout: Simulated, policy: Policy) -> dict[str, Estimate]:

@@ -33,6 +33,8 @@ class Kind:
       schema that `snapo schema` prints is made of them.
     - `relaxed`: the same of a function of a case's tables that returns them without what must hold
       at its own numbers only, for a case with others; "": there is nothing of the kind.
+    - `explainer`: the same of a function of two runs that splits the change of value between them
+      into parts; "": there is none.
     """
 
     kind: str
@@ -46,6 +48,7 @@ class Kind:
     timer: str = ""
     tables: str = "read.case:FORMATS"
     relaxed: str = ""
+    explainer: str = ""
 
     @cached_property
     def templates(self) -> "dict[str, Traversable]":

@@ -20,6 +20,11 @@ HOME = Path(snapo.__file__).parent / "domains" / "energy"
 
 def case_at(folder: Path, changes: dict[str, Any]) -> EnergyCase:
     """The case of a folder with other values of keys, {"contract.strike": 30.0}; None: without."""
+    return read_case(*tables_at(folder, changes))
+
+
+def tables_at(folder: Path, changes: dict[str, Any]) -> tuple[Path, dict[str, Any]]:
+    """The file of a case and its tables, with other values of keys."""
     file, data = load(folder)
     data = copy.deepcopy(data)
     for name, value in changes.items():
@@ -31,7 +36,7 @@ def case_at(folder: Path, changes: dict[str, Any]) -> EnergyCase:
             table.pop(key, None)
         else:
             table[key] = value
-    return read_case(file, data)
+    return file, data
 
 
 def swing(**changes: Any) -> EnergyCase:

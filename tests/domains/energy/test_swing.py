@@ -281,7 +281,7 @@ def test_policy_and_bound_of_three_rights_with_rest(tmp_path):
 
 def test_no_file_of_the_core_names_a_contract():
     """Core, methods and chapters read levels, modes, moves and cash alone."""
-    for folder in ("core", "methods", "chapters"):
+    for folder in ("core", "methods", "chapters", "explain"):
         for file in (HOME / folder).glob("*.py"):
             text = file.read_text().lower()
             for name in ("swing", "battery", "plant", "strike", "discharge", "park", "loan"):

@@ -2,12 +2,14 @@
 
 from snapo.study.kind import Kind
 
+EXPLAINER = "explain.parts:explained_change"
 SWING = Kind(
     "swing",
     "a swing contract: volumes at a strike within annual limits",
     __name__,
     {"take-or-pay": "template_swing"},
     tables="read.case:swing_formats",
+    explainer=EXPLAINER,
 )
 BATTERY = Kind(
     "battery",
@@ -15,6 +17,7 @@ BATTERY = Kind(
     __name__,
     {"week": "template_battery"},
     tables="read.case:battery_formats",
+    explainer=EXPLAINER,
 )
 PARK_AND_LOAN = Kind(
     "park-and-loan",
@@ -22,6 +25,7 @@ PARK_AND_LOAN = Kind(
     __name__,
     {"winter": "template_park_and_loan"},
     tables="read.case:park_and_loan_formats",
+    explainer=EXPLAINER,
 )
 PLANT = Kind(
     "plant",
@@ -29,4 +33,5 @@ PLANT = Kind(
     __name__,
     {"week": "template_plant"},
     tables="read.case:plant_formats",
+    explainer=EXPLAINER,
 )

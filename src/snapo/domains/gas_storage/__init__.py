@@ -9,4 +9,5 @@ DOMAIN = Kind(
     {"flagship": "template"},
     summary="summary:lines",
     timer="bench:bench",
+    explainer="explain.parts:explained_change",
 )

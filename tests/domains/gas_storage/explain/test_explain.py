@@ -18,15 +18,16 @@ from snapo.case.error import CaseError
 from snapo.domains.gas_storage.chapters.vega import by_date
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.explain import CASH, FIRST, POLICY, REST, SECOND, command, runs
-from snapo.domains.gas_storage.explain.flows import DayFlow, TakenFlow, passed_days, read_flows
-from snapo.domains.gas_storage.explain.parts import (
+from snapo.domains.gas_storage.explain import parts as store_parts
+from snapo.domains.gas_storage.explain.chain import delivery_periods
+from snapo.domains.gas_storage.explain.change import (
     ChangePart,
     CurveMove,
     ExplainedChange,
     decimals_of,
-    delivery_periods,
-    explained_change,
 )
+from snapo.domains.gas_storage.explain.flows import DayFlow, TakenFlow, passed_days, read_flows
+from snapo.domains.gas_storage.explain.parts import explained_change
 from snapo.domains.gas_storage.explain.runs import ValuedRun, check_pair, later_paths, on_date_of
 from snapo.domains.gas_storage.read.case import read_case
 from snapo.domains.gas_storage.references.lattice import refined
@@ -225,8 +226,8 @@ def test_a_run_that_cannot_follow(first, second, words):
 
 
 def test_a_run_of_another_kind(tmp_path, monkeypatch):
-    monkeypatch.setattr(runs.run_folder, "read", lambda folder: {"kind": "swing"})
-    with pytest.raises(CaseError, match='between runs of kind "gas-storage"'):
+    monkeypatch.setattr(runs.run_folder, "read", lambda folder: {"kind": "pension"})
+    with pytest.raises(CaseError, match='of kind "battery", "gas-storage", "park-and-loan", "pl'):
         ValuedRun.read(tmp_path)
 
 
@@ -293,8 +294,8 @@ def test_the_command_writes_parts_and_report(tmp_path, monkeypatch):
         (tmp_path / "a", tmp_path / "b"), "Store", "EUR", "MWh", ("2025-01-01", "2025-01-02"),
         (100.0, 113.8), (0.1, 0.1), -12.0, ROWS, TOTALS, moves, flows, 2, 1024, ("a note",),
     )  # fmt: skip
-    monkeypatch.setattr(command.ValuedRun, "read", lambda folder: folder)
-    monkeypatch.setattr(command, "explained_change", lambda *runs: change)
+    monkeypatch.setattr(command.ValuedRun, "read", lambda folder: run_of("quick"))
+    monkeypatch.setattr(store_parts, "explained_change", lambda *runs: change)
     answer = command.explain(tmp_path / "a", tmp_path / "b", silent, out=tmp_path / "x")
     assert (answer["change"], answer["profit"]) == (13.8, 1.8)
     assert sum(row.amount for row in ROWS) == pytest.approx(13.8)
@@ -312,7 +313,7 @@ def test_the_command_writes_parts_and_report(tmp_path, monkeypatch):
 @pytest.mark.parametrize("products", [None, {"day_ahead": {}, "months": {}}])
 def test_delivery_periods_have_each_day_once(products):
     case = read("G4", **({} if products is None else {"products": products}))
-    periods = delivery_periods(case)
+    periods = delivery_periods(case.days, case.products)
     days = [day for period in periods for day in range(period.first, period.after)]
     assert days == list(range(len(case.days)))
     assert len(periods) == 4

@@ -7,7 +7,7 @@ efficiency in, d at most power out. A cycle is `energy` taken; the cycles of eac
 of the whole term, may be limited.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import ceil
 from typing import Any
@@ -142,6 +142,13 @@ class BatteryContract(EnergyContract):
             intraday=intraday,
         )
         return Terms(start, steps)
+
+    def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
+        keys = {"stored": levels["energy"]}
+        if self.cycles_term is not None:
+            used = levels["taken"] / float(self.energy.used())
+            keys["cycles.term"] = float(self.cycles_term.used()) - used
+        return keys
 
 
 def layout_of(day: bool, term: bool) -> ContractLayout:

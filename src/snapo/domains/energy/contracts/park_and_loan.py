@@ -20,7 +20,7 @@ balanced against the existing balance.
 """
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -142,6 +142,9 @@ class ParkAndLoanContract(EnergyContract):
             ),
         )
         return Terms(use(inputs, self.balance)[None], steps)
+
+    def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
+        return {"balance": levels["balance"]}
 
 
 def read_park_and_loan(

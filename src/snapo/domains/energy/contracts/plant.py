@@ -9,6 +9,7 @@ passed. Modes are the hours off so far, up to those of the last class, and the h
 to `min_up`.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -86,6 +87,13 @@ class PlantContract(EnergyContract):
             fixed_index=-paid[:, None] * fuel,
         )
         return Terms(jnp.zeros(counted), steps)
+
+    def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
+        state, _, hours = mode.partition(" ")
+        keys: dict = {"before": {state: int(hours)}}
+        if "starts" in levels:
+            keys["most_starts"] = self.start_limit - round(levels["starts"])
+        return keys
 
 
 def layout_of(

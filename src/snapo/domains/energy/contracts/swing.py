@@ -10,6 +10,7 @@ Science 50 (2004).
 """
 
 import datetime
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -35,6 +36,8 @@ from ..core.contract import (
     StepTerms,
     Terms,
 )
+
+FREE = "free"  # the mode in which a right may be used
 
 
 class SwingContract(EnergyContract):
@@ -180,6 +183,20 @@ class SwingContract(EnergyContract):
             zero if price is None else (strike - use(inputs, price)) * paid,
         )
 
+    def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
+        keys = {"taken": levels["taken"]} if "taken" in levels else {}
+        if "rights" in levels:
+            if mode != FREE:
+                raise ValueError(f'no contract begins in "{mode}"')
+            keys["rights.most"] = self.most_rights - round(levels["rights"])
+        if self.made_up is not None:
+            keys["make_up.units"] = max(levels["bank"], 0.0)
+        if self.carried is not None:
+            keys["carry_forward.units"] = max(-levels["bank"], 0.0)
+        if index is not None:
+            keys["strike.fixing"] = index
+        return keys
+
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         if not self.layout.indexed:
             return prices
@@ -225,7 +242,7 @@ def layout_of(
     if rest is None:
         return ContractLayout(tuple(levels), (take,), indexed=indexed)
     none, one = (0.0,) * len(levels), (0.0,) * limited + (1.0,)
-    modes = ("free", *(f"rest {i}" for i in range(rest, 0, -1)))
+    modes = (FREE, *(f"rest {i}" for i in range(rest, 0, -1)))
     moves = [
         ContractMove("wait", 0, 0, (), none),
         ContractMove("use", 0, min(1, rest), (0,), one),

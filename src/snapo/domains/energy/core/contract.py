@@ -18,7 +18,7 @@ settled (`short` for each unit below `owed`) and set to zero, as at the end of a
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -258,6 +258,14 @@ class EnergyContract(eqx.Module):
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         """The numbers. `paid` [T]: discount factors of the commodity; `settled` [T]: of
         money that is owed when the step is over, a day later."""
+
+    @abc.abstractmethod
+    def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
+        """{key of `[contract]`: value} of a case that begins with these levels, by name, in this
+        mode; "a.b" is a key of a table. `index`: of the first step, where it was fixed before.
+
+        **Raises:** `ValueError` where no case begins so.
+        """
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         """The prices that its cash depends on, from those of the case: here the same.

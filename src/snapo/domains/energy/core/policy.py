@@ -93,6 +93,50 @@ class UnitValuePolicy(Policy):
         return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
 
 
+def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolicy:
+    """The same policy of a contract that begins in another mode: `layout` has the modes in another
+    order.
+
+    **Raises:** `ValueError` where anything else differs.
+    """
+    own, count = policy.layout, len(layout.modes)
+    if own.plain() == layout.plain():
+        return policy
+    named = [
+        replaced._replace(modes=(), moves=tuple(
+            move._replace(before=replaced.modes[move.before], after=replaced.modes[move.after])  # pyright: ignore
+            for move in replaced.moves
+        ))
+        for replaced in (own, layout)
+    ]  # fmt: skip
+    if sorted(own.modes) != sorted(layout.modes) or named[0] != named[1]:
+        raise ValueError("its contract has other levels, flows or moves")
+    # The last features are the modes; the last outputs the value of each mode above the first one.
+    order = np.array([own.modes.index(name) for name in layout.modes])
+    network = policy.network
+    first, weights, biases = network.weights[0], network.weights[-1], network.biases[-1]
+    head = 2 * len(layout.levels)
+    rows, shift = (
+        jnp.concatenate([jnp.zeros_like(x[:1]), x[head:]])[order] for x in (weights, biases)
+    )
+    last = (
+        jnp.concatenate([weights[:head], rows[1:] - rows[0]]),
+        jnp.concatenate([biases[:head], shift[1:] - shift[0]]),
+    )
+    seen = first.shape[1] - count
+    first = jnp.concatenate([first[:, :seen], first[:, seen:][:, order]], axis=1)
+
+    def parts(x: UnitValuePolicy):
+        return x.network.weights[0], x.network.weights[-1], x.network.biases[-1]
+
+    hidden = tuple(len(bias) for bias in network.biases[:-1])
+    made = UnitValuePolicy(
+        layout, policy.head + first.shape[1], key=jax.random.key(0), hidden=hidden
+    )
+    made = eqx.tree_at(lambda x: x.network, made, network)
+    return eqx.tree_at(parts, made, (first, *last))
+
+
 def _gained(unit: Array, shares: list[Array], width: Array) -> Array:
     """The gain of the free volume, of which each of the segments of a width takes its share."""
     return sum(

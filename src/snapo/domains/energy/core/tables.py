@@ -48,7 +48,7 @@ class UnitValues(NamedTuple):
         rest = functions(self.reading, factors, size - len(at), REACH)
         fast = jnp.clip((self.reading.whiten @ factors)[0], -REACH, REACH)
         level = jnp.exp(jnp.sum(self.reading.common * factors) - self.reading.shift)
-        bends = level * jnp.maximum(fast - jnp.asarray(at), 0.0)
+        bends = level * jnp.maximum(fast - jnp.asarray(at, fast.dtype), 0.0)
         return jnp.concatenate([rest[:plain], bends, rest[plain:]])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.error import CaseError
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import by_name, numbers_in
 from snapo.case.report import ReportTable
 from snapo.case.settings import (
@@ -177,6 +177,7 @@ class EnergyCase:
     - `products`: the traded products; None where the case names none.
     - `scheduled`: the prices at auctions, of a contract that trades differences from its schedules
       intraday; else None, and `model` is the prices of all decisions.
+    - `sources`: numbers of the case from which inputs are made.
     """
 
     kind: str
@@ -198,6 +199,7 @@ class EnergyCase:
     notes: tuple[str, ...] = ()
     products: TradedProducts | None = None
     scheduled: PriceProcess | None = None
+    sources: tuple[SourceNumbers, ...] = ()
 
     def numbers(self) -> Iterator[CaseInput]:
         """Every number of contract, market and prices."""
@@ -222,7 +224,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     valuation, where = market_table.valuation_date, TableContext(file, "contract", notes)
     section, unit = TableContext(file, "market", notes), f"{table.currency}/{table.volume_unit}"
     delivery: Any
-    second = at_auction = None
+    second = at_auction = quoted = None
     if kind.hourly:
         hours = hours_of(where, table, valuation)
         if kind.pair:
@@ -239,7 +241,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     else:
         days = decision_days(where, table.start, table.end, valuation)
         moving = np.ones(len(days), bool)
-        market, _ = read_market(section, market_table, days, days, moving, unit)
+        market, quoted = read_market(section, market_table, days, days, moving, unit)
         nominated = nominated_on(where, table, (*days, table.end))
         delivery = Delivery(days, days, table.end, valuation, market.forward_curve, nominated)
         time = np.array([(date - valuation).days for date in days]) / 365.0
@@ -287,6 +289,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         tuple(notes),
         products,
         None if at_auction is None else replace(model, delivery=at_auction.times),  # pyright: ignore
+        () if quoted is None else (quoted.source,),
     )
 
 

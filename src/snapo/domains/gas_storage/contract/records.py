@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.case.given import CaseInput
+from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import by_name, numbers_in
 from snapo.case.settings import EvaluationTable, FittedTable, ObjectiveTable
 from snapo.problem.inputs import Input
@@ -257,6 +257,11 @@ class StorageCase:
     hedges: Hedges | None = None
 
     kind = "gas-storage"
+
+    @property
+    def sources(self) -> tuple[SourceNumbers, ...]:
+        """The numbers of the case from which inputs are made."""
+        return () if self.quotes is None else (self.quotes.source,)
 
     @property
     def has_end_price(self) -> bool:

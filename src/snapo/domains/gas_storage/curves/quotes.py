@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -12,6 +12,7 @@ from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
+from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import Quantity
 from snapo.case.table import CaseTable, Positive, TableContext
 
@@ -35,6 +36,7 @@ class QuotedCurve:
     """Quotes and the curve that is linear in them.
 
     - `file`: their file; `products`, `prices` [n]: those of the file that determine the curve.
+    - `source`: these quotes where they are in the file, and those that they imply.
     - `days`: those of the matrix; `matrix` [D, n]: the derivative of each day's price with respect
       to each quote.
     """
@@ -44,6 +46,7 @@ class QuotedCurve:
     prices: Float[np.ndarray, " n"]
     days: tuple[datetime.date, ...]
     matrix: Float[np.ndarray, "D n"]
+    source: SourceNumbers
 
     @property
     def curve(self) -> Float[np.ndarray, " D"]:
@@ -83,8 +86,8 @@ def read_quotes(
 
     products = _products(read_rows(reference, ("product", "price")), declaration)
     _cover(products, name, days)
-    products, implied = _independent(products)
-    if implied:
+    products, others, weights = _independent(products)
+    if implied := [product.name for product in others]:
         section.notes.append(
             f"In {name} {', '.join(implied)} agree{'s' if len(implied) == 1 else ''} with the "
             "other quotes of the same days, which determine the curve."
@@ -99,12 +102,27 @@ def read_quotes(
     except Undetermined:
         message = "more than one curve is as smooth; add a quote of other days"
         raise CaseError(name, "", None, message) from None
+    matrix = matrix[[(day - start).days for day in days]]
+    quotes, implied = (_numbers(x, declaration) for x in (products, others))
+    limits = tuple((x.first, x.after - datetime.timedelta(1)) for x in products)
     return QuotedCurve(
         name,
-        tuple(product.name for product in products),
-        np.array([product.price for product in products]),
+        quotes.labels,
+        quotes.values,
         tuple(days),
-        matrix[[(day - start).days for day in days]],
+        matrix,
+        SourceNumbers(quotes, "forward_curve", matrix, limits, implied, weights),
+    )
+
+
+def _numbers(products: Sequence[_Product], declaration: Quantity) -> CaseInput:
+    """The quotes of some products as numbers of the case."""
+    meaning = "quoted price, the mean of the prices of its days"
+    return replace(declaration, meaning=meaning).input(
+        "quotes",
+        [product.price for product in products],
+        [product.name for product in products],
+        positions=tuple(product.row.position("price") for product in products),
     )
 
 
@@ -134,8 +152,11 @@ def _cover(products: Sequence[_Product], name: str, days: Sequence[datetime.date
             raise CaseError(name, day.isoformat(), None, message)
 
 
-def _independent(products: Sequence[_Product]) -> tuple[list[_Product], list[str]]:
-    """The products whose prices no others imply, in the order of the file, and the other names.
+def _independent(
+    products: Sequence[_Product],
+) -> tuple[list[_Product], list[_Product], Float[np.ndarray, "m n"]]:
+    """The products whose prices no others imply, in the order of the file, the others, and the
+    weights [others, products] of the first in the prices of these.
 
     Short products count first: a quarter is implied by its months.
 
@@ -152,7 +173,8 @@ def _independent(products: Sequence[_Product]) -> tuple[list[_Product], list[str
     ]
     rows = np.array(shares) / np.sum(shares, axis=1, keepdims=True)
     selected: list[int] = []
-    implied: list[str] = []
+    implied: list[_Product] = []
+    shares_of: list[dict[int, float]] = []
     for i in sorted(range(len(products)), key=lambda i: products[i].after - products[i].first):
         weights = np.linalg.lstsq(rows[selected].T, rows[i])[0]
         if np.abs(weights @ rows[selected] - rows[i]).max() > 1e-9:
@@ -168,5 +190,8 @@ def _independent(products: Sequence[_Product]) -> tuple[list[_Product], list[str
                 f"{', '.join(names)} together give {price:.6g} for the days of {product.name}; "
                 f"quotes of the same days agree within {100 * AGREEMENT:g} %",
             )
-        implied.append(product.name)
-    return [products[i] for i in sorted(selected)], implied
+        implied.append(product)
+        shares_of.append(dict(zip(selected, weights.tolist())))
+    order = sorted(selected)
+    rows = [[share.get(j, 0.0) for j in order] for share in shares_of]
+    return [products[i] for i in order], implied, np.reshape(rows, (len(implied), len(order)))

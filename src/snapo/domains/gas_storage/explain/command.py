@@ -17,13 +17,14 @@ from snapo.report.quantity import decimals, long_date, money, number
 from snapo.report.rows import Column, WithError, table
 from snapo.solver.statistics import plus_minus
 from snapo.solver.tables import write_csv, write_text
+from snapo.study.domain import find
 from snapo.study.prepare import use_every_core
 from snapo.study.run_folder import plain_json
 
 from . import CASH
+from .change import ChangePart, ExplainedChange
 from .flows import read_flows
-from .parts import ChangePart, ExplainedChange, explained_change
-from .runs import ValuedRun
+from .runs import ValuedRun, check_pair
 
 FOLDER, PARTS, MOVES, RESULT, REPORT = (
     "explain", "explain.csv", "curve.csv", "explain.json", "explain.html",
@@ -31,19 +32,30 @@ FOLDER, PARTS, MOVES, RESULT, REPORT = (
 
 
 def explain(
-    first: Path, second: Path, progress, *, flows: Path | None = None, out: Path | None = None
+    first: Path,
+    second: Path,
+    progress,
+    *,
+    flows: Path | None = None,
+    cash: float | None = None,
+    out: Path | None = None,
 ) -> dict[str, Any]:
     """Explains the change of value from the first run to the second one, and writes the parts.
 
-    - `flows`: a CSV file of the flows on the days between, with columns date,volume,price.
+    - `flows`: of a gas store, a CSV file of the flows on the days between, with columns
+      date,volume,price. `cash`: of other contracts, the cash flow of the days between as it was.
     - `out`: folder of the results, by default `explain` in that of the second run.
 
     **Raises:** `CaseError` where a run has no value, or the second one cannot follow the first;
     nothing is written.
     """
     use_every_core()
-    taken = None if flows is None else read_flows(flows)
-    change = explained_change(ValuedRun.read(first), ValuedRun.read(second), progress, taken)
+    runs = ValuedRun.read(first), ValuedRun.read(second)
+    check_pair(*runs)
+    kind: Any = find(runs[1].case.kind, str(second))
+    options = {} if flows is None else {"flows": read_flows(flows)}
+    options |= {} if cash is None else {"cash": cash}
+    change = kind.loaded(kind.explainer)(*runs, progress, **options)
     folder, answer = second / FOLDER if out is None else out, _answer(change)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -10,11 +10,12 @@ and X + (Y - X) / 2 is the trapezoidal rule for the integral of delta along the 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.solver import statistics
 from snapo.solver.adjoint import float64
@@ -58,47 +59,67 @@ class CurveEffect(NamedTuple):
 
 
 def curve_effect(
-    before: Setup, after: Setup, policy: Policy, periods: Sequence[DeliveryPeriod]
+    before: Setup,
+    after: Setup,
+    policy: Policy,
+    periods: Sequence[DeliveryPeriod],
+    curves: Sequence[str],
 ) -> CurveEffect:
-    """The effect of the curve of `after` against that of `before`, which are the same otherwise.
+    """The effect of the curves of `after` against those of `before`, which are the same otherwise.
 
-    The last period has the value of the gas left on the end date too.
+    `curves`: the names of their inputs, one for each market. With the decisions held the cash is a
+    sum over markets, so that one after the other moves. The periods of the first market come
+    first, then those of the next one. The last period has the value of the gas left on the end
+    date too.
     """
     problems = before.problem, after.problem
+    chain = [before.problem, *_between(before, after, curves), after.problem]
+    engine = before.engines.evaluate
     engines = [setup.engines.evaluate.bind(setup.problem) for setup in (before, after)]
+    between = [engine.bind(problem) for problem in chain[1:-1]]
     simulator, source = problems[0].simulator, problems[0].sources.evaluation
     paths = source.available(before.evaluation.paths)
     days = np.zeros((len(periods), simulator.horizon))
     for row, period in zip(days, periods, strict=True):
         row[period.first : period.after] = 1.0
-    effect = np.zeros((2, len(periods), paths))
+    effect = np.zeros((2, len(curves), len(periods), paths))
     totals: list[dict[str, np.ndarray]] = [{}, {}]
     for block in source.blocks(paths, max(1, -(-paths // CHUNK))):
         draws = source.draws(block, simulator)
         for k in range(2):
             kind = ("action", "outputs")
             local = engines[k].values(policy, draws, Exact(), record=kind)
-            actions = local.record["action"]
-            other = engines[1 - k].values(
-                None, draws, Exact(), actions=actions, record=("outputs",)
-            )
-            sign = 1.0 if k == 0 else -1.0
-            effect[k][:, block] = sign * (_by_period(other, days) - _by_period(local, days))
+            held: dict[str, Any] = {"actions": local.record["action"], "record": ("outputs",)}
+            others = [x.values(None, draws, Exact(), **held) for x in (*between, engines[1 - k])]
+            ordered = [local, *others] if k == 0 else [others[-1], *others[:-1], local]
+            cash = [_by_period(rollout, days) for rollout in ordered]
+            for m in range(len(curves)):
+                effect[k][m][:, block] = cash[m + 1] - cash[m]
             for name, total in float64(local.totals).items():
                 totals[k].setdefault(name, np.full(paths, np.nan))[block] = total
     values = [
         value_of_groups(p.objective, total, source, p.simulator.control_variates())
         for p, total in zip(problems, totals, strict=True)
     ]
+    rows_of = effect.reshape(2, -1, paths)
     orders = np.array([
         [_controlled(p, total, source, x) for x in rows]
-        for p, total, rows in zip(problems, totals, effect, strict=True)
+        for p, total, rows in zip(problems, totals, rows_of, strict=True)
     ])  # fmt: skip
     mean = orders.mean(axis=0)
     effects = tuple(_orders(x, y) for x, y in zip(*orders, strict=True))
     left = statistics.of_shares(values[1] - values[0] - mean.sum(axis=0))
     total = _orders(*orders.sum(axis=1))
     return CurveEffect(effects, total, values[0], values[1], left.standard_error)
+
+
+def _between(before: Setup, after: Setup, curves: Sequence[str]) -> list[Problem]:
+    """The problems with the first curves of `after`, one more each, but for the last."""
+    problem, result = before.problem, []
+    for name in curves[:-1]:
+        problem = problem.at({name: after.problem.inputs_by_name[name].value})
+        result.append(problem)
+    return result
 
 
 def _orders(old: np.ndarray, new: np.ndarray) -> PeriodEffect:

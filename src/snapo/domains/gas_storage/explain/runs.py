@@ -16,12 +16,12 @@ from snapo.report.folder import RunResult
 from snapo.solver import checkpoint
 from snapo.solver.solution import POLICY, SOLUTION
 from snapo.study import run_folder
+from snapo.study.domain import find, installed
+from snapo.study.kind import Kind
 from snapo.study.prepare import case_of_run
 
 from ..contract.records import StorageCase
 from ..read.case import read_case
-
-KIND = StorageCase.kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class ValuedRun:
     folder: Path
     file: Path
     data: Mapping[str, Any]
-    case: StorageCase
+    case: Any
     engine: Any
     value: float
     error: float
@@ -44,11 +44,13 @@ class ValuedRun:
     def read(cls, folder: Path) -> "ValuedRun":
         """The run in a folder.
 
-        **Raises:** `CaseError` where it is not one of a gas store with a value, or was changed.
+        **Raises:** `CaseError` where its kind has no such parts, it has no value, or was changed.
         """
         record = run_folder.read(folder)
-        if record["kind"] != KIND:
-            message = f'a change is explained between runs of kind "{KIND}"'
+        domain = find(record["kind"], str(folder))
+        if not explains(domain):
+            allowed = ", ".join(f'"{kind}"' for kind in explained_kinds())
+            message = f"a change is explained between runs of kind {allowed}"
             raise CaseError(str(folder), "kind", record["kind"], message)
         run_folder.check_whole(folder, record, (POLICY, SOLUTION, run_folder.GROUPS))
         if "result" in record and changed_files(folder, {run_folder.RESULT: record["result"]}):
@@ -59,7 +61,7 @@ class ValuedRun:
             message = "this run has no value with an error: solve its case again"
             raise CaseError(str(folder), "", None, message)
         file, data = case_of_run(folder, record)
-        case = read_case(file, data)
+        case = domain.read(file, data)
         engine = record["decides"].get("options", {}).get("engine", "auto")
         numbers = result.value, result.standard_error
         run = cls(folder, file, data, case, engine, *numbers, _shares(folder))
@@ -76,10 +78,21 @@ class ValuedRun:
             raise CaseError(str(self.file), "objective.kind", case.objective.kind, message)
         if case.model.calendar:
             message = "the parts of a change are of flows that are decided on their own day"
-            raise CaseError(str(self.file), "contract.nomination", None, message)
+            key = next((x for x in ("nomination", "auction") if x in self.data["contract"]), "")
+            raise CaseError(str(self.file), f"contract.{key}", None, message)
         if case.model.sources(0) is not None:
             message = "the paths of this model are supplied, and cannot move with the market"
             raise CaseError(str(self.file), "model.kind", case.model.kind, message)
+
+
+def explains(domain: Any) -> bool:
+    """Whether a change between two runs of this kind has parts."""
+    return isinstance(domain, Kind) and bool(domain.explainer)
+
+
+def explained_kinds() -> list[str]:
+    """The kinds of runs between which a change has parts."""
+    return [kind for kind in installed() if explains(find(kind, kind))]
 
 
 def _shares(folder: Path) -> np.ndarray | None:
@@ -92,6 +105,9 @@ def _shares(folder: Path) -> np.ndarray | None:
 def check_pair(first: ValuedRun, second: ValuedRun) -> None:
     """**Raises:** `CaseError` where the second run cannot follow the first one."""
     one, other = first.case, second.case
+    if one.kind != other.kind:
+        message = f'{first.folder} is of kind "{one.kind}": allowed is the same kind'
+        raise CaseError(str(second.file), "kind", other.kind, message)
     if other.valuation_date < one.valuation_date:
         message = f"it is before that of {first.folder}, {one.valuation_date}: name the runs in "
         date = other.valuation_date
@@ -100,7 +116,8 @@ def check_pair(first: ValuedRun, second: ValuedRun) -> None:
         if getattr(one, key) != getattr(other, key):
             message = f"{first.folder} has {getattr(one, key)!r}: allowed is the same unit"
             raise CaseError(str(second.file), key, getattr(other, key), message)
-    if not set(other.days) <= set(one.days) or one.end != other.end:
+    ends = [getattr(case, "end", case.days[-1]) for case in (one, other)]
+    if other.days != one.days[len(one.days) - len(other.days) :] or ends[0] != ends[1]:
         span = f"{one.days[0]} to {one.days[-1]}"
         message = f"the decision days of {first.folder}, {span}, do not end with those of this case"
         raise CaseError(str(second.file), "contract", None, message)

@@ -46,7 +46,7 @@ class IndexRows(NamedTuple):
 
     def expected(self) -> Array:
         """[T + 1] today's expectation."""
-        return (self.weight * self.forward).sum(axis=1) + self.fixed
+        return (self.weight * self.forward).sum(axis=-1) + self.fixed
 
 
 class PriceIndex(NamedTuple):

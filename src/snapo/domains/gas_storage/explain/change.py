@@ -1,0 +1,80 @@
+"""The change of value between two runs in parts, and their names."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+DIGITS = 2  # decimals: cents
+
+
+@dataclass(frozen=True)
+class ChangePart:
+    """One part of the change of value, in the currency.
+
+    - `part`: the cause; `period`: the delivery period, of the curve only.
+    - `amount`: rounded, so that the parts add up to the change; `standard_error`: None of an amount
+      without sampling.
+    """
+
+    part: str
+    period: str
+    amount: float
+    standard_error: float | None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class CurveMove:
+    """The mean move of the forward price of a delivery period, in currency per unit.
+
+    - `delta`: discounted, in the unit of gas; None where the mean price did not move.
+    """
+
+    period: str
+    days: int
+    move: float
+    delta: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class ExplainedChange:
+    """The change of value from the first run to the second one.
+
+    - `values`, `errors`: of the two runs; `dates`: their valuation dates.
+    - `cash`: of the days between; profit and loss is the change of value and this cash.
+    - `parts`: add up to the change, the cash with a minus; `totals`: the same with all periods of
+      the curve together; `moves`: of the curve; `flows`: of the days between.
+    - `digits`: decimals of the amounts; `paths`: on which the parts are.
+    """
+
+    runs: tuple[Path, Path]
+    title: str
+    currency: str
+    unit: str
+    dates: tuple[str, str]
+    values: tuple[float, float]
+    errors: tuple[float, float]
+    cash: float
+    parts: tuple[ChangePart, ...]
+    totals: tuple[ChangePart, ...]
+    moves: tuple[CurveMove, ...]
+    flows: tuple[Any, ...]
+    digits: int
+    paths: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def change(self) -> float:
+        """Of the value, rounded like the parts."""
+        return round(self.values[1] - self.values[0], self.digits)
+
+    @property
+    def profit(self) -> float:
+        """Profit and loss: the change of value and the cash."""
+        return round(self.change + self.cash, self.digits)
+
+
+def decimals_of(value: float) -> int:
+    """Of the parts of a value: cents, and more of one below 1,000."""
+    return max(DIGITS, 5 - math.floor(math.log10(value))) if 0 < value < 1000 else DIGITS
