@@ -93,7 +93,7 @@ class Valuation(WhatIf):
         return self.policy is not self.solution.policy
 
     def save_policy(self, folder: Path) -> None:
-        """Saves a policy trained here beside a case; that of the run is in the run.
+        """Saves a policy trained here next to a case; that of the run is in the run.
 
         **Raises:** `CaseError` for one of a class of the user's that no file can hold.
         """

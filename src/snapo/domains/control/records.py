@@ -35,5 +35,5 @@ class ControlCase:
 
 
 def unit(text: str) -> str:
-    """A unit, or words for a pure number."""
+    """A unit, or the text for a pure number."""
     return "a pure number" if text in ("", "1") else text

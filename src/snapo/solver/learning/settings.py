@@ -25,7 +25,7 @@ more: training begins from several of them and continues with the better half (`
 A rule fitted to the best mean is at the optimum up to the error of its fit, and the smooth problem
 that training climbs has another one: in the examples of a store, a swing contract, a battery, a
 park and loan and a plant, 20 to 120 steps gained nothing, or 0.03 % (battery); the store's 120
-steps lost 128 ± 54 of 78,377. A few small steps show whether more would be worth it (`FITTED`).
+steps lost 128 ± 54 of 78,377. A few small steps show whether more would gain anything (`FITTED`).
 """
 
 import math

@@ -1,6 +1,6 @@
 """The parts of a change of value of any contract of the core; see `gas_storage.explain.chain`.
 
-A contract tells only with which keys a case begins in a state (`EnergyContract.keys_at`).
+A contract has only the keys with which a case begins in a state (`EnergyContract.keys_at`).
 """
 
 import copy
