@@ -82,19 +82,27 @@ def path_totals(
     engine: Engine | None = None,
     source: Scenarios | None = None,
     controls: bool = True,
+    before: Totals | None = None,
 ) -> dict[str, np.ndarray]:
     """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
 
     On the scenarios of `source`, by default those of the evaluation; as many as there are.
-    `controls`: with only the outputs that are control variates.
+    `controls`: with only the outputs that are control variates. `before`: the totals on the first
+    of these paths, which are not rolled again.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
     source = source or problem.sources.evaluation
     paths = source.available(paths)
     totals: dict[str, np.ndarray] = {}
+    first = 0
+    for name, total in (before or {}).items():
+        first = len(total)
+        totals[name] = np.concatenate([total, np.full(paths - first, np.nan)])
     for block in chunks(source, paths, problem.simulator):
-        rollout = bound.values(policy, source.draws(block, problem.simulator), smooth)
-        _keep(rollout, block, paths, totals)
+        block = block[block >= first]
+        if block.size:
+            rollout = bound.values(policy, source.draws(block, problem.simulator), smooth)
+            _keep(rollout, block, paths, totals)
     return totals
 
 

@@ -135,3 +135,14 @@ def test_an_exact_rule_is_not_given_away(problem):
 def test_exact_rules_are_kept_with_ten_seeds(problem):
     start = rule(V / (V + W))
     assert sum(worse_than(problem, solved(problem, start, s).policy, start) for s in range(10)) <= 1
+
+
+@pytest.mark.parametrize("scenarios", [snapo.Pseudo(3), snapo.Sobol(3)])
+def test_totals_on_the_first_paths_are_not_rolled_again(problem, scenarios):
+    policy, name = rule(0.6), "reward"
+    options = {"engine": ENGINE, "source": scenarios}
+    few = path_totals(problem, policy, 128, **options)
+    marked = {name: np.where(np.arange(128) < 2, 7.0, few[name])}
+    whole, later = (path_totals(problem, policy, 512, before=x, **options) for x in (few, marked))
+    np.testing.assert_array_equal(whole[name], path_totals(problem, policy, 512, **options)[name])
+    np.testing.assert_array_equal(later[name], np.r_[7.0, 7.0, whole[name][2:]])

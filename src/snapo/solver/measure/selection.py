@@ -17,6 +17,7 @@ import numpy as np
 
 from snapo.engine import Engine
 from snapo.problem.actions.sets import count
+from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import VALIDATE, Pseudo, Scenarios, Sobol, Sources, stream
@@ -172,10 +173,11 @@ def select(
     paths = source.available(paths)
     long = problem.simulator.horizon > LONG
     search: tuple[float, float] | None = None
+    measured: dict[str, Totals] = {}
     for few in (FEWEST, *STAGES) if long else STAGES:
         if paths < 2 * few:
             break
-        result, level, left = _selected(problem, start, candidates, source, few, engine)
+        result, level, left = _selected(problem, start, candidates, source, few, engine, measured)
         if long:
             search = search or result.search
             result = result._replace(search=search)
@@ -183,7 +185,7 @@ def select(
         plain = result.gain > PLAIN * result.error
         if plain or result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level):
             return result
-    result = _selected(problem, start, candidates, source, paths, engine)[0]
+    result = _selected(problem, start, candidates, source, paths, engine, measured)[0]
     return result if search is None else result._replace(search=search)
 
 
@@ -194,16 +196,24 @@ def _selected(
     source: Scenarios,
     paths: int,
     engine: Engine,
+    measured: dict[str, Totals],
 ) -> tuple[Selection, float, list[str]]:
     """The choice on a number of paths, the value of the initial rule on them, and the candidates
-    that are not plainly below the best one."""
+    that are not plainly below the best one.
+
+    `measured`: {candidate: totals} on fewer of these paths; those on all of them afterwards.
+    """
     controls = problem.simulator.control_variates()
     names = list(candidates)
 
-    def totals(policy: Policy) -> Mapping[str, np.ndarray]:
-        return path_totals(problem, policy, paths, engine=engine, source=source)
+    def totals(name: str, policy: Policy) -> Totals:
+        before = measured.get(name)
+        measured[name] = path_totals(
+            problem, policy, paths, engine=engine, source=source, before=before
+        )
+        return measured[name]
 
-    base = totals(start)
+    base = totals(START, start)
     level = float(value_of(problem.objective, base))
     taken = [of_groups(problem.objective, base, source, base[name]) for name in controls]
     shares = {START: shares_of(problem.objective, base, source)}
@@ -212,7 +222,7 @@ def _selected(
         twin = next((other for other in same if same[other] is policy), name)
         if twin == name:
             same[name] = policy
-            shares[name] = shares_of(problem.objective, totals(policy), source)
+            shares[name] = shares_of(problem.objective, totals(name, policy), source)
         else:
             shares[name] = shares[twin]
 
