@@ -88,7 +88,7 @@ def path_totals(
 
     On the scenarios of `source`, by default those of the evaluation; as many as there are.
     `controls`: with only the outputs that are control variates. `before`: the totals on the first
-    of these paths, which are not rolled again.
+    of these paths, which are not valued again.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
     source = source or problem.sources.evaluation

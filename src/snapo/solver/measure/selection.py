@@ -173,11 +173,11 @@ def select(
     paths = source.available(paths)
     long = problem.simulator.horizon > LONG
     search: tuple[float, float] | None = None
-    measured: dict[str, Totals] = {}
+    available: dict[str, Totals] = {}
     for few in (FEWEST, *STAGES) if long else STAGES:
         if paths < 2 * few:
             break
-        result, level, left = _selected(problem, start, candidates, source, few, engine, measured)
+        result, level, left = _selected(problem, start, candidates, source, few, engine, available)
         if long:
             search = search or result.search
             result = result._replace(search=search)
@@ -185,7 +185,7 @@ def select(
         plain = result.gain > PLAIN * result.error
         if plain or result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level):
             return result
-    result = _selected(problem, start, candidates, source, paths, engine, measured)[0]
+    result = _selected(problem, start, candidates, source, paths, engine, available)[0]
     return result if search is None else result._replace(search=search)
 
 
@@ -196,22 +196,22 @@ def _selected(
     source: Scenarios,
     paths: int,
     engine: Engine,
-    measured: dict[str, Totals],
+    available: dict[str, Totals],
 ) -> tuple[Selection, float, list[str]]:
     """The choice on a number of paths, the value of the initial rule on them, and the candidates
     that are not plainly below the best one.
 
-    `measured`: {candidate: totals} on fewer of these paths; those on all of them afterwards.
+    `available`: {candidate: totals} on fewer of these paths; those on all of them afterwards.
     """
     controls = problem.simulator.control_variates()
     names = list(candidates)
 
     def totals(name: str, policy: Policy) -> Totals:
-        before = measured.get(name)
-        measured[name] = path_totals(
+        before = available.get(name)
+        available[name] = path_totals(
             problem, policy, paths, engine=engine, source=source, before=before
         )
-        return measured[name]
+        return available[name]
 
     base = totals(START, start)
     level = float(value_of(problem.objective, base))
