@@ -5,16 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tests.domains.energy.energy_cases import HOME, case_at, tables_at
+from tests.domains.gas_storage.explain.valued import run_at
 
 from snapo.domains.energy.core.policy import UnitValuePolicy
 from snapo.domains.energy.explain.parts import curves_of, with_curves
 from snapo.domains.energy.setup import make_setup, setup_at
 from snapo.domains.gas_storage.explain.runs import ValuedRun
-from snapo.solver import statistics
-from snapo.solver.evaluate import path_totals, value_of_groups
-from snapo.solver.solution import POLICY
 from snapo.study.study import Setup
 
 
@@ -35,24 +32,7 @@ def valued(
     setup = make_setup(case, "native") if like is None else setup_at(like, case)
     assert isinstance(setup.policy, UnitValuePolicy)
     policy = setup.policy.value_rule if policy is None else policy
-    folder.mkdir()
-    policy.save(folder / POLICY)
-    problem, engine = setup.problem, setup.engines.evaluate
-    totals = path_totals(problem, policy, case.evaluation.paths, engine=engine)
-    values = problem.objective, totals, problem.sources.evaluation
-    shares = value_of_groups(*values, problem.simulator.control_variates())
-    total = statistics.of_shares(shares)
-    run = ValuedRun(
-        folder,
-        template / "case.toml",
-        data,
-        case,
-        "native",
-        total.value,
-        total.standard_error,
-        np.asarray(shares),
-    )
-    run.check()
+    run = run_at(folder, template / "case.toml", data, case, setup, policy)
     return run, setup, policy
 
 

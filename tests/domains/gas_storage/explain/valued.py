@@ -35,6 +35,13 @@ def valued(
     else:
         setup = setup_at(like, case)
     policy = setup.policy if policy is None else policy
+    return run_at(folder, file, data, case, setup, policy), setup
+
+
+def run_at(
+    folder: Path, file: Path, data: dict[str, Any], case: Any, setup: Setup, policy: Policy
+) -> ValuedRun:
+    """The run of a case whose policy is valued on the paths of its evaluation, saved in a folder."""
     folder.mkdir()
     policy.save(folder / POLICY)
     problem, engine = setup.problem, setup.engines.evaluate
@@ -46,4 +53,4 @@ def valued(
         folder, file, data, case, "native", total.value, total.standard_error, np.asarray(shares)
     )
     run.check()
-    return run, setup
+    return run
