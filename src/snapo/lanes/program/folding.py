@@ -51,7 +51,7 @@ def _size(aval) -> int:
 
 
 def evaluated(name, params, inputs, aval):
-    """The output, or None if there is no rule; of an equation with one output, or a list of them."""
+    """The output, or a list of the outputs; None if there is no rule."""
     if name in _DIRECT:
         return _DIRECT[name](*inputs)
     if name in ("empty", "empty2"):  # an array that is never read
