@@ -3,13 +3,12 @@
 from snapo.study.kind import Kind
 
 EXPLAINER = "explain.parts:explained_change"
-SUMMARY = "summary:lines"
 SWING = Kind(
     "swing",
     "a swing contract: volumes at a strike within annual limits",
     __name__,
     {"take-or-pay": "template_swing"},
-    summary=SUMMARY,
+    summary="summary:lines",
     tables="read.case:swing_formats",
     explainer=EXPLAINER,
 )
@@ -18,7 +17,7 @@ BATTERY = Kind(
     "a battery: energy by the hour, with wear and a limit on cycles",
     __name__,
     {"week": "template_battery"},
-    summary=SUMMARY,
+    summary="summary:lines",
     tables="read.case:battery_formats",
     explainer=EXPLAINER,
 )
@@ -27,7 +26,7 @@ PARK_AND_LOAN = Kind(
     "a park and loan at a pipeline or hub: gas delivered and taken back, or taken and returned",
     __name__,
     {"winter": "template_park_and_loan"},
-    summary=SUMMARY,
+    summary="summary:lines",
     tables="read.case:park_and_loan_formats",
     explainer=EXPLAINER,
 )
@@ -36,7 +35,7 @@ PLANT = Kind(
     "a power plant: power from gas by the hour, with hot and cold starts and minimum times",
     __name__,
     {"week": "template_plant"},
-    summary=SUMMARY,
+    summary="summary:lines",
     tables="read.case:plant_formats",
     explainer=EXPLAINER,
 )
