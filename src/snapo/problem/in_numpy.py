@@ -17,7 +17,7 @@ from snapo.lanes import jax_private
 from snapo.lanes.program import folding
 
 P = ParamSpec("P")
-Rule = Callable[..., Any]  # from arrays to one array, or to a list of them
+ArrayRule = Callable[..., Any]  # from arrays to one array, or to a list of them
 
 
 def in_numpy(function: Callable[P, Any]) -> Callable[P, Any]:
@@ -55,28 +55,31 @@ def _traced(function: Callable, leaves: Sequence[np.ndarray], form: Any) -> tupl
     return _program(closed), jax.tree.structure(result)
 
 
-def _program(closed: Any) -> Rule:
+def _program(closed: Any) -> ArrayRule:
     """A function of arrays from its equations, each with its rule."""
     if not isinstance(closed, jex.ClosedJaxpr):
         closed = jex.ClosedJaxpr(closed, ())
-    jaxpr, known = closed.jaxpr, dict(zip(closed.jaxpr.constvars, map(np.asarray, closed.consts)))
+    jaxpr, constants = (
+        closed.jaxpr,
+        dict(zip(closed.jaxpr.constvars, map(np.asarray, closed.consts))),
+    )
 
-    def named(atom: Any) -> Any:
+    def key_of(atom: Any) -> Any:
         if not isinstance(atom, jex.Literal):
             return atom
         name = object()
-        known[name] = np.asarray(atom.val, atom.aval.dtype)  # pyright: ignore
+        constants[name] = np.asarray(atom.val, atom.aval.dtype)  # pyright: ignore
         return name
 
-    steps = [(_rule(eqn), [named(x) for x in eqn.invars], eqn.outvars) for eqn in jaxpr.eqns]
-    results = [named(x) for x in jaxpr.outvars]
+    steps = [(_rule(eqn), [key_of(x) for x in eqn.invars], eqn.outvars) for eqn in jaxpr.eqns]
+    results = [key_of(x) for x in jaxpr.outvars]
     last = {x: i for i, (_, inputs, outputs) in enumerate(steps) for x in (*inputs, *outputs)}
     free: list[list[Any]] = [[] for _ in steps]
-    for name in last.keys() - known.keys() - set(results):
+    for name in last.keys() - constants.keys() - set(results):
         free[last[name]].append(name)
 
     def run(*arguments: np.ndarray) -> list[np.ndarray]:
-        arrays = known | dict(zip(jaxpr.invars, arguments))
+        arrays = constants | dict(zip(jaxpr.invars, arguments))
         for (rule, inputs, outputs), unused in zip(steps, free):
             result = rule(*[arrays[x] for x in inputs])
             arrays.update(zip(outputs, result if isinstance(result, list) else [result]))
@@ -87,7 +90,7 @@ def _program(closed: Any) -> Rule:
     return run
 
 
-def _rule(eqn: Any) -> Rule:
+def _rule(eqn: Any) -> ArrayRule:
     """How an equation is evaluated."""
     name, params = eqn.primitive.name, eqn.params
     if name in _ALIKE:
@@ -99,14 +102,14 @@ def _rule(eqn: Any) -> Rule:
         return _program(inner)
     result = eqn.outvars[0].aval
 
-    def other(*arrays: np.ndarray) -> Any:
+    def evaluate(*arrays: np.ndarray) -> Any:
         value = folding.evaluated(name, params, arrays, result)
         if value is None:
             made = jax_private.apply(eqn, list(arrays), eqn.source_info.traceback)
             return [np.asarray(x) for x in made]
         return value
 
-    return other
+    return evaluate
 
 
 def _select(which: np.ndarray, *options: np.ndarray) -> np.ndarray:
@@ -115,12 +118,12 @@ def _select(which: np.ndarray, *options: np.ndarray) -> np.ndarray:
     return folding.select(which, *options)
 
 
-def _special(name: str) -> Rule:
+def _special(name: str) -> ArrayRule:
     # Late: loading it takes longer than most that is evaluated here.
     return lambda x: getattr(import_module("scipy.special"), name)(x)
 
 
-_ALIKE: dict[str, Rule] = {
+_ALIKE: dict[str, ArrayRule] = {
     "acos": np.arccos, "acosh": np.arccosh, "asin": np.arcsin, "asinh": np.arcsinh,
     "atan": np.arctan, "atan2": np.arctan2, "atanh": np.arctanh, "cbrt": np.cbrt, "ceil": np.ceil,
     "copy": np.asarray, "cos": np.cos, "cosh": np.cosh, "erf": _special("erf"),
@@ -132,16 +135,16 @@ _ALIKE: dict[str, Rule] = {
 }  # fmt: skip
 
 
-def _reduced(of: Callable) -> Callable[[Any], Rule]:
+def _reduced(of: Callable) -> Callable[[Any], ArrayRule]:
     return lambda params: lambda x: of(x, axis=tuple(params["axes"]))
 
 
-def _position(of: Callable) -> Callable[[Any], Rule]:
+def _position(of: Callable) -> Callable[[Any], ArrayRule]:
     return lambda params: lambda x: of(x, axis=params["axes"][0]).astype(params["index_dtype"])
 
 
-def _running(of: np.ufunc) -> Callable[[Any], Rule]:
-    def made(params: Any) -> Rule:
+def _running(of: np.ufunc) -> Callable[[Any], ArrayRule]:
+    def made(params: Any) -> ArrayRule:
         axis = params["axis"]
         if not params["reverse"]:
             return lambda x: of.accumulate(x, axis)
@@ -150,17 +153,19 @@ def _running(of: np.ufunc) -> Callable[[Any], Rule]:
     return made
 
 
-def _dot(params: Any) -> Rule:
+def _dot(params: Any) -> ArrayRule:
     (left, right), (left_batch, right_batch) = params["dimension_numbers"]
 
     def dot(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        own = [i for i in range(x.ndim) if i not in (*left, *left_batch)]
-        other = [i for i in range(y.ndim) if i not in (*right, *right_batch)]
+        free_left = [i for i in range(x.ndim) if i not in (*left, *left_batch)]
+        free_right = [i for i in range(y.ndim) if i not in (*right, *right_batch)]
         batch, inner = [x.shape[i] for i in left_batch], [x.shape[i] for i in left]
-        rows, columns = [x.shape[i] for i in own], [y.shape[i] for i in other]
+        rows, columns = [x.shape[i] for i in free_left], [y.shape[i] for i in free_right]
         length = int(np.prod(inner, dtype=int))
-        x = x.transpose([*left_batch, *own, *left]).reshape([*batch, int(np.prod(rows)), length])
-        y = y.transpose([*right_batch, *right, *other])
+        x = x.transpose([*left_batch, *free_left, *left]).reshape(
+            [*batch, int(np.prod(rows)), length]
+        )
+        y = y.transpose([*right_batch, *right, *free_right])
         y = y.reshape([*batch, length, int(np.prod(columns))])
         return np.matmul(x, y).reshape([*batch, *rows, *columns])
 
@@ -186,8 +191,8 @@ def _positions(
 
     result = [np.zeros([1] * count, np.int64) for _ in shape]
     along = [axis for axis in range(len(shape)) if axis not in (*absent, *batches[0])]
-    for axis, width, place in zip(along, widths, window, strict=True):
-        result[axis] = across(np.arange(width), [place])
+    for axis, width, output in zip(along, widths, window, strict=True):
+        result[axis] = across(np.arange(width), [output])
     for axis, position in zip(*batches, strict=True):
         result[axis] = across(np.arange(outer[position]), [around[position]])
     for number, axis in enumerate(to):
@@ -204,7 +209,7 @@ def _positions(
     return tuple(np.broadcast_to(x, full) for x in clipped), np.broadcast_to(within, full)
 
 
-def _gather(params: Any) -> Rule:
+def _gather(params: Any) -> ArrayRule:
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     to, absent = numbers.start_index_map, numbers.collapsed_slice_dims
     batches = numbers.operand_batching_dims, numbers.start_indices_batching_dims
@@ -231,8 +236,8 @@ def _missing(dtype: np.dtype) -> Any:
     return np.array(True) if dtype.kind == "b" else np.array(np.nan, dtype)
 
 
-def _scatter(adding: bool) -> Callable[[Any], Rule]:
-    def made(params: Any) -> Rule:
+def _scatter(adding: bool) -> Callable[[Any], ArrayRule]:
+    def made(params: Any) -> ArrayRule:
         numbers = params["dimension_numbers"]
         to, absent = numbers.scatter_dims_to_operand_dims, numbers.inserted_window_dims
         batches = numbers.operand_batching_dims, numbers.scatter_indices_batching_dims
@@ -269,7 +274,7 @@ def _update(x: np.ndarray, part: np.ndarray, *positions: np.ndarray) -> np.ndarr
     return result
 
 
-def _pad(params: Any) -> Rule:
+def _pad(params: Any) -> ArrayRule:
     def pad(x: np.ndarray, value: np.ndarray) -> np.ndarray:
         shape, reads, writes = [], [], []
         for size, (low, high, inner) in zip(x.shape, params["padding_config"]):
@@ -284,18 +289,18 @@ def _pad(params: Any) -> Rule:
     return pad
 
 
-def _split(params: Any) -> Rule:
-    ends = np.cumsum(params["sizes"])[:-1]
-    return lambda x: np.split(x, ends, params["axis"])
+def _split(params: Any) -> ArrayRule:
+    cuts = np.cumsum(params["sizes"])[:-1]
+    return lambda x: np.split(x, cuts, params["axis"])
 
 
-def _round(params: Any) -> Rule:
+def _round(params: Any) -> ArrayRule:
     if int(params["rounding_method"]) == 1:  # to the nearest even number
         return np.rint
     return lambda x: np.copysign(np.floor(np.abs(x) + 0.5), x)
 
 
-def _cholesky(params: Any) -> Rule:
+def _cholesky(params: Any) -> ArrayRule:
     def cholesky(x: np.ndarray) -> np.ndarray:
         try:
             return np.linalg.cholesky(x)
@@ -305,7 +310,7 @@ def _cholesky(params: Any) -> Rule:
     return cholesky
 
 
-def _scan(params: Any) -> Rule:
+def _scan(params: Any) -> ArrayRule:
     body = _program(params["jaxpr"])
     fixed, carried = jax_private.arguments_of_scan(params)
     length, inner = params["length"], params["jaxpr"].out_avals[carried:]
@@ -324,7 +329,7 @@ def _scan(params: Any) -> Rule:
     return scan
 
 
-def _while(params: Any) -> Rule:
+def _while(params: Any) -> ArrayRule:
     ask, body = _program(params["cond_jaxpr"]), _program(params["body_jaxpr"])
     first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
 
@@ -337,18 +342,18 @@ def _while(params: Any) -> Rule:
     return loop
 
 
-def _platform(params: Any) -> Rule:
+def _platform(params: Any) -> ArrayRule:
     """Which of the programs for several platforms: that of processors, or of all others."""
     ours = [i for i, names in enumerate(params["platforms"]) if names is None or "cpu" in names]
     return lambda: np.array(ours[0], np.int32)
 
 
-def _cond(params: Any) -> Rule:
+def _cond(params: Any) -> ArrayRule:
     branches = [_program(branch) for branch in params["branches"]]
     return lambda which, *arrays: branches[int(np.clip(which, 0, len(branches) - 1))](*arrays)
 
 
-_RULES: dict[str, Callable[[Any], Rule]] = {
+_RULES: dict[str, Callable[[Any], ArrayRule]] = {
     "argmax": _position(np.argmax),
     "argmin": _position(np.argmin),
     "cholesky": _cholesky,

@@ -23,13 +23,13 @@ from .chapters.products import PRODUCT_DELTAS, VEGA
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.contract import ContractLayout
+from .core.feasibility import check_limits
 from .core.intraday import TRADED
 from .core.simulator import simulator_of
 from .methods.grid import grid_of
 from .methods.hindsight import EnergyRelaxation
 from .read.case import KINDS, EnergyCase
 from .setup import bare_problem, make_setup, setup_at
-from .summary import check_limits
 
 
 def study(case: EnergyCase, options: Options) -> Study:

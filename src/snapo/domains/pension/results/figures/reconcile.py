@@ -112,8 +112,8 @@ def check(
     def split(values):
         return people(plain, values, basis_log_bond(plain, values)).accrued[0]
 
-    own = float(in_numpy(split)(_with_curves(plain, inputs)).sum())
-    lines.append(_line("liability on payment nodes", own, result.liability, EXACT))
+    value = float(in_numpy(split)(_with_curves(plain, inputs)).sum())
+    lines.append(_line("liability on payment nodes", value, result.liability, EXACT))
     if case.liability.basis != "fixed" and _shifts_as_one(case.curve):
         parallel = -BASIS_POINT * result.duration * result.liability
         lines.append(_line("sum of key rates", float(result.key_rate.sum()), parallel, EXACT))
