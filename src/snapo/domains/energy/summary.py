@@ -1,6 +1,6 @@
 """What `snapo check` prints of a contract, in NumPy: nothing is compiled."""
 
-from snapo.problem.in_numpy import in_numpy
+from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.inputs import plain
 
 from .core.feasibility import check_limits

@@ -1,6 +1,6 @@
 """What `snapo check` prints of an item or a network: nothing is compiled."""
 
-from snapo.problem.in_numpy import in_numpy
+from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.inputs import plain
 
 from .item.records import InventoryCase

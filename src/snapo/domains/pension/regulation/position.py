@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.problem.in_numpy import in_numpy
+from snapo.lanes.program.in_numpy import in_numpy
 
 from ..market.assets.asset_class import by_kind, ratios
 from ..market.assets.swaps import swap_gains

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.in_numpy import in_numpy
+from snapo.lanes.program.in_numpy import in_numpy
 
 from ...market.assets.asset_class import log_prices
 from ...market.assets.swaps import swap_values

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from snapo.problem.in_numpy import in_numpy
+from snapo.lanes.program.in_numpy import in_numpy
 
 from ...fund.contributions import CONTRIBUTIONS, log_discount
 from ...records.case import PensionCase

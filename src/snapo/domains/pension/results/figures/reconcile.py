@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.problem.in_numpy import in_numpy
+from snapo.lanes.program.in_numpy import in_numpy
 
 from ...fund.schedule import basis_log_bond
 from ...people.cash_flows import horizon, project, reserved

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.problem.in_numpy import in_numpy
+from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.smooth import Exact
 
 from ...fund.contributions import annuity

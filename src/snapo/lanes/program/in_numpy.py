@@ -13,8 +13,8 @@ import jax
 import jax.extend.core as jex
 import numpy as np
 
-from snapo.lanes import jax_private
-from snapo.lanes.program import folding
+from .. import jax_private
+from . import folding
 
 P = ParamSpec("P")
 ArrayRule = Callable[..., Any]  # from arrays to one array, or to a list of them
@@ -354,33 +354,16 @@ def _cond(params: Any) -> ArrayRule:
 
 
 _RULES: dict[str, Callable[[Any], ArrayRule]] = {
-    "argmax": _position(np.argmax),
-    "argmin": _position(np.argmin),
-    "cholesky": _cholesky,
-    "cond": _cond,
-    "cummax": _running(np.maximum),
-    "cummin": _running(np.minimum),
-    "cumprod": _running(np.multiply),
-    "cumsum": _running(np.add),
-    "dot_general": _dot,
+    "argmax": _position(np.argmax), "argmin": _position(np.argmin), "cholesky": _cholesky,
+    "cond": _cond, "cummax": _running(np.maximum), "cummin": _running(np.minimum),
+    "cumprod": _running(np.multiply), "cumsum": _running(np.add), "dot_general": _dot,
     "dynamic_slice": lambda params: lambda x, *at: x[_starts(x, at, params["slice_sizes"])],
-    "dynamic_update_slice": lambda params: _update,
-    "gather": _gather,
-    "integer_pow": lambda params: lambda x: x ** params["y"],
-    "pad": _pad,
-    "platform_index": _platform,
-    "reduce_and": _reduced(np.all),
-    "reduce_max": _reduced(np.max),
-    "reduce_min": _reduced(np.min),
-    "reduce_or": _reduced(np.any),
-    "reduce_prod": _reduced(np.prod),
-    "reduce_sum": _reduced(np.sum),
-    "rev": lambda params: lambda x: np.flip(x, params["dimensions"]),
-    "round": _round,
-    "scan": _scan,
-    "scatter": _scatter(adding=False),
-    "scatter-add": _scatter(adding=True),
-    "split": _split,
-    "tile": lambda params: lambda x: np.tile(x, params["reps"]),
-    "while": _while,
-}
+    "dynamic_update_slice": lambda params: _update, "gather": _gather,
+    "integer_pow": lambda params: lambda x: x ** params["y"], "pad": _pad,
+    "platform_index": _platform, "reduce_and": _reduced(np.all), "reduce_max": _reduced(np.max),
+    "reduce_min": _reduced(np.min), "reduce_or": _reduced(np.any), "reduce_prod": _reduced(np.prod),
+    "reduce_sum": _reduced(np.sum), "rev": lambda of: lambda x: np.flip(x, of["dimensions"]),
+    "round": _round, "scan": _scan, "scatter": _scatter(adding=False),
+    "scatter-add": _scatter(adding=True), "split": _split,
+    "tile": lambda params: lambda x: np.tile(x, params["reps"]), "while": _while,
+}  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax.scipy.special import erf, gammaln, ndtr
 
-from snapo.problem.in_numpy import in_numpy
+from snapo.lanes.program.in_numpy import in_numpy
 
 RANDOM = np.random.default_rng(0)
 X, Y = RANDOM.normal(size=(4, 3)), RANDOM.normal(size=(4, 3))
