@@ -1,10 +1,11 @@
 """A battery by the hour against the exact numbers of D5 (shared/cases/desk.md)."""
 
 import datetime
+import shutil
 
 import numpy as np
 import pytest
-from tests.domains.energy.energy_cases import battery, best_plan, exact
+from tests.domains.energy.energy_cases import HOME, battery, best_plan, case_at, exact
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.grid import grid_of
@@ -98,6 +99,51 @@ def test_the_day_of_summer_time_has_23_hours():
 def test_mistakes_are_named(changes, where):
     with pytest.raises(CaseError, match=where):
         battery(**changes)
+
+
+HOURS = [f"2026-05-04T{hour:02d}:00" for hour in range(6)]
+
+
+def with_times(folder, times, **changes):
+    """Six hours in Berlin, with these times in the file of the curve; the price of a row is its number."""
+    shutil.copytree(HOME / "template_battery", folder, dirs_exist_ok=True)
+    rows = [f"{time},{number}" for number, time in enumerate(times, start=1)]
+    (folder / "curve.csv").write_text("\n".join(["time,price", *rows]))
+    keys = {"end": datetime.datetime(2026, 5, 4, 6), "time_zone": "Europe/Berlin"} | changes
+    return case_at(folder, {f"contract.{name}": value for name, value in keys.items()})
+
+
+@pytest.mark.parametrize(
+    ("times", "where"),
+    [
+        ([*HOURS[:3], HOURS[2], *HOURS[3:]], r"line 5, column time: .*already, on line 4"),
+        ([time + "Z" for time in HOURS], r"line 2, .*hour of local time"),
+        ([*HOURS[:3], HOURS[3] + ":00+02:00", *HOURS[4:]], r"line 5, .*hour of local time"),
+        ([*HOURS[:2], "2026-05-04T01:15", *HOURS[2:]], r"line 4, .*no such hour from"),
+        ([*HOURS[:3], "2026-05-04T03:00:07", *HOURS[4:]], r"line 5, .*hour of local time"),
+    ],
+)
+def test_every_row_of_a_curve_within_the_hours_is_read(times, where, tmp_path):
+    """A second price of an hour, one of a quarter of it, and a time of another time zone were passed over."""
+    with pytest.raises(CaseError, match=where):
+        with_times(tmp_path, times)
+
+
+def test_an_hour_that_the_clock_skips_has_no_price(tmp_path):
+    first = datetime.date(2026, 3, 29)
+    with pytest.raises(CaseError, match=r"line 4, .*2026-03-29T02:00.*no such hour"):
+        shutil.copytree(HOME / "template_battery", tmp_path, dirs_exist_ok=True)
+        rows = [f"2026-03-29T{hour:02d}:00,{hour + 1}" for hour in range(24)]
+        (tmp_path / "curve.csv").write_text("\n".join(["time,price", *rows]))
+        case_at(tmp_path, {"contract.start": first, "contract.end": datetime.date(2026, 3, 30),
+                           "contract.time_zone": "Europe/Berlin", "market.valuation_date": first})  # fmt: skip
+
+
+def test_other_ways_to_write_an_hour(tmp_path):
+    """Seconds that are zero, a blank for the T, in any order; files of dates write no midnight."""
+    times = ["2026-05-04 01:00:00", "2026-05-04", *HOURS[2:], "2026-05-04T06:15"]
+    curve = with_times(tmp_path, times).market.forward_curve
+    assert curve.values.tolist() == [2.0, 1.0, 3.0, 4.0, 5.0, 6.0]
 
 
 def test_a_day_ends_with_its_last_hour():
