@@ -29,7 +29,7 @@ from .core.intraday import TRADED
 from .core.simulator import simulator_of
 from .methods.grid import grid_of
 from .methods.hindsight import EnergyRelaxation
-from .methods.lattice import lattice
+from .methods.intrinsic import intrinsic_value
 from .read.case import KINDS, EnergyCase
 from .setup import bare_problem, make_setup, setup_at
 
@@ -56,7 +56,7 @@ def lines(case: EnergyCase) -> list[str]:
     problem = checked(case)
     layout, schedule = simulator_of(problem).layout, problem.schedule
     numbers = sum(entry.value.size for entry in problem.inputs_by_name.values())
-    value = lattice(layout, schedule, None).value
+    value = intrinsic_value(layout, schedule)
     return [
         f"{case.title}: {len(case.days)} decisions, {case.days[0]} to {case.days[-1]}",
         f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "
