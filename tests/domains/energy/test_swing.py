@@ -17,6 +17,7 @@ from snapo.domains.energy.setup import bare_problem, make_setup
 from snapo.domains.energy.study import checked
 from snapo.problem.policy import Policy
 from snapo.solver.bound import bound
+from snapo.solver.derivatives.bump import one_percent
 from snapo.solver.evaluate import evaluate, path_totals
 
 FIRM = {"shortfall": "firm"}
@@ -357,3 +358,10 @@ def test_a_year_that_begins_on_29_february_begins_every_year(begins, tmp_path):
     assert ends == [
         *(datetime.date(year, 2, 28) for year in (2029, 2030, 2031, 2032)), case.days[-1]
     ]  # fmt: skip
+
+
+def test_the_derivative_with_respect_to_a_minimum_of_zero_is_tested():
+    """Its bump was zero, and the held derivative had the wrong sign: 5.7 ± 4.7, exact -24.3 for more and 0
+    for less."""
+    values = swing().inputs()["min_daily"]
+    assert not values.value.any() and one_percent(values).all()

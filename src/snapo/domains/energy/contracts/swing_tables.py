@@ -18,7 +18,7 @@ from .swing import SwingContract, layout_of
 GROUP = "contract"
 MONTH_DAY = re.compile(r"\d{2}-\d{2}", re.ASCII)
 A_DAY, A_YEAR = "{volume_unit}/day", "{volume_unit}/year"
-RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, by="date", before=0.0)
+RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, move=0.1, by="date", before=0.0)
 STRIKE = Quantity(PRICE, group="strike", move=0.1, by="date", meaning="paid for a unit")
 FACTOR = Quantity("1", NOT_NEGATIVE, "strike", move=0.01)
 ADDED = Quantity(PRICE, group="strike", move=0.1)
