@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from tests.book.books import HERE, answers_of, write_book
 from tests.book.conftest import ROWS
 from tests.book.fragile import echo
 
-from snapo.book import run
+from snapo.book import commands, run
 from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
@@ -47,6 +48,18 @@ def test_an_exception_is_a_loss_too():
     assert table[b"a"] == b"a!" and table[b"b"] == b"b!"
     assert table[b"fails:"] == Lost("MemoryError: too large")
     assert table[b"other:"] == Lost("no worker has a processor of the required kind")
+
+
+@pytest.mark.parametrize(
+    "text", ["[1]", "{}", '{"sums": 3}', '{"sums": [{"stress": "base"}]}', "3"]
+)
+def test_a_result_of_another_shape_is_refused(text, valued, tmp_path):
+    """The first was a traceback. What was computed stays: `--resume` makes the result again."""
+    for name in ("book.json", "result.json"):
+        shutil.copy(valued.out / name, tmp_path / name)
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(CaseError, match=r"result.json: this file was changed .*--resume"):
+        commands.report(tmp_path)
 
 
 def test_an_unreadable_contract_fails_alone(valued, tmp_path):

@@ -151,7 +151,8 @@ def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
 def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.ndarray | None, idle):
     """Nodes at the start of each step [T + 1] and after each [T], by level; and whether exact."""
     every, horizon = (start, terms.restarts, idle), len(terms.low)
-    start, apart = (x if x is None else x[~np.array(idle, bool)] for x in (start, apart))
+    others = ~np.array(idle, bool)
+    start, apart = start[others], None if apart is None else apart[others]
     layout, terms, found = without(layout, terms, found, idle)
     count = len(layout.levels)
     measures = measures_of(layout, terms, start)

@@ -70,9 +70,9 @@ def with_idle(columns: list, start: np.ndarray, restarts: np.ndarray, idle: tupl
     return result
 
 
-def extremes(layout: ContractLayout, terms: StepTerms, t: int, i: int) -> np.ndarray:
+def extremes(layout: ContractLayout, terms: Any, t: int, i: int) -> np.ndarray:
     """What a step can change a level by, at the ends of each flow."""
-    result = set()
+    result: set[float] = set()
     for move in layout.every_move:
         if all(terms.least[t, flow] <= 0 for flow in move.flows):
             result.add(move.changes[i])
