@@ -10,18 +10,22 @@ import sys
 import time
 from collections import Counter, deque
 
+import jax
 import numpy as np
 import pytest
 from tests.book.books import HERE, answers_of, write_book
 from tests.book.conftest import ROWS
 from tests.book.fragile import echo
+from tests.domains.energy.energy_cases import battery, plant, swing
 
 from snapo.book import commands, run
 from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
 from snapo.book.run import Shard, run_book
+from snapo.book.work import check_held
 from snapo.case.error import CaseError
+from snapo.domains.energy.core.policy import UnitValuePolicy
 from snapo.engine.workers import Lost, answers
 
 
@@ -60,6 +64,26 @@ def test_a_result_of_another_shape_is_refused(text, valued, tmp_path):
     (tmp_path / "result.json").write_text(text)
     with pytest.raises(CaseError, match=r"result.json: this file was changed .*--resume"):
         commands.report(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("of", "changes"),
+    [
+        (battery, {"cycles": {"day": 1.0, "term": 6.0}}),
+        (plant, {"before": {"off": 3}}),  # the same shapes, and modes in another order
+        (swing, {"annual": None}),
+    ],
+)
+def test_a_policy_is_not_held_where_levels_or_modes_differ(of, changes):
+    """A sweep lost the value of the unchanged contract too, with a TypeError; a plant decided by the values
+    of other modes."""
+    same, other = (
+        UnitValuePolicy(case.contract.layout, 99, key=jax.random.key(0))
+        for case in (of(), of(**changes))
+    )
+    check_held(same, UnitValuePolicy(of().contract.layout, 99, key=jax.random.key(1)))
+    with pytest.raises(ValueError, match=r"does not fit this one.*--train"):
+        check_held(same, other)
 
 
 def test_an_unreadable_contract_fails_alone(valued, tmp_path):
