@@ -144,16 +144,16 @@ class BatteryContract(EnergyContract):
         )
         return Terms(start, steps)
 
-    def _cycles(self, inputs: dict[str, Any], most: Array) -> tuple[Array | None, Array | None]:
+    def _cycles(self, inputs: dict[str, Any], highest: Array) -> tuple[Array | None, Array | None]:
         """Limits of a day and of the term. Of two, that which the other one implies is at least
-        `most`, the cycles of all hours: no plan reaches it, and methods need no nodes for it."""
+        `highest`, the cycles of all hours: no plan reaches it, and methods need no nodes for it."""
         day, term = (x and use(inputs, x) for x in (self.cycles_day, self.cycles_term))
         if day is None or term is None:
             return day, term
         days = jnp.sum(self.day_ends)
         return (
-            jnp.where(day > term, jnp.maximum(day, most), day),
-            jnp.where(term >= days * day, jnp.maximum(term, most), term),
+            jnp.where(day > term, jnp.maximum(day, highest), day),
+            jnp.where(term >= days * day, jnp.maximum(term, highest), term),
         )
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:

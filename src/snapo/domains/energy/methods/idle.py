@@ -64,8 +64,8 @@ def with_idle(columns: list, start: np.ndarray, restarts: np.ndarray, idle: tupl
         if not rests:
             result.append(next(others))
             continue
-        again = np.append(0, np.cumsum(restarts[:, i])) > 0
-        nodes = [np.array([0.0 if ended else start[i]]) for ended in again]
+        restarted = np.append(0, np.cumsum(restarts[:, i])) > 0
+        nodes = [np.array([0.0 if ended else start[i]]) for ended in restarted]
         result.append((nodes, nodes[:-1]))
     return result
 
@@ -83,8 +83,8 @@ def extremes(layout: ContractLayout, terms: Any, t: int, i: int) -> np.ndarray:
     return np.array(sorted(result))
 
 
-def _with_numbers(layout: ContractLayout, kept: Any) -> ContractLayout:
+def _with_numbers(layout: ContractLayout, numbers_of: Any) -> ContractLayout:
     return layout._replace(
-        flows=tuple(flow._replace(effects=kept(flow.effects)) for flow in layout.flows),
-        moves=tuple(move._replace(changes=kept(move.changes)) for move in layout.moves),
+        flows=tuple(flow._replace(effects=numbers_of(flow.effects)) for flow in layout.flows),
+        moves=tuple(move._replace(changes=numbers_of(move.changes)) for move in layout.moves),
     )

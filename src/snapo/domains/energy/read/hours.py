@@ -157,22 +157,22 @@ def hourly_curve(
     hour that is a second price of its hour, or of no hour.
     """
     rows = read_rows(FileReference(section, "forward_curve", file), FIELDS)
-    known: dict[str, list[Row]] = {}
+    by_hour: dict[str, list[Row]] = {}
     for row in rows:
-        known.setdefault(_local_hour(row), []).append(row)
+        by_hour.setdefault(_local_hour(row), []).append(row)
     first, last, needed = hours.local[0], hours.local[-1], Counter(hours.local)
     seen: Counter[str] = Counter()
     prices = []
     for label in hours.local:
         place = seen[label]
         seen[label] += 1
-        if place >= len(known.get(label, ())):
+        if place >= len(by_hour.get(label, ())):
             message = (
                 f"there is no price for this hour; one is needed for each from {first} to {last}"
             )
             raise CaseError(file, label, None, message)
-        prices.append(known[label][place])
-    for label, of_hour in known.items():
+        prices.append(by_hour[label][place])
+    for label, of_hour in by_hour.items():
         if first <= label <= last and len(of_hour) > needed[label]:
             row = of_hour[needed[label]]
             if label in needed:
