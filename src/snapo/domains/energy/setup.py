@@ -50,7 +50,9 @@ def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
     fitted = simulator_of(problem).surprises is not None and case.objective.kind == "mean"
     training = TrainingPlan.from_settings(case.training.model_dump(), fitted)
     rule = UnitValuePolicy if case.scheduled is None else IntradayPolicy
-    policy = rule(simulator_of(problem).layout, problem.features, key=jax.random.key(seed))
+    # Training begins with the fitted value: random corrections would be losses where margins are low.
+    layout, key = simulator_of(problem).layout, jax.random.key(seed)
+    policy = rule(layout, problem.features, key=key).value_rule
     return Setup(
         problem, policy, training, evaluation, engines_for(engine, problem, policy), case=case
     )

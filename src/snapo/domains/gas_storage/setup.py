@@ -50,7 +50,8 @@ def make_setup(
     problem = _guided(replace(problem, sources=sources, rebuild=rebuilt), fit)
     fitted = simulator_of(problem).innovations is not None and case.objective.kind == "mean"
     training = TrainingPlan.from_settings(case.training.model_dump(), fitted)
-    policy = StoragePolicy(problem.features, key=jax.random.key(seed))
+    # Training begins with the guide: random corrections would be losses where margins are low.
+    policy = StoragePolicy(problem.features, key=jax.random.key(seed)).value_rule
     engines = engines_for(engine, problem, policy)
     return _hedged(Setup(problem, policy, training, evaluation, engines, case=case))
 
