@@ -19,6 +19,7 @@ from .fitted import backwards
 from .grid import ContractGrid, StepGrid
 
 MOST_ROWS = 401  # of the value of a level
+FURTHER = 1.5  # rows: a volume that leads no further than them is of one row
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
 
@@ -37,7 +38,7 @@ def guide_tables(
     grid: ContractGrid,
 ) -> GuideTables:
     """The tables of the fitted value of a schedule with NumPy leaves, which has a step."""
-    units = _UnitRows(layout, basis, grid)
+    units = _UnitRows(layout, basis, grid, np.asarray(schedule.steps.terms.most))
     surprises = _SurpriseRows(layout, basis, grid) if factors.exact else None
     later = np.zeros(0)
     for t, coefficients in backwards(layout, schedule, factors, grid):
@@ -52,8 +53,8 @@ def guide_tables(
 class _UnitRows:
     """The value of a unit of each volume after each step, and of each move."""
 
-    def __init__(self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid):
-        self.layout, self.basis, self.grid = layout, basis, grid
+    def __init__(self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, most):
+        self.layout, self.basis, self.grid, self.most = layout, basis, grid, most
         self.available, self.counts = regression_of(basis), _row_counts(layout, grid)
         horizon = len(grid.steps)
         self.low, self.spacing = np.zeros((2, horizon, len(layout.levels)))
@@ -88,7 +89,26 @@ class _UnitRows:
         reading = Reading(*(x[: len(self.low)] for x in self.basis.linear()))  # pyright: ignore
         moves = self.moves if self.layout.moves else None
         rows = LevelRows(self.low, self.spacing)  # pyright: ignore
-        return UnitValueTable(UnitValues(rows, self.slopes, moves, reading))  # pyright: ignore
+        table = UnitValues(rows, self.slopes, moves, reading, self._units())  # pyright: ignore
+        return UnitValueTable(table)
+
+    def _units(self) -> np.ndarray | None:
+        """[T, pairs, searches] the volume of a row along each flow. None where no volume leads
+        further, or where the rows of levels that a flow joins are of different volumes."""
+        result, most = np.ones((len(self.low), len(self.layout.pairs))), 0.0
+        for k, (_, f) in enumerate(self.layout.pairs):
+            effects = np.abs(self.layout.flows[f].effects)
+            touched = np.flatnonzero(effects)
+            rows = self.spacing[:, touched] / effects[touched]
+            smallest = np.where(rows > 0, rows, np.inf).min(axis=1, initial=np.inf)
+            if np.any(rows > (1 + 1e-6) * smallest[:, None]):
+                return None
+            most = max(most, float(np.max(self.most[:, f] / smallest, initial=0.0)))
+            result[:, k] = np.where(np.isfinite(smallest), smallest, 1.0)
+        if most <= FURTHER:
+            return None
+        searches = (math.ceil(most) + 1).bit_length()  # a volume begins and ends within rows
+        return np.repeat(result[:, :, None], searches, axis=2)
 
     def _after(self, t: int, later: np.ndarray) -> np.ndarray:
         """[modes, nodes after, n] coefficients after a step, as expected before the next one.
