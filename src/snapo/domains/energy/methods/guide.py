@@ -36,9 +36,17 @@ def guide_tables(
     factors: GaussianFactors,
     basis: AnyBasis,
     grid: ContractGrid,
+    searched: bool | None = None,
 ) -> GuideTables:
-    """The tables of the fitted value of a schedule with NumPy leaves, which has a step."""
-    units = _UnitRows(layout, basis, grid, np.asarray(schedule.steps.terms.most))
+    """The tables of the fitted value of a schedule with NumPy leaves, which has a step.
+
+    `searched`: whether a policy searches for the last row that gains, by default where best volumes
+    end on rows. Where they end between nodes, a line through the gains of a few rows is better.
+    """
+    most = np.asarray(schedule.steps.terms.most)
+    units = _UnitRows(
+        layout, basis, grid, most if searched or (searched is None and grid.exact) else None
+    )
     surprises = _SurpriseRows(layout, basis, grid) if factors.exact else None
     later = np.zeros(0)
     for t, coefficients in backwards(layout, schedule, factors, grid):
@@ -95,6 +103,8 @@ class _UnitRows:
     def _units(self) -> np.ndarray | None:
         """[T, pairs, searches] the volume of a row along each flow. None where no volume leads
         further, or where the rows of levels that a flow joins are of different volumes."""
+        if self.most is None:
+            return None
         result, most = np.ones((len(self.low), len(self.layout.pairs))), 0.0
         for k, (_, f) in enumerate(self.layout.pairs):
             effects = np.abs(self.layout.flows[f].effects)
