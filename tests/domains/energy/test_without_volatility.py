@@ -112,8 +112,8 @@ def test_the_last_row_that_gains_is_found(taken, down):
         start = jnp.array([free if down else begin])
         flow = FlowRows(table_of(gains, down), 0, (-1.0 if down else 1.0,), start, False)
         result = flow.gains(jnp.zeros(()), jnp.asarray(free), jnp.ones(1), jnp.zeros(()))
-        places = np.array([0.0, *result.places, 1.0])
+        positions = np.array([0.0, *result.positions, 1.0])
         positive = [min(unit) > 0 for unit in result.units]
-        assert free * np.diff(places) @ positive == pytest.approx(
+        assert free * np.diff(positions) @ positive == pytest.approx(
             max(0.1 * taken - begin, 0.0), abs=1e-6
         )

@@ -1,7 +1,7 @@
 """The gains of the units of a feasible volume, from the rows of a table of unit values.
 
 The value of one more unit of a volume is constant between the rows of the table and changes at
-them. A line through a few units would place the last one that gains between rows, where no best
+them. A line through a few units would put the last one that gains between rows, where no best
 volume ends; without volatility, 0.1 to 0.7 % of the value would be lost. Where volumes lead
 further than a row, the last row that gains is therefore searched for.
 """
@@ -13,23 +13,23 @@ from typing import NamedTuple, Self
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .tables import NEAR, UnitValues, along, nearest_row, place_of
+from .tables import NEAR, UnitValues, along, nearest_row, row_number
 
 SEGMENTS = 4  # of a volume; the gain of a unit is linear within each
 
 
 class VolumeGains(NamedTuple):
     """Of a free volume: the gains `units` [SEGMENTS] of the units at both ends of each segment, and
-    the `places` [SEGMENTS - 1] between segments, as shares of the volume."""
+    the `positions` [SEGMENTS - 1] between segments, as shares of the volume."""
 
     units: list[tuple[Array, Array]]
-    places: list[Array]
+    positions: list[Array]
 
     @classmethod
     def even(cls, units: list[Array]) -> Self:
         """Segments of the same length between these units."""
-        places = [jnp.full((), j / SEGMENTS, units[0].dtype) for j in range(1, SEGMENTS)]
-        return cls(list(itertools.pairwise(units)), places)
+        positions = [jnp.full((), j / SEGMENTS, units[0].dtype) for j in range(1, SEGMENTS)]
+        return cls(list(itertools.pairwise(units)), positions)
 
 
 class FlowRows(NamedTuple):
@@ -47,11 +47,11 @@ class FlowRows(NamedTuple):
 
     def gains(self, forced: Array, free: Array, read: Array, unit: Array) -> VolumeGains:
         """Those of the units of a `free` volume beyond a `forced` one. `read`: the functions of
-        the prices; `unit`: what a unit earns today."""
+        the prices; `unit`: earnings of a unit today."""
         if self.table.units is not None and self.table.slopes.shape[1:-1]:
             return self._searched(self.table.units[self.pair], forced, free, read, unit)
-        places = [forced + free * j / SEGMENTS for j in range(SEGMENTS + 1)]
-        rows = [self._slope(x, x is places[-1]) for x in places]
+        positions = [forced + free * j / SEGMENTS for j in range(SEGMENTS + 1)]
+        rows = [self._slope(x, x is positions[-1]) for x in positions]
         return VolumeGains.even([unit + jnp.sum(row * read) for row in rows])
 
     def _searched(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
@@ -66,18 +66,18 @@ class FlowRows(NamedTuple):
             up = self.effects[i] > 0
             room = jnp.minimum(room, dims[i] - 1 - begin[i] if up else begin[i])
             stride += (1 if up else -1) * math.prod(dims[i + 1 :])
-        lead = touched[0]
-        behind = (position[lead] - begin[lead]) * (1.0 if self.effects[lead] > 0 else -1.0)
+        level = touched[0]
+        behind = (position[level] - begin[level]) * (1.0 if self.effects[level] > 0 else -1.0)
         length = free / units[-1]
         count = jnp.maximum(jnp.minimum(jnp.ceil(behind + length - NEAR), room + 1), 1.0)
         share = None
         if self.banked:
             left = jnp.clip(jnp.floor(position[-1]), 0.0, max(dims[-1] - 2, 0))
             share, begin = jnp.clip(position[-1] - left, 0.0, 1.0), begin.at[-1].set(left)
-        place = place_of(self.pair, begin, dims)
+        first_row = row_number(self.pair, begin, dims)
 
         def gain(row: Array) -> Array:
-            at = place + (row * stride).astype(jnp.int32)
+            at = first_row + (row * stride).astype(jnp.int32)
             value = jnp.sum(flat[at] * read)
             if share is not None:
                 value = value + share * (jnp.sum(flat[at + 1] * read) - value)
@@ -91,9 +91,11 @@ class FlowRows(NamedTuple):
             more = gained > 0
             gaining = jnp.where(more, row + 1, gaining)
             above, below = jnp.where(more, gained, above), jnp.where(more, below, gained)
-        whole = jnp.where(length > 0, length, 1.0)
-        places = [jnp.clip((gaining + k - behind) / whole, 0.0, 1.0) for k in (-1, 0, 1)]
-        return VolumeGains([(first, above), (above, above), (below, below), (below, last)], places)
+        divisor = jnp.where(length > 0, length, 1.0)
+        positions = [jnp.clip((gaining + k - behind) / divisor, 0.0, 1.0) for k in (-1, 0, 1)]
+        return VolumeGains(
+            [(first, above), (above, above), (below, below), (below, last)], positions
+        )
 
     @property
     def _table(self) -> tuple[tuple[int, ...], Array]:

@@ -14,21 +14,21 @@ from .feasibility import volumes_by_move
 from .gains import SEGMENTS, FlowRows, VolumeGains, position_of
 from .tables import nearest_row
 
-OF_PAIR = 3 * SEGMENTS  # numbers: gains at both ends, places between segments, the free volume
+OF_PAIR = 3 * SEGMENTS  # numbers: gains at both ends, positions between segments, the free volume
 
 
 class Head(NamedTuple):
     """Numbers of the decision rule, at the start of the observation; prices over their scale.
 
     - `units` [pairs, SEGMENTS, 2]: gains of units of each feasible volume, see `VolumeGains`.
-    - `places` [pairs, SEGMENTS - 1]: between segments, as shares of the free volume.
+    - `positions` [pairs, SEGMENTS - 1]: between segments, as shares of the free volume.
     - `room` [pairs]: the free volume, over the largest volume of a step.
     - `base` [choices]: gain of each move without its free volume, over price and volume scale;
       those that are not open are far below. Empty where there is no choice.
     """
 
     units: Array
-    places: Array
+    positions: Array
     room: Array
     base: Array
 
@@ -37,9 +37,12 @@ class Head(NamedTuple):
         """From the start of an observation."""
         pairs, size = len(layout.pairs), head_size(layout)
         sizes = np.cumsum([pairs * 2 * SEGMENTS, pairs * (SEGMENTS - 1), pairs])
-        units, places, room = jnp.split(observation[: sizes[-1]], sizes[:-1])
-        units, places = units.reshape((pairs, SEGMENTS, 2)), places.reshape((pairs, SEGMENTS - 1))
-        return cls(units, places, room, observation[sizes[-1] : size])
+        units, positions, room = jnp.split(observation[: sizes[-1]], sizes[:-1])
+        units, positions = (
+            units.reshape((pairs, SEGMENTS, 2)),
+            positions.reshape((pairs, SEGMENTS - 1)),
+        )
+        return cls(units, positions, room, observation[sizes[-1] : size])
 
 
 def head_size(layout: ContractLayout) -> int:
@@ -65,7 +68,7 @@ def head(
     read = jnp.zeros(())
     if unit_values is not None:
         read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
-    units, places, rooms, base = [], [], [], []
+    units, positions, rooms, base = [], [], [], []
     pairs, choices, first = (
         layout.pairs,
         layout.choices,
@@ -86,7 +89,7 @@ def head(
                     volume = of_flow.gains(room.forced[k], free_volume, read, unit)
                 if (i, flow) in pairs:
                     units.append(jnp.stack([jnp.stack(x) for x in volume.units]) / price)
-                    places.append(jnp.stack(volume.places))
+                    positions.append(jnp.stack(volume.positions))
                     rooms.append(free_volume / size)
                 forced_gain = forced_gain + room.forced[k] / size * volume.units[0][0] / price
         if i in choices:
@@ -98,7 +101,7 @@ def head(
                 forced_gain = forced_gain + jnp.sum(row * read) / price / size
             base.append(jnp.where(free[i] > 0, forced_gain, CLOSED))
     base = jnp.stack(base) if base else jnp.zeros(0)
-    return Head(jnp.stack(units), jnp.stack(places), jnp.stack(rooms), base)
+    return Head(jnp.stack(units), jnp.stack(positions), jnp.stack(rooms), base)
 
 
 def observation(

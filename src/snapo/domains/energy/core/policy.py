@@ -50,7 +50,7 @@ class UnitValuePolicy(Policy):
         layout, gains = self.layout, Head.of(observation, self.layout)
         units, base = self.corrected(gains, observation[self.head :])
         parts = [[smooth.share(x[k, 0], x[k, 1]) for k in range(SEGMENTS)] for x in units]
-        widths = [jnp.diff(x, prepend=0.0, append=1.0) for x in gains.places]
+        widths = [jnp.diff(x, prepend=0.0, append=1.0) for x in gains.positions]
         shares = [
             sum((width[k] * share for k, share in enumerate(part)), jnp.zeros(()))
             for width, part in zip(widths, parts)
@@ -74,8 +74,8 @@ class UnitValuePolicy(Policy):
         for i, (_, flow) in enumerate(layout.pairs):
             more = sum((effects[flow, j] * levels[j] for j in range(count)), jnp.zeros(()))
             bend = sum((effects[flow, j] * bends[j] for j in range(count)), jnp.zeros(()))
-            places = jnp.concatenate([jnp.zeros(1), gains.places[i], jnp.ones(1)])
-            bent = bend * gains.room[i] * places
+            positions = jnp.concatenate([jnp.zeros(1), gains.positions[i], jnp.ones(1)])
+            bent = bend * gains.room[i] * positions
             units.append(gains.units[i] + more + jnp.stack([bent[:-1], bent[1:]], axis=1))
         base = gains.base
         if layout.choices:

@@ -65,10 +65,10 @@ def nearest_row(table: Array, k: int, position: Array, dims: tuple[int, ...]) ->
 
     All tables are read from one array: a part of it would be copied for every step.
     """
-    return table[place_of(k, position, dims)]
+    return table[row_number(k, position, dims)]
 
 
-def place_of(k: int, position: Array, dims: tuple[int, ...]) -> Array:
+def row_number(k: int, position: Array, dims: tuple[int, ...]) -> Array:
     """The number of the nearest row to a position of whole numbers [levels] in table k."""
     place = jnp.full((), k, jnp.int32)
     for i, count in enumerate(dims):

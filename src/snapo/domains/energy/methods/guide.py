@@ -43,9 +43,9 @@ def guide_tables(
     `searched`: whether a policy searches for the last row that gains, by default where best volumes
     end on rows. Where they end between nodes, a line through the gains of a few rows is better.
     """
-    most = np.asarray(schedule.steps.terms.most)
+    largest = np.asarray(schedule.steps.terms.most)
     units = _UnitRows(
-        layout, basis, grid, most if searched or (searched is None and grid.exact) else None
+        layout, basis, grid, largest if searched or (searched is None and grid.exact) else None
     )
     surprises = _SurpriseRows(layout, basis, grid) if factors.exact else None
     later = np.zeros(0)
@@ -61,8 +61,8 @@ def guide_tables(
 class _UnitRows:
     """The value of a unit of each volume after each step, and of each move."""
 
-    def __init__(self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, most):
-        self.layout, self.basis, self.grid, self.most = layout, basis, grid, most
+    def __init__(self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, largest):
+        self.layout, self.basis, self.grid, self.largest = layout, basis, grid, largest
         self.available, self.counts = regression_of(basis), _row_counts(layout, grid)
         horizon = len(grid.steps)
         self.low, self.spacing = np.zeros((2, horizon, len(layout.levels)))
@@ -103,9 +103,9 @@ class _UnitRows:
     def _units(self) -> np.ndarray | None:
         """[T, pairs, searches] the volume of a row along each flow. None where no volume leads
         further, or where the rows of levels that a flow joins are of different volumes."""
-        if self.most is None:
+        if self.largest is None:
             return None
-        result, most = np.ones((len(self.low), len(self.layout.pairs))), 0.0
+        result, longest = np.ones((len(self.low), len(self.layout.pairs))), 0.0
         for k, (_, f) in enumerate(self.layout.pairs):
             effects = np.abs(self.layout.flows[f].effects)
             touched = np.flatnonzero(effects)
@@ -113,11 +113,11 @@ class _UnitRows:
             smallest = np.where(rows > 0, rows, np.inf).min(axis=1, initial=np.inf)
             if np.any(rows > (1 + 1e-6) * smallest[:, None]):
                 return None
-            most = max(most, float(np.max(self.most[:, f] / smallest, initial=0.0)))
+            longest = max(longest, float(np.max(self.largest[:, f] / smallest, initial=0.0)))
             result[:, k] = np.where(np.isfinite(smallest), smallest, 1.0)
-        if most <= FURTHER:
+        if longest <= FURTHER:
             return None
-        searches = (math.ceil(most) + 1).bit_length()  # a volume begins and ends within rows
+        searches = (math.ceil(longest) + 1).bit_length()  # a volume begins and ends within rows
         return np.repeat(result[:, :, None], searches, axis=2)
 
     def _after(self, t: int, later: np.ndarray) -> np.ndarray:
