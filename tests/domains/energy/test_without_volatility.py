@@ -37,7 +37,7 @@ def still(folder, begin: str, hours: int, zone: str, price, changes):
     first = start.replace(tzinfo=where).astimezone(dt.UTC)
     local = [(first + dt.timedelta(hours=k)).astimezone(where) for k in range(hours + 1)]
     prices = np.array([price(k, x.hour) for k, x in enumerate(local[:-1])])
-    rows = [f"{x.isoformat(timespec='minutes')},{float(p)!r}" for x, p in zip(local, prices)]
+    rows = [f"{x:%Y-%m-%dT%H:%M},{float(p)!r}" for x, p in zip(local, prices)]
     (folder / "curve.csv").write_text("\n".join(["time,price", *rows]) + "\n")
     keys = {"contract.time_zone": zone, "contract.start": start, "model.volatility": STILL}
     keys |= {"contract.end": local[-1].replace(tzinfo=None), "market.valuation_date": start.date()}

@@ -56,18 +56,21 @@ class FlowRows(NamedTuple):
 
     def _searched(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
         """With these segments: the rows before the last one that gains; that row; the next one; the
-        rows behind it. They change together on all levels that the flow moves."""
+        rows behind it. They change together on all levels
+        that the flow moves and that have several rows."""
         dims, flat = self._table
         position = position_of(self.table, self._levels(forced))
         begin = along(position, self.effects, first=True)
         touched = [i for i, effect in enumerate(self.effects) if effect]
-        room, stride = jnp.full((), jnp.inf), 0
-        for i in touched:
-            up = self.effects[i] > 0
-            room = jnp.minimum(room, dims[i] - 1 - begin[i] if up else begin[i])
-            stride += (1 if up else -1) * math.prod(dims[i + 1 :])
-        level = touched[0]
-        behind = (position[level] - begin[level]) * (1.0 if self.effects[level] > 0 else -1.0)
+        room, stride, behind = jnp.full((), jnp.inf), jnp.zeros(()), jnp.zeros(())
+        for i in reversed(touched):
+            up, moved = self.effects[i] > 0, self.table.rows.spacing[i] > 0
+            left_over = dims[i] - 1 - begin[i] if up else begin[i]
+            room = jnp.where(moved, jnp.minimum(room, left_over), room)
+            step = math.prod(dims[i + 1 :]) * (1.0 if up else -1.0)
+            stride = stride + jnp.where(moved, step, 0.0)
+            off = position[i] - begin[i]
+            behind = jnp.where(moved, off if up else -off, behind)
         length = free / units[-1]
         count = jnp.maximum(jnp.minimum(jnp.ceil(behind + length - NEAR), room + 1), 1.0)
         share = None
