@@ -26,6 +26,7 @@ from .core.intraday import (
 )
 from .core.policy import UnitValuePolicy
 from .core.simulator import simulator_of
+from .core.tables import UnitValueTable
 from .methods.fitted import FittedContract, fit
 from .methods.grid import ContractGrid, grid_of
 from .methods.guide import guide_tables
@@ -70,14 +71,14 @@ def setup_at(setup: Setup, case: EnergyCase) -> Setup:
 def rebuilt(problem: Problem) -> Problem:
     """The problem with the fitted value and the scales of features of its inputs.
 
-    Its nodes are as far apart as before: values of different inputs are then equally good.
+    Its nodes are as far apart as before, and read in the same way: values of different inputs are
+    then equally good.
     """
     table = simulator_of(problem).unit_values
-    apart = None if table is None else np.max(table.steps.rows.spacing, axis=0)
     problem = _bare(problem)
     values = {name: item.value for name, item in problem.inputs_by_name.items()}
     problem = replace(problem, simulator=simulator_of(problem).scaled(values))
-    return fitted_problem(problem, apart)
+    return fitted_problem(problem, table)
 
 
 def _bare(problem: Problem) -> Problem:
@@ -87,11 +88,13 @@ def _bare(problem: Problem) -> Problem:
     return replace(problem, simulator=simulator)
 
 
-def fitted_problem(problem: Problem, apart: np.ndarray | None = None) -> Problem:
+def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Problem:
     """The problem with the unit values that its policy starts from, and with a control variate
-    where its prices have no other risks than its factors'. `apart`: of nodes, see `grid_of`."""
+    where its prices have no other risks than its factors'. `before`: of other inputs."""
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
-    apart = np.zeros(len(layout.levels)) if apart is None else apart
+    apart, searched = np.zeros(len(layout.levels)), None
+    if before is not None:
+        apart, searched = before.steps.rows.spacing.max(axis=0), before.steps.units is not None
     values = _value_functions(problem, apart)
     if values is None:
         return problem
@@ -99,9 +102,9 @@ def fitted_problem(problem: Problem, apart: np.ndarray | None = None) -> Problem
         other = without_trades(problem, scheduled=True)
         scheduled = _value_functions(other, apart)
         assert scheduled is not None  # its prices have the same factors
-        table = guide_tables(layout, other.schedule, *scheduled).unit_values
+        table = guide_tables(layout, other.schedule, *scheduled, searched).unit_values
         simulator = replace(simulator, scheduled_values=table)
-    tables = guide_tables(layout, problem.schedule, *values)
+    tables = guide_tables(layout, problem.schedule, *values, searched)
     simulator = replace(simulator, **tables._asdict())
     return replace(problem, simulator=simulator)
 

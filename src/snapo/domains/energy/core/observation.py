@@ -4,27 +4,31 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.smooth import EXACT
 
 from .contract import ContractLayout, StepPrices
 from .feasibility import volumes_by_move
-from .tables import UnitValues, along, nearest_row
+from .gains import SEGMENTS, FlowRows, VolumeGains, position_of
+from .tables import nearest_row
 
-POINTS = 5  # units of a volume whose gain is looked at, from the first to the last feasible one
+OF_PAIR = 3 * SEGMENTS  # numbers: gains at both ends, positions between segments, the free volume
 
 
 class Head(NamedTuple):
     """Numbers of the decision rule, at the start of the observation; prices over their scale.
 
-    - `units` [pairs, POINTS]: gains of units of each feasible volume, evenly spaced in it.
+    - `units` [pairs, SEGMENTS, 2]: gains of units of each feasible volume, see `VolumeGains`.
+    - `positions` [pairs, SEGMENTS - 1]: between segments, as shares of the free volume.
     - `room` [pairs]: the free volume, over the largest volume of a step.
     - `base` [choices]: gain of each move without its free volume, over price and volume scale;
       those that are not open are far below. Empty where there is no choice.
     """
 
     units: Array
+    positions: Array
     room: Array
     base: Array
 
@@ -32,14 +36,18 @@ class Head(NamedTuple):
     def of(cls, observation: Array, layout: ContractLayout) -> "Head":
         """From the start of an observation."""
         pairs, size = len(layout.pairs), head_size(layout)
-        units = observation[: pairs * POINTS].reshape((pairs, POINTS))
-        end = pairs * (POINTS + 1)
-        return cls(units, observation[pairs * POINTS : end], observation[end:size])
+        sizes = np.cumsum([pairs * 2 * SEGMENTS, pairs * (SEGMENTS - 1), pairs])
+        units, positions, room = jnp.split(observation[: sizes[-1]], sizes[:-1])
+        units, positions = (
+            units.reshape((pairs, SEGMENTS, 2)),
+            positions.reshape((pairs, SEGMENTS - 1)),
+        )
+        return cls(units, positions, room, observation[sizes[-1] : size])
 
 
 def head_size(layout: ContractLayout) -> int:
     """How many numbers a head has."""
-    return (POINTS + 1) * len(layout.pairs) + len(layout.choices)
+    return OF_PAIR * len(layout.pairs) + len(layout.choices)
 
 
 CLOSED = -1e4
@@ -60,7 +68,7 @@ def head(
     read = jnp.zeros(())
     if unit_values is not None:
         read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
-    units, rooms, base = [], [], []
+    units, positions, rooms, base = [], [], [], []
     pairs, choices, first = (
         layout.pairs,
         layout.choices,
@@ -72,59 +80,28 @@ def head(
         forced_gain = prices.move(now.terms, i) / price / size
         if room is not None:
             for k, flow in enumerate(move.flows):
-                effects = jnp.asarray(layout.flows[flow].effects)
-                unit = prices.unit(now.terms, flow)
-                gains, free_volume = [unit] * POINTS, room.most[k] - room.forced[k]
-                if unit_values is not None and any(layout.flows[flow].effects):
+                unit, free_volume = prices.unit(now.terms, flow), room.most[k] - room.forced[k]
+                effects = layout.flows[flow].effects
+                volume = VolumeGains.even([unit] * (SEGMENTS + 1))
+                if unit_values is not None and any(effects):
                     pair = pairs.index((i, flow))
-                    for j in range(POINTS):
-                        volume = room.forced[k] + free_volume * j / (POINTS - 1)
-                        last, place = j == POINTS - 1, start + volume * effects
-                        effects_of = layout.flows[flow].effects
-                        row = _slope(unit_values, pair, effects_of, place, last, layout.banked)
-                        gains[j] = unit + jnp.sum(row * read)
+                    of_flow = FlowRows(unit_values, pair, effects, start, layout.banked)
+                    volume = of_flow.gains(room.forced[k], free_volume, read, unit)
                 if (i, flow) in pairs:
-                    units.append(jnp.stack(gains) / price)
+                    units.append(jnp.stack([jnp.stack(x) for x in volume.units]) / price)
+                    positions.append(jnp.stack(volume.positions))
                     rooms.append(free_volume / size)
-                forced_gain = forced_gain + room.forced[k] / size * gains[0] / price
+                forced_gain = forced_gain + room.forced[k] / size * volume.units[0][0] / price
         if i in choices:
             others = move.before in first[: i + 1]  # of the first of a mode, these are zero
             if unit_values is not None and unit_values.moves is not None and others:
-                table, position = unit_values.moves, _position(unit_values, state.levels)
+                table, position = unit_values.moves, position_of(unit_values, state.levels)
                 flat = table.reshape((-1, table.shape[-1]))
                 row = nearest_row(flat, i, jnp.round(position), table.shape[1:-1])
                 forced_gain = forced_gain + jnp.sum(row * read) / price / size
             base.append(jnp.where(free[i] > 0, forced_gain, CLOSED))
-    return Head(jnp.stack(units), jnp.stack(rooms), jnp.stack(base) if base else jnp.zeros(0))
-
-
-def _position(unit_values: UnitValues, levels: Array) -> Array:
-    rows = unit_values.rows
-    return (levels - rows.low) / jnp.where(rows.spacing > 0, rows.spacing, 1.0)
-
-
-def _slope(
-    unit_values: UnitValues,
-    pair: int,
-    effects: tuple[float, ...],
-    levels: Array,
-    last: bool,
-    banked: bool,
-) -> Array:
-    """The row of the unit that starts at a level, or of the last one up to it; between the rows of
-    a bank's balance, which is the last level."""
-    table = unit_values.slopes
-    dims, flat = table.shape[1:-1], table.reshape((-1, table.shape[-1]))
-    if not dims:
-        return flat[pair]
-    position = _position(unit_values, levels)
-    row = along(position, effects, not last)
-    if not banked:
-        return nearest_row(flat, pair, row, dims)
-    left = jnp.clip(jnp.floor(position[-1]), 0.0, max(dims[-1] - 2, 0))
-    share = jnp.clip(position[-1] - left, 0.0, 1.0)
-    sides = [nearest_row(flat, pair, row.at[-1].set(left + k), dims) for k in (0, 1)]
-    return sides[0] + share * (sides[1] - sides[0])
+    base = jnp.stack(base) if base else jnp.zeros(0)
+    return Head(jnp.stack(units), jnp.stack(positions), jnp.stack(rooms), base)
 
 
 def observation(
@@ -145,8 +122,8 @@ def observation(
     features = [
         jnp.stack([jnp.sin(year), jnp.cos(year), jnp.tanh(left), jnp.tanh(20 * left)]),
         2 * filling - 1,
-        jnp.tanh(5 * gains.units[:, 0]),
-        jnp.tanh(5 * gains.units[:, -1]),
+        jnp.tanh(5 * gains.units[:, 0, 0]),
+        jnp.tanh(5 * gains.units[:, -1, -1]),
         process.observe(constants.price, now.price, state.price),
         now.ahead,
     ]

@@ -15,7 +15,8 @@ from snapo.problem.policy import Network, Policy, as_observation
 from snapo.problem.smooth import EXACT
 
 from .contract import ContractLayout
-from .observation import POINTS, Head, head_size
+from .gains import SEGMENTS
+from .observation import Head, head_size
 
 CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
@@ -48,14 +49,16 @@ class UnitValuePolicy(Policy):
         observation = as_observation(observation)
         layout, gains = self.layout, Head.of(observation, self.layout)
         units, base = self.corrected(gains, observation[self.head :])
-        parts = [[smooth.share(unit[k], unit[k + 1]) for k in range(POINTS - 1)] for unit in units]
-        shares = [sum(part) / (POINTS - 1) for part in parts]
+        parts = [[smooth.share(x[k, 0], x[k, 1]) for k in range(SEGMENTS)] for x in units]
+        widths = [jnp.diff(x, prepend=0.0, append=1.0) for x in gains.positions]
+        shares = [
+            sum((width[k] * share for k, share in enumerate(part)), jnp.zeros(()))
+            for width, part in zip(widths, parts)
+        ]
         if not layout.choices:
             return jnp.stack(shares)
         scores = [base[k] for k in range(len(layout.choices))]
-        gained = [
-            _gained(*x, gains.room[i] / (POINTS - 1)) for i, x in enumerate(zip(units, parts))
-        ]
+        gained = [_gained(*x, gains.room[i] * widths[i]) for i, x in enumerate(zip(units, parts))]
         for k, m in enumerate(layout.choices):
             for i in layout.places[m]:
                 scores[k] = scores[k] + gained[i]
@@ -67,11 +70,13 @@ class UnitValuePolicy(Policy):
         levels, count = numbers[: len(layout.levels)], len(layout.levels)
         bends, modes = numbers[count : 2 * count], numbers[2 * count :]
         effects, changes = layout.effects, layout.changes
-        units, along = [], jnp.linspace(0.0, 1.0, POINTS)
+        units = []
         for i, (_, flow) in enumerate(layout.pairs):
             more = sum((effects[flow, j] * levels[j] for j in range(count)), jnp.zeros(()))
             bend = sum((effects[flow, j] * bends[j] for j in range(count)), jnp.zeros(()))
-            units.append(gains.units[i] + more + bend * gains.room[i] * along)
+            positions = jnp.concatenate([jnp.zeros(1), gains.positions[i], jnp.ones(1)])
+            bent = bend * gains.room[i] * positions
+            units.append(gains.units[i] + more + jnp.stack([bent[:-1], bent[1:]], axis=1))
         base = gains.base
         if layout.choices:
             mode_values = jnp.concatenate([jnp.zeros(1), modes[: len(layout.modes) - 1]])
@@ -137,10 +142,10 @@ def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolic
     return eqx.tree_at(parts, made, (first, *last))
 
 
-def _gained(unit: Array, shares: list[Array], width: Array) -> Array:
-    """The gain of the free volume, of which each of the segments of a width takes its share."""
+def _gained(unit: Array, shares: list[Array], widths: Array) -> Array:
+    """The gain of the free volume; each of the segments of these widths takes its share."""
     return sum(
-        (width * share * (unit[k] + share * (unit[k + 1] - unit[k]) / 2)
+        (widths[k] * share * (unit[k, 0] + share * (unit[k, 1] - unit[k, 0]) / 2)
          for k, share in enumerate(shares)),
         jnp.zeros(()),
     )  # fmt: skip

@@ -29,13 +29,15 @@ class UnitValues(NamedTuple):
     - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
     - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, less those of
       the first move of its mode; None where there is no choice.
-    - `unit` [pairs, levels]: the change of the levels in rows by the volume of a slope.
+    - `units` [pairs, searches]: the volume of a row along each flow; in that many searches the last
+      row that gains is found. None where one row is enough, since no volume leads further.
     """
 
     rows: LevelRows
     slopes: Array
     moves: Array | None
     reading: Reading
+    units: Array | None = None
 
     def read(self, factors: Array) -> Array:
         """[n] the functions of the factors: polynomials, hinges where the table has them, times
@@ -63,10 +65,15 @@ def nearest_row(table: Array, k: int, position: Array, dims: tuple[int, ...]) ->
 
     All tables are read from one array: a part of it would be copied for every step.
     """
+    return table[row_number(k, position, dims)]
+
+
+def row_number(k: int, position: Array, dims: tuple[int, ...]) -> Array:
+    """The number of the nearest row to a position of whole numbers [levels] in table k."""
     place = jnp.full((), k, jnp.int32)
     for i, count in enumerate(dims):
         place = place * count + jnp.clip(position[i], 0, count - 1).astype(jnp.int32)
-    return table[place]
+    return place
 
 
 def along(position: Array, effects: tuple[float, ...], first: bool) -> Array:

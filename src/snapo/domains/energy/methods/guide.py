@@ -19,6 +19,7 @@ from .fitted import backwards
 from .grid import ContractGrid, StepGrid
 
 MOST_ROWS = 401  # of the value of a level
+FURTHER = 1.5  # rows: a volume that leads no further than them is of one row
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
 
@@ -35,9 +36,17 @@ def guide_tables(
     factors: GaussianFactors,
     basis: AnyBasis,
     grid: ContractGrid,
+    searched: bool | None = None,
 ) -> GuideTables:
-    """The tables of the fitted value of a schedule with NumPy leaves, which has a step."""
-    units = _UnitRows(layout, basis, grid)
+    """The tables of the fitted value of a schedule with NumPy leaves, which has a step.
+
+    `searched`: whether a policy searches for the last row that gains, by default where best volumes
+    end on rows. Where they end between nodes, a line through the gains of a few rows is better.
+    """
+    largest = np.asarray(schedule.steps.terms.most)
+    units = _UnitRows(
+        layout, basis, grid, largest if searched or (searched is None and grid.exact) else None
+    )
     surprises = _SurpriseRows(layout, basis, grid) if factors.exact else None
     later = np.zeros(0)
     for t, coefficients in backwards(layout, schedule, factors, grid):
@@ -52,8 +61,8 @@ def guide_tables(
 class _UnitRows:
     """The value of a unit of each volume after each step, and of each move."""
 
-    def __init__(self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid):
-        self.layout, self.basis, self.grid = layout, basis, grid
+    def __init__(self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, largest):
+        self.layout, self.basis, self.grid, self.largest = layout, basis, grid, largest
         self.available, self.counts = regression_of(basis), _row_counts(layout, grid)
         horizon = len(grid.steps)
         self.low, self.spacing = np.zeros((2, horizon, len(layout.levels)))
@@ -88,7 +97,28 @@ class _UnitRows:
         reading = Reading(*(x[: len(self.low)] for x in self.basis.linear()))  # pyright: ignore
         moves = self.moves if self.layout.moves else None
         rows = LevelRows(self.low, self.spacing)  # pyright: ignore
-        return UnitValueTable(UnitValues(rows, self.slopes, moves, reading))  # pyright: ignore
+        table = UnitValues(rows, self.slopes, moves, reading, self._units())  # pyright: ignore
+        return UnitValueTable(table)
+
+    def _units(self) -> np.ndarray | None:
+        """[T, pairs, searches] the volume of a row along each flow. None where no volume leads
+        further, or where the rows of levels that a flow joins are of different volumes."""
+        if self.largest is None:
+            return None
+        result, longest = np.ones((len(self.low), len(self.layout.pairs))), 0.0
+        for k, (_, f) in enumerate(self.layout.pairs):
+            effects = np.abs(self.layout.flows[f].effects)
+            touched = np.flatnonzero(effects)
+            rows = self.spacing[:, touched] / effects[touched]
+            smallest = np.where(rows > 0, rows, np.inf).min(axis=1, initial=np.inf)
+            if np.any(rows > (1 + 1e-6) * smallest[:, None]):
+                return None
+            longest = max(longest, float(np.max(self.largest[:, f] / smallest, initial=0.0)))
+            result[:, k] = np.where(np.isfinite(smallest), smallest, 1.0)
+        if longest <= FURTHER:
+            return None
+        searches = (math.ceil(longest) + 1).bit_length()  # a volume begins and ends within rows
+        return np.repeat(result[:, :, None], searches, axis=2)
 
     def _after(self, t: int, later: np.ndarray) -> np.ndarray:
         """[modes, nodes after, n] coefficients after a step, as expected before the next one.
