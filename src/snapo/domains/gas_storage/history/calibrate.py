@@ -14,7 +14,7 @@ from snapo.solver.statistics import half_width
 from snapo.solver.tables import write_csv, write_text
 from snapo.study.run_folder import read as read_run
 
-from .maximum import HistoryFit, fit
+from .maximum import HistoryEstimate, HistoryFit, fit
 from .read import Calibration, read_calibration
 
 FOLDER = "calibration"  # next to the file, where nothing else is named
@@ -64,8 +64,25 @@ def calibrate(
 
 def _answer(calibration: Calibration, result: HistoryFit) -> dict[str, Any]:
     estimate = result.estimate
+    return {
+        "status": "ok" if estimate.converged else "not converged",
+        "kind": calibration.model.kind,
+        "first": calibration.days[0].isoformat(),
+        "last": calibration.days[-1].isoformat(),
+        "dates": len(calibration.days),
+        "prices": calibration.prices,
+        "log_likelihood": estimate.log_likelihood,
+        "parameters": parameter_rows(estimate),
+        "exact": list(result.model.exact),
+        "vanished": list(result.vanished),
+        "model": model_table(result),
+    }
+
+
+def parameter_rows(estimate: HistoryEstimate) -> list[dict[str, Any]]:
+    """The estimates with their errors and intervals."""
     columns = (estimate.numbers, estimate.errors, estimate.low, estimate.high, estimate.unknown)
-    rows = [
+    return [
         {
             "parameter": name,
             "estimate": float(number),
@@ -76,19 +93,6 @@ def _answer(calibration: Calibration, result: HistoryFit) -> dict[str, Any]:
         }
         for name, number, error, low, high, unknown in zip(estimate.names, *columns)
     ]
-    return {
-        "status": "ok" if estimate.converged else "not converged",
-        "kind": calibration.model.kind,
-        "first": calibration.days[0].isoformat(),
-        "last": calibration.days[-1].isoformat(),
-        "dates": len(calibration.days),
-        "prices": calibration.prices,
-        "log_likelihood": estimate.log_likelihood,
-        "parameters": rows,
-        "exact": list(result.model.exact),
-        "vanished": list(result.vanished),
-        "model": model_table(result),
-    }
 
 
 def model_table(result: HistoryFit) -> dict[str, Any]:
