@@ -112,8 +112,8 @@ def add_past(commands) -> None:
         "--every",
         metavar="N",
         type=whole_number,
-        default=30,
-        help="days from one solution to the next, with the curve of its date (default: 30)",
+        help="days from one solution to the next, with the curve of its date (default: 30, or "
+        "whenever the model is estimated again)",
     )
     backtest.add_argument(
         "--calibrate",

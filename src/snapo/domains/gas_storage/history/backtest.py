@@ -11,6 +11,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.load import load
+from snapo.engine import Engine
 from snapo.problem.carry.save import PolicyFileError
 from snapo.problem.carry.save import load as load_policy
 from snapo.problem.policy import Policy
@@ -35,7 +36,7 @@ from .rule import DatedRule, decided, drawn_spots, end_money, followed, solved_o
 
 FOLDER = "backtest"
 STREAM = 261  # of the evaluation: of paths around the curve of a solution
-EVERY = 30  # days from one solution to the next one
+EVERY = 30  # days from one solution to the next one, where the model is never estimated
 PATHS = 2048  # of the model, for expectations without curves
 KIND = "gas-storage"
 
@@ -45,7 +46,7 @@ def backtest(
     history: Path,
     progress,
     *,
-    every: int = EVERY,
+    every: int | None = None,
     calibrate: str | int | None = None,
     hedge: bool = False,
     policy: Path | None = None,
@@ -54,8 +55,9 @@ def backtest(
     """Decides the store of a case on the prices in a folder, and writes the results.
 
     - `history`: a folder with `spot.csv` and, if there are any, forward curves in `curves.csv`.
-    - `every`: days from one solution to the next, with the curve of its date; without curves
-      there is one solution.
+    - `every`: days from one solution to the next, with the curve of its date; by default 30, and
+      where the model is estimated again, the dates of these estimates only. Without curves there is
+      one solution.
     - `calibrate`: when the model is estimated again, as in [backtest], whose other keys count too.
     - `hedge`: trades the hedges of [hedge] on each day with a curve.
     - `policy`: a run, whose trained policy decides; by default the fitted value, with which
@@ -124,7 +126,7 @@ def run_backtest(
     data: Mapping[str, Any],
     observed: ObservedMarket,
     ledger: DatedRule,
-    every: int,
+    every: int | None,
     progress=lambda text: None,
     calibrate: str | int | None = None,
     hedge: bool = False,
@@ -148,8 +150,9 @@ def run_backtest(
     book = _book(ledger, curves) if hedge else None
     level, rows, marks = np.full(1, float(schedule.constants.inventory)), [], []
     discount, cash = np.asarray(schedule.steps.flow_discount), 0.0
+    every = (len(days) if due else EVERY) if every is None else every
     starts = _starts(len(days), every if curved else len(days), due)
-    first = None
+    engine, first = engines_for("auto", ledger.problem, ledger.policy).evaluate, None
     for start, after in zip(starts, (*starts[1:], len(days)), strict=True):
         date = days[start] if start else valuation
         if models is not None and start in due:
@@ -161,7 +164,7 @@ def run_backtest(
         tables = data if models is None else models.data
         stored = float(level[0]) if start else None
         rule = _on(file, tables, ledger, observed, date, stored) if curved else ledger
-        drawn = _drawn(rule, curved)
+        drawn = _drawn(rule, curved, engine)
         first = first or drawn
         amounts = float(level[0]), cash, float(discount[start]) if start else 1.0
         marks.append(_mark(rule, date, drawn, *amounts))
@@ -240,7 +243,7 @@ def _on(
     return solved_on(file, data, day, inventory, curve, ledger.policy)
 
 
-def _drawn(rule: DatedRule, curved: bool) -> _Drawn:
+def _drawn(rule: DatedRule, curved: bool, engine: Engine) -> _Drawn:
     """The rule on histories that its model draws.
 
     Curves show all price factors, and one factor is known from the spot price. Else the rule sees
@@ -248,10 +251,9 @@ def _drawn(rule: DatedRule, curved: bool) -> _Drawn:
     """
     problem, seed = rule.problem, rule.case.training.seed
     if rule.filter is not None and (curved or rule.filter.gain.shape[1] == 1):
-        bound = engines_for("auto", problem, rule.policy).evaluate.bind(problem)
-        hedges = rule.case.hedges or Hedges(())
+        draws = StoreDraws(problem, engine.bind(problem), rule.policy, seed)
         try:
-            result = StoreDraws(problem, bound, rule.policy, seed)(STREAM, hedges.paths)
+            result = draws(STREAM, (rule.case.hedges or Hedges(())).paths)
             return _Drawn(result.paths.money, result.cash, result.control, result.paths)
         except ValueError:  # the factors do not make the spot prices
             pass

@@ -8,7 +8,6 @@ maximum the absolute values of its eigenvalues are used, so that each step rises
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from snapo.problem.quickly import compiled_sooner
 from snapo.solver.statistics import critical
 
 from .kalman import Filtered, History, filtered, log_likelihood
@@ -207,7 +207,7 @@ def _best(model: HistoryModel, calibration: Calibration, starts: np.ndarray) -> 
     return jax.tree.map(lambda x: x[best], maxima)
 
 
-@partial(jax.jit, static_argnums=0)
+@compiled_sooner
 def _maxima(model: HistoryModel, history: History, starts: Array) -> Maximum:
     """The maximum that is reached from each start [n, P]."""
 
@@ -217,7 +217,7 @@ def _maxima(model: HistoryModel, history: History, starts: Array) -> Maximum:
     return jax.vmap(search)(starts)
 
 
-@partial(jax.jit, static_argnums=0)
+@compiled_sooner
 def _states(model: HistoryModel, numbers: Array, history: History) -> Filtered:
     return filtered(model, numbers, history)
 
