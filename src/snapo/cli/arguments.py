@@ -120,7 +120,7 @@ def add_past(commands) -> None:
         metavar="WHEN",
         type=calendar,
         help="estimate the model again: never, on the first day of each month, quarter or year, or "
-        "after a number of days (default: as the case says in [backtest])",
+        "after a number of days (default: `calibrate` of [backtest])",
     )
     backtest.add_argument(
         "--hedge",

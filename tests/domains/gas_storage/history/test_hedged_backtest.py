@@ -116,10 +116,10 @@ def test_two_factors_are_seen_on_the_curve():
     states, t = drawn_states(rule.prices.factors, 3, 4), 8
     curve = PathCurves(rule.prices.factors, rule.prices.forward, states)(t)
     for n in range(3):
-        seen = rule.seen(t, np.zeros((1, 2)), float(curve[0, n]), curve[:, n])
+        seen = rule.from_curve(t, np.zeros((1, 2)), float(curve[0, n]), curve[:, n])
         np.testing.assert_allclose(seen[0], states[t, :, n], atol=1e-8)
     # A curve that no factors make: the spot price is met exactly, whatever the curve.
-    moved = rule.seen(t, np.zeros((1, 2)), 25.0, 1.1 * curve[:, 0])
+    moved = rule.from_curve(t, np.zeros((1, 2)), 25.0, 1.1 * curve[:, 0])
     again = PathCurves(
         rule.prices.factors, rule.prices.forward, np.repeat(moved[:, :, None], 31, 0)
     )
@@ -175,11 +175,11 @@ def test_estimates_are_those_of_the_command(estimated, tmp_path):
     )
     estimate, direct = result.estimates[1], fit(read_calibration(file)).estimate
     assert estimate.date == until and estimate.prices == 311 and not estimate.reason
-    assert [x["estimate"] for x in estimate.parameters] == direct.numbers.tolist()
-    assert [x["high"] for x in estimate.parameters] == direct.high.tolist()
+    assert [x.estimate for x in estimate.parameters] == direct.numbers.tolist()
+    assert [x.high for x in estimate.parameters] == direct.high.tolist()
     truth = {"mean_reversion": 20.0, "volatility": 0.9}
     for row in estimate.parameters[:2]:
-        assert row["low"] < truth[row["parameter"]] < row["high"]
+        assert row.low < truth[row.parameter] < row.high
     assert estimate.model["volatility"] == pytest.approx(direct.numbers[1], rel=1e-7)
     assert estimate.model["kind"] == "one-factor"
 
@@ -279,9 +279,9 @@ def test_what_cannot_be_estimated_or_hedged_is_refused(tmp_path):
     with pytest.raises(CaseError, match="one-factor-jumps"):
         ModelHistory(FILE, data | {"model": spikes}, seen, BacktestPlan("month"))
     bare = replace(seen, curve_days=(), curves={})
-    for options in ({"calibrate": "month"}, {"hedge": True}):
+    for calibrate, hedge in (("month", False), ("never", True)):
         with pytest.raises(CaseError, match=r"curves\.csv.*2025-01-01"):
-            run_backtest(FILE, data, bare, rule, None, **options)
+            run_backtest(FILE, data, bare, rule, None, calibrate=calibrate, hedge=hedge)
 
 
 @pytest.mark.prove

@@ -14,8 +14,8 @@ from snapo.solver import statistics
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 
-from ..hedges import in_words, usual_hedges
-from ..hedges.draws import StoreDraws
+from ..hedges import as_text, usual_hedges
+from ..hedges.draws import NoForwardCurve, StoreDraws
 from ..hedges.held import Overnight, by_day
 from ..hedges.simulate import DailyHedges, HedgeGains, static
 from ..hedges.table import Hedges
@@ -101,12 +101,12 @@ def measure(run: StudyRun) -> HedgeTables:
     setup, case = run.setup, case_of(run.setup)
     products = case.products or usual_products(case.days, case.valuation_date)
     hedges = case.hedges or Hedges(usual_hedges(products.families))
-    bound, policy = setup.engines.evaluate.bind(setup.problem), policy_of(run.solution)
-    draws = StoreDraws(setup.problem, bound, policy, setup.training.seed)
+    engine, policy = setup.engines.evaluate.bind(setup.problem), policy_of(run.solution)
+    draws = StoreDraws(setup.problem, engine, policy, setup.training.seed)
     try:
         fit = draws(FITTED, 2 * hedges.paths).paths
         paths, groups = draws(MEASURED, hedges.paths)[:2]
-    except ValueError as reason:
+    except NoForwardCurve as reason:
         return HedgeTables(reason=str(reason))
     overnight = Overnight(products)
     first, simulated = overnight.first, [SimulatedHedge(UNHEDGED, "", {})]
@@ -163,7 +163,7 @@ def product_rows(hedge: SimulatedHedge, money: np.ndarray) -> Iterator[HedgeProd
     total = money + sum(gain.gain for gain in hedge.gains.values())
     for family, (gain, cost, traded) in hedge.gains.items():
         shares = _share(money + gain, money), _share(total - gain, money)
-        name = in_words([family])
+        name = as_text([family])
         about = hedge.hedge, hedge.products, name
         yield HedgeProduct(*about, *shares, float(traded.mean()), float(cost.mean()))
 

@@ -26,11 +26,11 @@ class DailyHedge(NamedTuple):
     def products(self) -> str:
         """Least variance takes only the first product of a family: of "months" the next month."""
         if self.rule != MIN_VARIANCE:
-            return in_words(self.families)
-        return in_words([f"next {x[:-1]}" if x.endswith("s") else x for x in self.families])
+            return as_text(self.families)
+        return as_text([f"next {x[:-1]}" if x.endswith("s") else x for x in self.families])
 
 
-def in_words(families: Sequence[str]) -> str:
+def as_text(families: Sequence[str]) -> str:
     """Keys of [products] for a reader."""
     return ", ".join(family.replace("_", " ") for family in families)
 

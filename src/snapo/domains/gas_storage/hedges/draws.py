@@ -20,6 +20,10 @@ from ..setup import OUTPUT, factors
 from .exposures import BLOCK, StorePaths
 
 
+class NoForwardCurve(ValueError):
+    """Paths of the model have no forward curve; the message is the reason."""
+
+
 class DrawnStore(NamedTuple):
     """`paths`; `groups` [N] of their scenarios; `cash` [T, N] of each day, discounted; `control`
     [N]: the control variate of the money, of mean zero."""
@@ -35,19 +39,19 @@ class StoreDraws:
     """A problem of a store, bound to an engine, with its policy and the seed of its paths."""
 
     problem: Problem
-    bound: BoundEngine
+    engine: BoundEngine
     policy: StoragePolicy
     seed: int
 
     def __call__(self, number: int, count: int) -> DrawnStore:
         """`count` fresh paths of the stream `number` of the evaluation.
 
-        **Raises:** `ValueError` where paths have no forward curve.
+        **Raises:** `NoForwardCurve`.
         """
         problem, prices = self.problem, factors(self.problem)
         simulator, schedule = simulator_of(problem), problem.schedule
         if prices is None or not prices.exact or prices.spikes is not None:
-            raise ValueError(NO_CURVE)
+            raise NoForwardCurve(NO_CURVE)
         forward = np.append(schedule.steps.forward, schedule.constants.end_forward)
         discount = np.append(schedule.steps.gas_discount, schedule.constants.end_discount)
         source = Pseudo(self.seed, stream=stream(EVALUATE, number))
@@ -56,7 +60,7 @@ class StoreDraws:
         parts = []
         for block in blocks:
             draws = source.draws(block, simulator)
-            rollout = self.bound.values(self.policy, draws, Exact(), record=("state", "outputs"))
+            rollout = self.engine.values(self.policy, draws, Exact(), record=("state", "outputs"))
             levels = np.asarray(path_of(rollout, "inventory"), np.float64)
             sold, totals = _sold(problem, rollout, levels), float64(rollout.totals)
             money = np.asarray(totals[OUTPUT])
@@ -65,7 +69,7 @@ class StoreDraws:
                 curves = StorePaths(prices, forward, discount, *part).curves
                 spots = spots_on_paths(simulator.process, of_prices(schedule), rollout)
                 if not np.allclose(curves.spots[:-1], spots[:-1], rtol=1e-5, atol=1e-5):
-                    raise ValueError(NO_CURVE)
+                    raise NoForwardCurve(NO_CURVE)
             cash = np.asarray(rollout.record["outputs"][OUTPUT], np.float64)
             control = sum((np.asarray(totals[name]) for name in controls), np.zeros_like(money))
             parts.append((*part, cash, control))

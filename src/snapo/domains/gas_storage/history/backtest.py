@@ -19,7 +19,7 @@ from snapo.solver.solution import POLICY
 from snapo.study.ready import engines_for
 
 from ..hedges import usual_hedges
-from ..hedges.draws import StoreDraws
+from ..hedges.draws import NoForwardCurve, StoreDraws
 from ..hedges.exposures import StorePaths
 from ..hedges.table import Hedges
 from ..ladder.methods import NO_CURVE
@@ -176,8 +176,8 @@ def run_backtest(
             if book.first < 0 and not start:
                 book.trade(-1, float(level[0]), state[0])
         for t in range(start, after):
-            seen = curves(t) if curved and t in curves.trading else None
-            row = decided(rule, t - start, ledger.problem, t, level, state, spots[t : t + 1], seen)
+            curve = curves(t) if t in curves.trading else None
+            row = decided(rule, t - start, ledger.problem, t, level, state, spots[t : t + 1], curve)
             level, state = row.inventory, row.factors
             cash += float(row.cash[0])
             rows.append(np.concatenate(row[:4]))
@@ -204,7 +204,9 @@ def run_backtest(
         tuple(marks),
         change_deviation([*(value for _, value in sums), realised]),
         () if models is None else tuple(models.estimates),
-        *(() if book is None else hedged_results(book, realised, sums)),
+        () if book is None else hedged_results(book, realised, sums),
+        () if book is None else tuple(book.days),
+        () if book is None else tuple(book.positions),
     )
 
 
@@ -254,8 +256,10 @@ def _drawn(rule: DatedRule, curved: bool, engine: Engine) -> _Drawn:
         draws = StoreDraws(problem, engine.bind(problem), rule.policy, seed)
         try:
             result = draws(STREAM, (rule.case.hedges or Hedges(())).paths)
-            return _Drawn(result.paths.money, result.cash, result.control, result.paths)
-        except ValueError:  # the factors do not make the spot prices
+            fixed = float(problem.schedule.constants.fixed_costs)
+            money = result.paths.money - fixed
+            return _Drawn(money, result.cash, result.control, result.paths)
+        except NoForwardCurve:
             pass
     result = followed(rule, drawn_spots(problem, PATHS, seed))
     return _Drawn(result.money, result.cash, np.zeros(PATHS))

@@ -1,4 +1,4 @@
-"""The hedges of a back-test: traded on each day with a curve, from what was known then.
+"""The hedges of a back-test: traded on each day with a curve, from the prices until then.
 
 Exposures are fitted on paths of the model of the last solution. On a day they are those of its
 inventory, price factors and curve. Positions are marked to the curve of each day and deliver at
@@ -35,7 +35,7 @@ class HedgeDay(NamedTuple):
 
 
 class HedgePosition(NamedTuple):
-    """What a hedge has sold at the end of a day: `sold` units on each day from `first` to `last`,
+    """A position at the end of a day: `sold` units on each day from `first` to `last`,
     at the mean forward `price`."""
 
     date: datetime.date
@@ -154,11 +154,13 @@ class HedgeBook:
         )
         moving = part.paid(local + 1, part.moving(self._ahead(t)[:, None]))
         now = self.daily.positions(exposures, local, part, self._rows(t), moving)
-        return [[x._replace(row=_moved(x.row, start)) for x in held] for held in now]
+        return [[x._replace(row=_renumbered(x.row, start)) for x in held] for held in now]
 
     def _rows(self, t: int) -> list[HeldProducts]:
         """The products of each hedge, numbered from the day of the solution."""
-        return [tuple(_moved(row, -self._start) for row in rows) for rows in self.daily.held(t)]
+        return [
+            tuple(_renumbered(row, -self._start) for row in rows) for rows in self.daily.held(t)
+        ]
 
     def _record(self, t: int, held: HeldVolume):
         (name, block, _), volume = held
@@ -168,7 +170,7 @@ class HedgeBook:
         return name, days[first], days[after - 1], float(volume[0]), float(price)
 
 
-def _moved(row, steps: int):
+def _renumbered(row, steps: int):
     """A product numbered from another day."""
     block = row.block
     return row._replace(block=block._replace(first=block.first + steps, after=block.after + steps))
@@ -176,8 +178,8 @@ def _moved(row, steps: int):
 
 def hedged_results(
     book: HedgeBook, realised: float, marks: Sequence[tuple[datetime.date, float]]
-) -> tuple[tuple[HedgedStore, ...], tuple[HedgeDay, ...], tuple[HedgePosition, ...]]:
-    """The result of each hedge of a contract that brought `realised`, all days and positions.
+) -> tuple[HedgedStore, ...]:
+    """The result of each hedge of a contract that brought `realised`.
 
     `marks`: the date of each solution, and the contract's money so far with its value then.
     """
@@ -196,7 +198,7 @@ def hedged_results(
         total = realised + gain
         amounts = gain, cost, traded, total, change_deviation([*sums, total])
         results.append(HedgedStore(hedge.title, hedge.products, *amounts))
-    return tuple(results), tuple(book.days), tuple(book.positions)
+    return tuple(results)
 
 
 def change_deviation(sums: Sequence[float]) -> float:

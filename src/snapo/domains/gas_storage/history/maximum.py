@@ -191,7 +191,7 @@ def fit(calibration: Calibration) -> HistoryFit:
             model, maximum = smaller, without
             vanished.append(series)
         estimate = estimate_of(model, maximum)
-        states = _states(model, estimate.numbers, padded(calibration.history))
+        states = _states(model, jnp.asarray(estimate.numbers), padded(calibration.history))
         states = jax.tree.map(np.asarray, states)
     days = len(calibration.days)
     states = states._replace(mean=states.mean[:days], covariance=states.covariance[:days])
@@ -226,8 +226,8 @@ def padded(history: History) -> History:
     """The history with dates without a price and without time after it, so that histories of
     almost the same length need one compilation."""
     more = -len(history.gap) % DATES
-    *rows, first = history
-    return History(*(np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in rows), first)
+    rows = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in history[:-1])
+    return History(*rows, first=history.first)  # pyright: ignore[reportCallIssue]
 
 
 def _starts(model: HistoryModel, calibration: Calibration) -> np.ndarray:

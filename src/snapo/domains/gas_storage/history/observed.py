@@ -4,6 +4,7 @@ import datetime
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -86,7 +87,7 @@ class ObservedMarket:
 
 @dataclass(frozen=True, eq=False)
 class StepCurves:
-    """The prices that a contract sees: on step t, [T + 1 - t] of the day, of later ones and of the
+    """The prices of a contract: on step t, [T + 1 - t] of the day, of later ones and of the
     end date; of the valuation date before it, [T + 1], for -1.
 
     - `days` [T], `end`: its dates; `end_price`: whether that of the end date counts.
@@ -104,7 +105,7 @@ class StepCurves:
     def day(self, t: int) -> datetime.date:
         return self.days[t] if t >= 0 else self.valuation
 
-    @property
+    @cached_property
     def trading(self) -> frozenset[int]:
         """The steps with a curve of their own."""
         return frozenset(

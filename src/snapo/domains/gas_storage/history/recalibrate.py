@@ -10,7 +10,7 @@ from snapo.case.error import CaseError
 from snapo.case.table import TableContext, parse
 
 from ..read.case import read_case
-from .calibrate import INPUTS, model_table, parameter_rows
+from .calibrate import INPUTS, ParameterRow, model_table, parameter_rows
 from .maximum import fit
 from .observed import ObservedMarket
 from .read import (
@@ -31,18 +31,20 @@ NEEDED = frozenset(INPUTS.values())  # by a case: its curve is that of the marke
 class DatedEstimate:
     """An estimate on a date, from the `prices` that were known then.
 
-    - `parameters`: rows of names, estimates, standard errors, 95 % intervals, and whether unknown.
+    - `parameters`: none where there are too few prices.
     - `model`: the table of a case; `reason`: why the model before it was kept, "" where it was not.
     """
 
     date: datetime.date
     prices: int
-    parameters: Sequence[Mapping[str, Any]]
+    parameters: tuple[ParameterRow, ...]
     model: Mapping[str, Any]
     reason: str = ""
 
     def as_data(self) -> dict[str, Any]:
-        return asdict(self) | {"date": self.date.isoformat()}
+        """For JSON."""
+        rows = [row._asdict() for row in self.parameters]
+        return asdict(self) | {"date": self.date.isoformat(), "parameters": rows}
 
 
 @dataclass(eq=False)
@@ -68,12 +70,12 @@ class ModelHistory:
 
     def estimate(self, day: datetime.date) -> DatedEstimate:
         """Estimates the model of a day; `data` has it from now on, if it is determined."""
-        known = self._known(day)
+        prices = self._until(day)
         rows, table, reason = (), self.data["model"], ""
         try:
-            result = fit(self._calibration(known))
+            result = fit(self._calibration(prices))
             rows = parameter_rows(result.estimate)
-            unknown = [x["parameter"] for x in rows if x["unknown"] and x["parameter"] in NEEDED]
+            unknown = [x.parameter for x in rows if x.unknown and x.parameter in NEEDED]
             if not result.estimate.converged:
                 reason = "the search did not reach a maximum"
             elif unknown:
@@ -84,10 +86,10 @@ class ModelHistory:
                 self.data, table = changed, changed["model"]
         except CaseError as error:
             reason = error.allowed
-        self.estimates.append(DatedEstimate(day, len(known), rows, table, reason))
+        self.estimates.append(DatedEstimate(day, len(prices), rows, table, reason))
         return self.estimates[-1]
 
-    def _known(self, day: datetime.date) -> list[ObservedPrice]:
+    def _until(self, day: datetime.date) -> list[ObservedPrice]:
         first = datetime.date.min
         if self.plan.window is not None:
             first = day - datetime.timedelta(self.plan.window - 1)

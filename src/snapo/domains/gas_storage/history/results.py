@@ -13,14 +13,13 @@ from snapo.case.error import CaseError
 from snapo.solver.statistics import plus_minus
 from snapo.solver.tables import write_csv
 
-from .calibrate import INPUTS
+from .calibrate import INPUTS, ParameterRow
 from .hedged import HedgeDay, HedgedStore, HedgePosition
 from .recalibrate import DatedEstimate
 
 DAYS, SOLUTIONS, ESTIMATES = "days.csv", "solutions.csv", "calibrations.csv"
 HEDGES, HEDGE_DAYS, POSITIONS = "hedges.csv", "hedge_days.csv", "hedge_positions.csv"
-PARAMETER = ("parameter", "estimate", "standard_error", "low", "high")
-ESTIMATE_COLUMNS = ("date", "prices", "used", "reason", *PARAMETER, "unknown")
+ESTIMATE_COLUMNS = ("date", "prices", "used", "reason", *ParameterRow._fields)
 
 
 @dataclass(frozen=True)
@@ -117,9 +116,10 @@ def _estimate_rows(estimates: Sequence[DatedEstimate]) -> Iterator[tuple]:
     """A row for each parameter; one without a parameter where there is no estimate."""
     for x in estimates:
         about = x.date, x.prices, "no" if x.reason else "yes", x.reason
-        for row in x.parameters or ({},):
-            numbers = (row.get(name, "") for name in PARAMETER)
-            yield (*about, *numbers, {True: "yes", False: "no"}.get(row.get("unknown"), ""))
+        for *numbers, unknown in x.parameters:
+            yield (*about, *numbers, "yes" if unknown else "no")
+        if not x.parameters:
+            yield (*about, *("" for _ in ParameterRow._fields))
 
 
 def answer_of(result: StoreBacktest) -> dict[str, Any]:
@@ -179,8 +179,8 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 def _estimates(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The parameters that the case takes, with their 95 % intervals."""
-    names = [x for x in INPUTS.values() if any(x == y["parameter"] for y in _all(rows))]
-    names = list(dict.fromkeys(names))
+    parts = {x["parameter"] for row in rows for x in row["parameters"]}
+    names = [name for name in dict.fromkeys(INPUTS.values()) if name in parts]
     yield f"{'estimated on':<14}{'prices':>8}  " + "".join(f"{name:<32}" for name in names)
     for row in rows:
         cells = {x["parameter"]: x for x in row["parameters"]}
@@ -188,10 +188,6 @@ def _estimates(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield f"{row['date']:<14}{row['prices']:>8,}  {text}".rstrip()
         if row["reason"]:
             yield f"{'':<24}the model before is kept: {row['reason']}"
-
-
-def _all(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    return [parameter for row in rows for parameter in row["parameters"]]
 
 
 def _interval(row: Mapping[str, Any] | None) -> str:

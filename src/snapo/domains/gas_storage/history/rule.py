@@ -54,7 +54,7 @@ class DatedRule:
     filter: SpotFilter | None
     prices: PathCurves | None = None
 
-    def seen(self, t: int, before: np.ndarray, spot: float, curve: np.ndarray) -> np.ndarray:
+    def from_curve(self, t: int, before: np.ndarray, spot: float, curve: np.ndarray) -> np.ndarray:
         """[1, F] the factors of the rule's day `t` from its spot price and its curve.
 
         `curve` [T + 1 - t]: of the day and later ones. The spot price is met exactly; the rest is
@@ -155,7 +155,7 @@ def decided(
     if rule.filter is not None:
         gain, prior = rule.filter.gain[t], rule.filter.decay[t] * before
         if curve is not None and before.shape[1] > 1:
-            gain, prior = np.zeros_like(gain), rule.seen(t, before, float(spot[0]), curve)
+            gain, prior = np.zeros_like(gain), rule.from_curve(t, before, float(spot[0]), curve)
     with jax.enable_x64(True):
         parts = (*_row(rule.problem, t), *_row(ledger, day))
         result = _day(rule.policy, *parts, gain, inventory, prior, spot)

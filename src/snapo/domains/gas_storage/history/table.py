@@ -21,7 +21,7 @@ ALLOWED = 'allowed is "never", "month", "quarter", "year", or a number of days'
 
 
 class BacktestTable(CaseTable):
-    """`[backtest]`: what `snapo backtest` does besides deciding."""
+    """`[backtest]`: the estimates of `snapo backtest`."""
 
     calibrate: Any = Field(
         NEVER,
