@@ -8,7 +8,7 @@ maximum the absolute values of its eigenvalues are used, so that each step rises
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -226,8 +226,8 @@ def padded(history: History) -> History:
     """The history with dates without a price and without time after it, so that histories of
     almost the same length need one compilation."""
     more = -len(history.gap) % DATES
-    rows = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in history[:-1])
-    return History(*rows, first=history.first)  # pyright: ignore[reportCallIssue]
+    rows: Any = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in history[:-1])
+    return History(*rows, first=history.first)
 
 
 def _starts(model: HistoryModel, calibration: Calibration) -> np.ndarray:

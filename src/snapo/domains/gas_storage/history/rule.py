@@ -45,7 +45,7 @@ class DatedRule:
     """A policy solved on a date: its problem, whose first day is the first that it decides.
 
     `filter`: of the price factors; without it a spot price moves the fast factor only. `prices`:
-    the curve of the date, and how factors move it.
+    the curve of the date with its loadings on the factors.
     """
 
     case: StorageCase
@@ -62,20 +62,20 @@ class DatedRule:
         a choice.
         """
         assert self.prices is not None and self.filter is not None
-        loading, variance = self.prices.moves(t)
+        loading, variance = self.prices.loadings(t)
         forward = self.prices.forward[t:]
         model = self.prices.factors
         prices = np.append(spot, curve)
         around, more = np.append(forward[0], forward), np.append(variance[0], variance)
         if model.additive:
-            moved = prices - around
+            noise = prices - around
         else:
-            moved = np.log((prices + model.shift) / (around + model.shift)) + more / 2
+            noise = np.log((prices + model.shift) / (around + model.shift)) + more / 2
         first = loading[0]
         state = self.filter.decay[t] * before[0]
-        state = state + first * (moved[0] - first @ state) / (first @ first)
+        state = state + first * (noise[0] - first @ state) / (first @ first)
         others = np.linalg.svd(first[None])[2][1:].T
-        change = np.linalg.lstsq(loading @ others, moved[1:] - loading @ state, RANK)[0]
+        change = np.linalg.lstsq(loading @ others, noise[1:] - loading @ state, RANK)[0]
         return (state + others @ change)[None]
 
     def initial_factors(self, count: int) -> np.ndarray:

@@ -27,11 +27,12 @@ class PathCurves:
         """[T + 1 - t, N] on step t, of it and of all later ones; of today, [T + 1, N], for -1."""
         if t < 0:
             return np.repeat(self.forward[:, None], self.states.shape[2], axis=1)
-        loading, variance = self.moves(t)
+        loading, variance = self.loadings(t)
         return self._prices(t, product(loading, self.states[t]), variance)
 
-    def moves(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """[T + 1 - t, F] how the factors of step t move prices, and [T + 1 - t] the variance."""
+    def loadings(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """[T + 1 - t, F] the loadings of prices on the factors of step t, and [T + 1 - t] the
+        variance that they cause."""
         decay = self.factors.decay[t:].copy()
         decay[0] = 1.0
         loading = self.factors.loading[t:] * np.cumprod(decay, axis=0)
