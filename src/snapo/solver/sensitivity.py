@@ -32,7 +32,7 @@ from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64
 from .derivatives.bump import FEWEST, one_percent
-from .derivatives.by_block import DerivativePass
+from .derivatives.by_block import DerivativePass, ScheduleDerivatives
 from .derivatives.interval import Interval, Reported
 from .derivatives.verdict import Verdict, plain
 from .statistics import Estimate, plus_minus, rounded
@@ -79,6 +79,7 @@ class Sensitivities(NamedTuple):
     - `verdicts`: the verdict of a bump of the input, {input: Verdict}.
     - `reported`: the reported derivative, with its interval, {input: Reported}; if None, it is the
       held one with its sampling error.
+    - `schedule`: the held derivatives with respect to the schedule, if they are not large.
     """
 
     inputs: dict[str, inputs_.Input]
@@ -89,6 +90,7 @@ class Sensitivities(NamedTuple):
     dropped: int = 0
     verdicts: dict[str, Verdict] | None = None
     reported: dict[str, Reported] | None = None
+    schedule: ScheduleDerivatives | None = None
 
     def __getitem__(self, name: Any) -> Any:
         """The reported derivative with respect to an input, by its name."""
@@ -205,6 +207,7 @@ HEAD = (
 SHOWN = 12  # numbers of one input that are printed
 LEFT = (0, 1, 5, 6)  # columns of text
 MINIMUM, MAXIMUM = 256, 64  # paths of a block where there are more than 32; blocks at most
+SCHEDULE_BYTES = 2**26  # of derivatives with respect to a schedule that are not large
 DRIFT = 4  # a share of the blocks, one in four, is enough for the drift
 
 
@@ -288,7 +291,10 @@ def sensitivities_and_totals(
             name: Estimate(held.inputs[name].blocks[: len(few)] - item.blocks)
             for name, item in before.items()
         }
-    result = Sensitivities(problem.inputs_by_name, held.inputs, moved=moved, dropped=held.dropped)
+    small = held.schedule if held.schedule.bytes <= SCHEDULE_BYTES else None
+    result = Sensitivities(
+        problem.inputs_by_name, held.inputs, moved=moved, dropped=held.dropped, schedule=small
+    )
     if isinstance(smooth, Exact):
         return _without(result, problem.lost), None
     blocks = source.blocks(source.available(min(smooth_paths, paths)))

@@ -333,7 +333,7 @@ class _Bumper:
     def _totals(self, problem: Problem, count: int) -> dict[str, np.ndarray]:
         paths = sum(map(len, self.blocks[:count]))
         self.spent += paths
-        return path_totals(problem, self.policy, paths, engine=self.engine)
+        return path_totals(problem, self.policy, paths, engine=self.engine, controls=False)
 
 
 def _joined(near: Reaction, wide: Reaction) -> Reaction:

@@ -23,15 +23,46 @@ from .changes import BlockPlan, plan
 CHUNK = 8192  # paths in one call of an engine, where a block has no more
 
 
+class ScheduleDerivatives(NamedTuple):
+    """Derivatives with respect to the schedule, of each block of paths.
+
+    Those with respect to any inputs from which the same schedule is prepared follow from them.
+
+    - `passes`: the sums over the paths of each block, times `scale`; `further`: those of pieces of
+      the weights (`BlockPlan.blocks`).
+    """
+
+    plan: BlockPlan
+    scale: float
+    passes: list[PyTree]
+    further: list[PyTree]
+
+    def of_inputs(self, problem: Problem) -> dict[str, Estimate]:
+        """The derivatives with respect to the inputs of a problem with this schedule."""
+        sums, segments = _carried(problem, self.passes), _carried(problem, self.further)
+        return {
+            name: Estimate(self.plan.estimate(self.scale * item, segments[name]))
+            for name, item in sums.items()
+        }
+
+    @property
+    def bytes(self) -> int:
+        """The memory that they take."""
+        leaves = jax.tree.leaves((self.passes, self.further))
+        return sum(leaf.nbytes for leaf in leaves if any(leaf.strides))
+
+
 class PassResult(NamedTuple):
     """Derivatives with respect to every input and the policy, and the number of paths left out.
 
+    `schedule`: those with respect to the schedule, from which those of the inputs follow.
     `totals` {output: [paths]} in the order of the blocks; None where some were passed one by one.
     """
 
     inputs: dict[str, Estimate]
     policy: Estimate
     dropped: int
+    schedule: ScheduleDerivatives
     totals: Totals | None = None
 
 
@@ -98,12 +129,13 @@ class DerivativePass(NamedTuple):
             # No derivative exists under ruin, nor is one reported where many paths were left out.
             scale = np.nan
         plan = plan._replace(sizes=plan.sizes - invalid)
-        sums, segments = self._carried(passes), self._carried(further)
-        estimates = {n: Estimate(plan.estimate(scale * sums[n], segments[n])) for n in sums}
+        trees = [[entry.schedule for entry in part] for part in (passes, further)]
+        schedule = ScheduleDerivatives(plan, scale, *trees)
+        estimates = schedule.of_inputs(self.problem) if self.inputs else {}
         slopes = np.stack([entry.policy for entry in passes])
         others = np.reshape([e.policy for e in further], (len(further), slopes.shape[1]))
         policy = Estimate(plan.estimate(scale * slopes, others))
-        return PassResult(estimates, policy, dropped, _joined_totals(passes))
+        return PassResult(estimates, policy, dropped, schedule, _joined_totals(passes))
 
     def _plans(
         self, objectives: Sequence[Objective], blocks: list[np.ndarray]
@@ -214,16 +246,12 @@ class DerivativePass(NamedTuple):
         ]
         return jax.tree.map(lambda *item: sum(item[1:], item[0]), *passes)
 
-    def _carried(self, passes: list[Pulled]) -> dict[str, np.ndarray]:
-        """Derivatives by every input, {name: [passes, *shape]}."""
-        problem, schedules = self.problem, [item.schedule for item in passes]
-        if not self.inputs:
-            return {}
-        if not schedules:
-            return {
-                name: np.zeros((0, *x.value.shape)) for name, x in problem.inputs_by_name.items()
-            }
-        return pull_back(problem.simulator, problem.inputs, schedules)
+
+def _carried(problem: Problem, schedules: list[PyTree]) -> dict[str, np.ndarray]:
+    """Derivatives with respect to every input, {name: [schedules, *shape]}."""
+    if not schedules:
+        return {name: np.zeros((0, *x.value.shape)) for name, x in problem.inputs_by_name.items()}
+    return pull_back(problem.simulator, problem.inputs, schedules)
 
 
 def _batches(blocks: list[np.ndarray]) -> Iterator[slice]:

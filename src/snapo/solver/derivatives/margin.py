@@ -139,7 +139,7 @@ class _Derivatives:
         return self._value(self.problem, policy)
 
     def _value(self, problem: Problem, policy: Policy) -> float:
-        result = path_totals(problem, policy, self.paths, engine=self.engine)
+        result = path_totals(problem, policy, self.paths, engine=self.engine, controls=False)
         return float(np.mean(block_means(problem.objective, result, self.blocks)))
 
 

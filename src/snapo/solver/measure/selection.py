@@ -32,6 +32,7 @@ PURPOSES = 3  # the surface, its margin, the bumps
 FEWEST = 512  # paths of a surface and of a margin
 FEWEST_LONG = 128  # and of long paths: no more steps together than 512 paths of `LONG` have
 BACK = 4  # paths valued in the time of one path that is gone back over
+ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a path's total
 PAIR = 2  # coordinates that a surface has in any case
 
 
@@ -207,9 +208,16 @@ def _selected(
     names = list(candidates)
 
     def totals(name: str, policy: Policy) -> Totals:
-        before = available.get(name)
+        # The control variates are those of the initial rule.
+        before, with_controls = available.get(name), name == START
         available[name] = path_totals(
-            problem, policy, paths, engine=engine, source=source, before=before
+            problem,
+            policy,
+            paths,
+            engine=engine,
+            source=source,
+            controls=with_controls,
+            before=before,
         )
         return available[name]
 
@@ -240,7 +248,7 @@ def _selected(
         best = max(finite, key=lambda name: float(np.mean(shares[name])))
         return Selection(best, candidates[best], search=search), level, finite
     # A history whose highest policy is the starting rule itself has no other one to offer.
-    trained = [name for name in finite if not np.array_equal(shares[name], shares[START])]
+    trained = [name for name in finite if not _same(shares[name], shares[START])]
     gains = {name: above(shares[name], shares[START]) for name in trained or finite}
     best = max(gains, key=lambda name: gains[name].value)
     gain, error = gains[best].value, _error(gains[best])
@@ -249,6 +257,12 @@ def _selected(
     if gain > SIGNIFICANT * error:
         return Selection(best, candidates[best], gain, error, search), level, left
     return Selection(START, start, gain, error, search), level, left
+
+
+def _same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether shares are those of one policy: without control variates they may be rounded in
+    another way."""
+    return bool(np.max(np.abs(one - other)) <= ROUND_OFF * np.max(np.abs(other)))
 
 
 def fresh(source: Scenarios) -> Scenarios:

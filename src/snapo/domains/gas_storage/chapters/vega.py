@@ -83,9 +83,11 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
         return Vegas()
     months = np.array([day.strftime("%Y-%m") for day in dates])
     wide = by_date(problem, names, len(dates))
-    evaluation = setup.evaluation.within(problem.simulator.horizon)
-    paths, engine = evaluation.sensitivity_paths, setup.engines.evaluate
-    held = sensitivities(wide, policy, paths=paths, engine=engine).held
+    if table.schedule is not None:
+        held = table.schedule.of_inputs(wide)
+    else:
+        paths = setup.evaluation.within(problem.simulator.horizon).sensitivity_paths
+        held = sensitivities(wide, policy, paths=paths, engine=setup.engines.evaluate).held
     # The end date has a price only where gas left is paid by it.
     last = [held[name].value.reshape(len(dates), -1)[-1] for name in names]
     priced, rows = months if np.any(np.concatenate(last)) else months[:-1], []
@@ -108,7 +110,8 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
 
 
 def by_date(problem: Problem, names: Sequence[str], count: int) -> Problem:
-    """The problem with a number of these inputs for each of `count` dates, of the same value.
+    """The problem with a number of these inputs for each of `count` dates, of the same value, and
+    without other inputs.
 
     A number that is used on all dates, or on some of them, becomes one for each; several factors
     have one each for each date.
@@ -125,10 +128,10 @@ def by_date(problem: Problem, names: Sequence[str], count: int) -> Problem:
         return Use.of(leaf.name, numbers, np.arange(numbers).reshape(shape))
 
     simulator = jax.tree.map(spread, problem.simulator, is_leaf=lambda x: isinstance(x, Use))
-    inputs: Any = dict(problem.inputs)
+    inputs: Any = dict(values)
     for name, numbers in wide.items():
         labels = tuple(map(str, range(numbers.size)))
-        inputs[name] = replace(inputs[name], value=numbers, labels=labels)
+        inputs[name] = replace(problem.inputs_by_name[name], value=numbers, labels=labels)
     return replace(problem, simulator=simulator, inputs=inputs)
 
 
