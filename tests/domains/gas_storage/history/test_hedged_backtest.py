@@ -240,6 +240,35 @@ def test_positions_wait_for_the_next_curve():
         assert sum(x.gain - x.cost for x in days) == pytest.approx(hedge.gain, rel=1e-9)
 
 
+@pytest.mark.prove
+def test_a_hedge_begins_on_the_valuation_date():
+    """Two days before the first flow the deltas of the day are sold, in the month."""
+    early, free = FIRST - 2 * ONE, {"injection_cost": 0.0, "withdrawal_cost": 0.0}
+    times = {"valuation_date": early, "interest_rate": 0.0}
+    data, rule = ruled(market=DATA["market"] | times, contract=DATA["contract"] | free)
+    assert rule.prices is not None
+    seen = curves_of(rule, drawn_states(rule.prices.factors, 2, 3)[:, :, 0])
+    days, prices = rule.case.days, rule.prices.forward[:30].tolist()
+    today = [Quote(day, day, price) for day, price in zip(days, prices)]
+    curves = {early: today} | dict(seen.curves)
+    seen = replace(seen, spot_days=(early, *days), spot_prices=(20.0, *seen.spot_prices),
+                   curve_days=tuple(curves), curves=curves)  # fmt: skip
+    products = {"months": {"last_trading": 0}, "balance_of_month": {}, "day_ahead": {}}
+    data = data | {
+        "products": products,
+        "hedge": {"deltas": [list(products)], "least_variance": [], "paths": 2048},
+    }
+    result = run_backtest(FILE, data, seen, solved_on(FILE, data, None, None, None), 99, hedge=True)
+    sold = [x for x in result.positions if x.date == early]
+    assert [x.product for x in sold] == ["2025-01"] and result.hedge_days[0].date == early
+    assert (sold[0].first, sold[0].last) == (days[0], days[-1]) and result.hedge_days[0].gain == 0.0
+    # Without costs the value is the sum of its deltas times their prices (Euler): 2,048 paths.
+    assert (
+        abs(30 * sold[0].sold * sold[0].price - result.expected) < 3 * result.deviation / 2048**0.5
+    )
+    assert result.hedge_days[1].gain != 0.0
+
+
 def test_when_the_model_is_estimated():
     days = [FIRST + n * ONE for n in range(100)]
     assert BacktestPlan().due(days) == frozenset()
@@ -302,7 +331,7 @@ def test_the_command_writes_hedges_and_estimates(tmp_path, capsys):
     (estimate,) = answer["estimates"]
     assert "20 dates" in estimate["reason"] and estimate["date"] == "2025-01-01"
     products = [x["products"] for x in answer["hedges"]]
-    assert "day ahead, balance of month" in " ".join(products) and answer["change"] is None
+    assert "day ahead, balance of month" in " ".join(products) and answer["mark_deviation"] is None
     folder = case / "backtest"
     heads = {name: (folder / f"{name}.csv").read_text().splitlines() for name in
              ("hedges", "hedge_days", "hedge_positions", "calibrations")}  # fmt: skip

@@ -176,7 +176,7 @@ def run_backtest(
             if book.first < 0 and not start:
                 book.trade(-1, float(level[0]), state[0])
         for t in range(start, after):
-            curve = curves(t) if t in curves.trading else None
+            curve = curves(t) if curved and t in curves.trading else None
             row = decided(rule, t - start, ledger.problem, t, level, state, spots[t : t + 1], curve)
             level, state = row.inventory, row.factors
             cash += float(row.cash[0])

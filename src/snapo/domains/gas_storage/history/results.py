@@ -50,8 +50,8 @@ class StoreBacktest:
     - `expected`, `error`: its mean on drawn histories of the model and the standard error;
       `deviation`: of one history; `share`: of histories that bring less than the realised one.
     - `rolling`: of rolling intrinsic on the same curves; None without curves.
-    - `marks`: of every solution. `change`: the standard deviation of the change of the marked
-      position from one solution to the next, NaN of fewer than two changes.
+    - `marks`: of every solution. `mark_deviation`: the standard deviation of the change of the
+      marked position from one solution to the next, NaN of fewer than two changes.
     - `estimates`: of the model, on their dates; `hedges`: the result with each, `hedge_days` and
       `positions` by day.
     """
@@ -70,7 +70,7 @@ class StoreBacktest:
     share: float
     rolling: float | None
     marks: tuple[MarkedPosition, ...]
-    change: float
+    mark_deviation: float
     estimates: tuple[DatedEstimate, ...] = ()
     hedges: tuple[HedgedStore, ...] = ()
     hedge_days: tuple[HedgeDay, ...] = ()
@@ -136,7 +136,7 @@ def answer_of(result: StoreBacktest) -> dict[str, Any]:
         "rolling_intrinsic": result.rolling,
         "intrinsic": result.marks[0].intrinsic,
         "solutions": [asdict(mark) | {"date": mark.date.isoformat()} for mark in result.marks],
-        "change": _finite(result.change),
+        "mark_deviation": _finite(result.mark_deviation),
         "estimates": [estimate.as_data() for estimate in result.estimates],
         "hedges": [asdict(x) | {"deviation": _finite(x.deviation)} for x in result.hedges],
     }
@@ -204,7 +204,7 @@ def _hedges(answer: Mapping[str, Any]) -> Iterator[str]:
     )
     contract = answer["realised"]
     none = {"hedge": "None", "products": "", "gain": 0.0, "total": contract, "traded": 0.0}
-    for row in (none | {"cost": 0.0, "deviation": answer["change"]}, *answer["hedges"]):
+    for row in (none | {"cost": 0.0, "deviation": answer["mark_deviation"]}, *answer["hedges"]):
         name = f"{row['hedge']}: {row['products']}" if row["products"] else row["hedge"]
         deviation = "" if row["deviation"] is None else f"{row['deviation']:,.0f}"
         numbers = "".join(f"{x:>14,.0f}" for x in (contract, row["gain"], row["total"]))
