@@ -1,8 +1,8 @@
-"""`python -m benchmarks`: what gradients cost here, domain by domain, and the native engine.
+"""`python -m benchmarks`: what gradients cost here, domain by domain; the native engine; checks.
 
 The figures that README and docs quote are written into them (`benchmarks/figures.py`)."""
 
-from . import figures, gas_storage, native, pension, pharma
+from . import checking, figures, gas_storage, native, pension, pharma
 from .machine import machine
 
 SMALLER = ("small", "medium")
@@ -16,6 +16,7 @@ if __name__ == "__main__":
         "native": native.table(),
         "pension": pension.table(SMALLER),
         "pharma": pharma.table(),
+        "checking": checking.table(),
     }
     for name, table in tables.items():
         print()

@@ -20,8 +20,8 @@ from snapo.domains.energy.read.case import EnergyCase
 from snapo.domains.energy.read.case import read_case as read_contract
 from snapo.domains.gas_storage.contract.records import storage_inputs
 from snapo.domains.gas_storage.read.case import read_case
-from snapo.live.files import read_files
-from snapo.live.positions import InputPositions
+from snapo.study.positions import InputPositions
+from snapo.study.positions.files import read_files
 
 QUOTES = {"2025-01": 30.0, "2025-02": 28.0, "2025-03": 26.0, "2025-Q1": None}
 

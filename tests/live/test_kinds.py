@@ -9,17 +9,17 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, small
 from tests.miniatures import MINIATURES
 
 from snapo.case.error import CaseError
-from snapo.live.files import read_files
 from snapo.live.headline import HeadlineTables
 from snapo.live.moves import Recalculation, WhatIf, choices
 from snapo.live.open import about_run
-from snapo.live.positions import InputPositions
 from snapo.live.valuation import Valuation
 from snapo.live.worker import open_run
 from snapo.solver.measure.measure import MeasuredRun, measure
 from snapo.solver.train import initial_progress
 from snapo.study import commands
 from snapo.study.domain import Options
+from snapo.study.positions import InputPositions
+from snapo.study.positions.files import read_files
 from snapo.study.run_folder import plain_json
 from snapo.testing.miniature import Miniature, quiet
 

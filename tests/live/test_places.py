@@ -8,11 +8,11 @@ import pytest
 from snapo.case.error import CaseError
 from snapo.case.given import ConvertedNumber, NoPosition
 from snapo.domains.pension.quantities import AMOUNT
-from snapo.live.files import read_files, readable
-from snapo.live.positions import InputPositions
 from snapo.live.terms import usual
 from snapo.study import commands
 from snapo.study.domain import Options
+from snapo.study.positions import InputPositions
+from snapo.study.positions.files import read_files, readable
 
 
 @pytest.fixture(scope="module")

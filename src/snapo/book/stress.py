@@ -7,8 +7,8 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.given import SourceNumbers
-from snapo.live.positions import sources_of
 from snapo.problem.inputs import Input
+from snapo.study.positions import sources_of
 
 from .file import StressMove
 

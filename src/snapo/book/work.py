@@ -26,8 +26,6 @@ from snapo.case.error import CaseError
 from snapo.engine.native import forget_kernels
 from snapo.engine.workers import OTHER
 from snapo.lanes.machine import pipeline
-from snapo.live.files import read_files
-from snapo.live.positions import InputPositions
 from snapo.problem.form import form_of
 from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy, load_policy
@@ -40,6 +38,8 @@ from snapo.study.assign import assigned
 from snapo.study.chapters.profile import leaves
 from snapo.study.domain import Domain, Options, find
 from snapo.study.kind import with_other_numbers
+from snapo.study.positions import InputPositions
+from snapo.study.positions.files import read_files
 from snapo.study.prepare import use_every_core
 from snapo.study.study import Recalculated, Setup, Study
 

@@ -15,10 +15,10 @@ from snapo.case.error import CaseError
 from snapo.case.table import keys_of, recorded_tables
 from snapo.problem.inputs import Input
 from snapo.solver import statistics
+from snapo.study.positions import ChangedCase, InputPositions, movable
+from snapo.study.positions.files import Files, Key
 from snapo.study.study import DisplayedValue, Recalculated, Study
 
-from .files import Files, Key
-from .positions import ChangedCase, InputPositions, movable
 from .terms import described, handles
 
 OWN = ("title", "name", "label")  # keys by which the row of a table names itself

@@ -28,11 +28,11 @@ from snapo.solver.solution import Solution
 from snapo.solver.statistics import Estimate
 from snapo.solver.train import initial_progress, train
 from snapo.study.chapters.profile import KINDS, MAX_ENTRIES, bands, leaves
+from snapo.study.positions import InputPositions, movable
 from snapo.study.run_folder import POLICY
 from snapo.study.study import DisplayedValue, PathTotals, Setup, Study
 
 from .moves import NONE, InputValues, Rebuild, SelectedChoices, WhatIf, explained_by
-from .positions import InputPositions, movable
 from .rollout import PathCounts, Simulated, simulate, totals_of
 from .terms import MAXIMUM, Deltas, derivatives, no_value, slopes
 

@@ -24,14 +24,14 @@ from snapo.report.record import EMPTY, entries_of
 from snapo.solver.solution import Solution
 from snapo.study.commands import domain_of_run
 from snapo.study.domain import Domain, Options
+from snapo.study.positions import InputPositions
+from snapo.study.positions.files import read_files
 from snapo.study.prepare import case_of_run, options_of_run
 from snapo.study.run_folder import plain_json, read
 from snapo.study.study import Study
 
-from .files import read_files
 from .headline import HeadlineTables
 from .moves import Recalculation, WhatIf
-from .positions import InputPositions
 from .rollout import PathCounts, numbers_of_a_path
 from .terms import stopped
 from .valuation import Valuation

@@ -79,7 +79,7 @@ class Sensitivities(NamedTuple):
     - `verdicts`: the verdict of a bump of the input, {input: Verdict}.
     - `reported`: the reported derivative, with its interval, {input: Reported}; if None, it is the
       held one with its sampling error.
-    - `schedule`: the held derivatives with respect to the schedule, if they are not large.
+    - `schedule`: the held derivatives with respect to the schedule, unless they are large.
     """
 
     inputs: dict[str, inputs_.Input]
@@ -207,13 +207,11 @@ HEAD = (
 SHOWN = 12  # numbers of one input that are printed
 LEFT = (0, 1, 5, 6)  # columns of text
 MINIMUM, MAXIMUM = 256, 64  # paths of a block where there are more than 32; blocks at most
-SCHEDULE_BYTES = 2**26  # of derivatives with respect to a schedule that are not large
 DRIFT = 4  # a share of the blocks, one in four, is enough for the drift
 
 
 def _columns(estimates: Mapping[str, Estimate] | None, name: str) -> tuple:
-    """The derivatives with respect to one input and their errors, flat; None where there are
-    none."""
+    """Derivatives with respect to an input and their errors, flat; None where there are none."""
     if estimates is None:
         return None, None
     return estimates[name].value.ravel(), estimates[name].standard_error.ravel()
@@ -279,10 +277,8 @@ def sensitivities_and_totals(
     blocks = source.blocks(paths, int(np.clip(paths // MINIMUM, BLOCKS, MAXIMUM)))
     if isinstance(bound.simulator, Uncontrolled):
         totals = None  # a program without control variates may round in another way
-    held = DerivativePass(
-        problem, bound, policy, Exact(), True, actions, totals=totals
-    ).derivatives(blocks)
-    moved = None
+    own = DerivativePass(problem, bound, policy, Exact(), True, actions, totals=totals)
+    held, moved = own.derivatives(blocks), None
     if earlier is not None:
         # Paired, so that a few blocks suffice; the weights of another objective are those of all.
         few = blocks[: max(FEWEST, len(blocks) // DRIFT)] if problem.objective.linear else blocks
@@ -291,18 +287,16 @@ def sensitivities_and_totals(
             name: Estimate(held.inputs[name].blocks[: len(few)] - item.blocks)
             for name, item in before.items()
         }
-    small = held.schedule if held.schedule.bytes <= SCHEDULE_BYTES else None
     result = Sensitivities(
-        problem.inputs_by_name, held.inputs, moved=moved, dropped=held.dropped, schedule=small
-    )
+        problem.inputs_by_name, held.inputs, None, moved, None, held.dropped, None, None,
+        held.schedule.unless_large(),
+    )  # fmt: skip
     if isinstance(smooth, Exact):
         return _without(result, problem.lost), None
     blocks = source.blocks(source.available(min(smooth_paths, paths)))
     soft = through_policy(problem, policy, smooth, engine).derivatives(blocks)
-    dropped = held.dropped + soft.dropped
-    result = result._replace(
-        smooth=soft.inputs, policy_gradient=soft.policy.norm(), dropped=dropped
-    )
+    dropped, norm = held.dropped + soft.dropped, soft.policy.norm()
+    result = result._replace(smooth=soft.inputs, policy_gradient=norm, dropped=dropped)
     table = soft.totals if not soft.dropped else None
     if table is not None:
         order = np.argsort(np.concatenate(blocks))
@@ -365,7 +359,7 @@ def second_order(
     direction. XLA only; on Mean-like objectives the weights are constant, on others they are held.
     """
     engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs
-    smooth = Smooth(TEMPERATURE) if smooth is None else smooth
+    smooth = smooth or Smooth(TEMPERATURE)
     draws = problem.sources.evaluation.draws(np.arange(paths), simulator)
     totals = float64(engine.bind(problem).values(policy, draws, smooth).totals)
     weights = problem.objective.weights(totals)

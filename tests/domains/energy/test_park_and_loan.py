@@ -22,7 +22,7 @@ from snapo.domains.energy.methods.grid import grid_of
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.read.case import EnergyCase, read_case
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
-from snapo.domains.energy.study import checked
+from snapo.domains.energy.summary import lines
 from snapo.domains.gas_storage.bounds.basis import gaussian_basis
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
 from snapo.domains.gas_storage.ladder.methods import fitted_rule, followed
@@ -286,7 +286,7 @@ def test_what_is_left_is_cashed_out():
     value = -40.0 * (0.006 * days[:-1].sum() + 45.0 * days[-1])
     assert exact(case, forward=True) == pytest.approx(value, rel=1e-12)
     with pytest.raises(CaseError, match=r"contract: balance: .*cannot be met"):
-        checked(short(balance=-40.0, max_deliver=0.5))
+        lines(short(balance=-40.0, max_deliver=0.5))
 
 
 def test_the_balance_ends_at_zero_whatever_is_decided():

@@ -14,7 +14,7 @@ from snapo.case.error import CaseError
 from snapo.domains.energy.methods.grid import grid_of
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.setup import bare_problem, make_setup
-from snapo.domains.energy.study import checked
+from snapo.domains.energy.summary import lines
 from snapo.problem.policy import Policy
 from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate, path_totals
@@ -73,7 +73,7 @@ def test_volumes_off_a_grid_are_breakpoints():
 
 def test_a_minimum_that_cannot_be_met_is_refused():
     with pytest.raises(CaseError, match="cannot be met"):
-        checked(swing(**FIRM, annual={"min": 366.0, "max": 400.0}))
+        lines(swing(**FIRM, annual={"min": 366.0, "max": 400.0}))
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 from tests.domains.inventory.inventory_cases import case
 
+from snapo.domains.inventory.demand.counts import TAIL, most_of, negative_binomial
 from snapo.domains.inventory.demand.registry import kinds
 
 LAWS = {
@@ -115,3 +116,11 @@ def test_normal_and_empirical_demand_have_the_derivatives_of_their_moments(tmp_p
             for name, slope in slopes.items():
                 ends = [mean(values | {name: values[name] + way * 1e-6}) for way in (1, -1)]
                 assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-5)
+
+
+@pytest.mark.parametrize("mean", [0.01, 0.7, 5.0, 90.0, 1100.0])
+def test_the_largest_demand_is_the_quantile_of_scipy(mean):
+    for size in (0.3, 1.0, 40.0):
+        quantile = stats.nbinom(size, size / (size + mean)).ppf(1 - TAIL)
+        assert most_of(negative_binomial(size, mean)) == quantile + 1
+    assert most_of(stats.poisson(mean).cdf) == stats.poisson(mean).ppf(1 - TAIL) + 1

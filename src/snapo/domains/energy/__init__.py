@@ -8,6 +8,7 @@ SWING = Kind(
     "a swing contract: volumes at a strike within annual limits",
     __name__,
     {"take-or-pay": "template_swing"},
+    summary="summary:lines",
     tables="read.case:swing_formats",
     explainer=EXPLAINER,
 )
@@ -16,6 +17,7 @@ BATTERY = Kind(
     "a battery: energy by the hour, with wear and a limit on cycles",
     __name__,
     {"week": "template_battery"},
+    summary="summary:lines",
     tables="read.case:battery_formats",
     explainer=EXPLAINER,
 )
@@ -24,6 +26,7 @@ PARK_AND_LOAN = Kind(
     "a park and loan at a pipeline or hub: gas delivered and taken back, or taken and returned",
     __name__,
     {"winter": "template_park_and_loan"},
+    summary="summary:lines",
     tables="read.case:park_and_loan_formats",
     explainer=EXPLAINER,
 )
@@ -32,6 +35,7 @@ PLANT = Kind(
     "a power plant: power from gas by the hour, with hot and cold starts and minimum times",
     __name__,
     {"week": "template_plant"},
+    summary="summary:lines",
     tables="read.case:plant_formats",
     explainer=EXPLAINER,
 )

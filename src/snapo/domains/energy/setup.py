@@ -18,9 +18,14 @@ from snapo.study.study import Setup
 
 from ..gas_storage.bounds.regression import AnyBasis, basis_of
 from ..gas_storage.prices.process import GaussianFactors, PriceProcess
-from .core.intraday import IntradayPolicy, IntradaySimulator, without_trades
+from .core.intraday import (
+    IntradayPolicy,
+    IntradaySimulator,
+    simulator_kind,
+    without_trades,
+)
 from .core.policy import UnitValuePolicy
-from .core.simulator import EnergySimulator, simulator_of
+from .core.simulator import simulator_of
 from .methods.fitted import FittedContract, fit
 from .methods.grid import ContractGrid, grid_of
 from .methods.guide import guide_tables
@@ -32,8 +37,9 @@ MAX_FACTORS = 3  # of a fitted value, next to those that move all prices in prop
 
 def bare_problem(case: EnergyCase) -> Problem:
     """The contract without a fitted value."""
-    kind = EnergySimulator if case.scheduled is None else IntradaySimulator
-    return Problem(kind.of(case), case.inputs(), make_objective(case.objective, OUTPUT))
+    return Problem(
+        simulator_kind(case).of(case), case.inputs(), make_objective(case.objective, OUTPUT)
+    )
 
 
 def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:

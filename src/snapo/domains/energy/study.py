@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.error import CaseError
 from snapo.problem.problem import Problem
 from snapo.report.quantity import readable
 from snapo.study.chapters.bound import BOUND
@@ -24,52 +23,22 @@ from .chapters.products import PRODUCT_DELTAS, VEGA
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.contract import ContractLayout
-from .core.feasibility import first_fault
+from .core.feasibility import check_limits
 from .core.intraday import TRADED
 from .core.simulator import simulator_of
 from .methods.grid import grid_of
 from .methods.hindsight import EnergyRelaxation
-from .methods.lattice import lattice
 from .read.case import KINDS, EnergyCase
 from .setup import bare_problem, make_setup, setup_at
 
 
-def checked(case: EnergyCase) -> Problem:
-    """The problem of a contract that can be met.
-
-    **Raises:** `CaseError` with the first step and level that no decisions can keep.
-    """
-    problem = bare_problem(case)
-    layout = case.contract.layout
-    fault = first_fault(layout, problem.schedule)
-    if fault is not None:
-        step, level = fault
-        day = case.days[max(step, 0)]
-        name = layout.levels[level].name
-        raise CaseError(str(case.file), f"contract: {name}", None,
-                        f"its limits cannot be met from {day} on, whatever is decided")  # fmt: skip
-    return problem
-
-
-def lines(case: EnergyCase) -> list[str]:
-    """The case in a few lines: nothing is trained."""
-    problem = checked(case)
-    layout, schedule = simulator_of(problem).layout, problem.schedule
-    numbers = sum(entry.value.size for entry in problem.inputs_by_name.values())
-    value = lattice(layout, schedule, None).value
-    return [
-        f"{case.title}: {len(case.days)} decisions, {case.days[0]} to {case.days[-1]}",
-        f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "
-        f"flows: {', '.join(x.name for x in layout.flows)}",
-        f"{len(problem.inputs_by_name)} inputs with {numbers} numbers, each with a sensitivity",
-        f"intrinsic value {value:,.2f} {case.currency}",
-        "the contract can be met",
-    ]
-
-
 def study(case: EnergyCase, options: Options) -> Study:
-    """All parts of a run."""
-    ready, problem = _Prepared(case, options.engine), checked(case)
+    """All parts of a run.
+
+    **Raises:** `CaseError` where the contract cannot be met.
+    """
+    ready, problem = _Prepared(case, options.engine), bare_problem(case)
+    check_limits(case, problem.schedule)
     relaxation = _relaxation(ready, problem)
     parts = [INTRINSIC.part, TRAINING, MOVES.part, DISTRIBUTION.part, profile().part,
              CERTIFICATE.part]  # fmt: skip

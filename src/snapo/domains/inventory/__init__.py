@@ -25,5 +25,6 @@ DOMAIN = Inventory(
     "an inventory: orders, service and costs under random demand",
     __name__,
     {"spare-part": "template", "line": "template_line", "stores": "template_stores"},
+    summary="summary:lines",
     tables="read.network:FORMATS",
 )

@@ -3,8 +3,6 @@
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.problem.objective import Mean
-from snapo.problem.problem import Problem
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.profile import profile
@@ -19,66 +17,8 @@ from .chapters.lead_time import LEAD_TIME
 from .chapters.levels import LEVELS, today
 from .chapters.places import PLACES, network_tables, service_and_places
 from .chapters.service import SERVICE, live_tables
-from .item.records import InventoryCase
 from .network.records import NetworkCase
-from .setup import AnyCase, make_setup, setup_at, simulator_of
-
-
-def lines(case: AnyCase) -> list[str]:
-    """The case in a few lines: nothing is trained."""
-    describe = _network_lines if isinstance(case, NetworkCase) else _item_lines
-    inputs = case.inputs()
-    numbers = sum(entry.value.size for entry in inputs.values())
-    last = f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity"
-    return [*describe(case), last]  # pyright: ignore[reportArgumentType]
-
-
-def _item_lines(case: InventoryCase) -> list[str]:
-    item = case.item
-    unmet = "lost" if item.lost else "delivered later"
-    integers = "whole" if item.integer else "any"
-    problem = Problem(simulator_of(case), case.inputs(), Mean("result"))
-    level = float(problem.schedule.steps["level"][case.warm_up])
-    return [
-        f"{case.title}: {_periods(case)}",
-        f"demand of a {case.period}: {case.demand.describe()}; without stock it is {unmet}",
-        f"an order arrives after {item.lead_time} {case.period}s; {integers} numbers of "
-        f"{case.unit}s",
-        f"base-stock level to start from: {level:,.4g} {case.unit}s",
-    ]
-
-
-def _network_lines(case: NetworkCase) -> list[str]:
-    sites = case.network.sites
-    rows = [f"{case.title}: {len(sites)} places, {_periods(case)}"]
-    customers = dict(zip(case.network.sellers, zip(case.demands, case.seasons)))
-    for i, site in enumerate(sites):
-        supplier = "outside" if site.supplier is None else sites[site.supplier].name
-        row = f"{site.name}: from {supplier} in {site.lead_time} {case.period}s"
-        if i in customers:
-            demand, season = customers[i]
-            row += f"; demand {demand.describe()}"
-            row += f", a season of {len(season.values)} {case.period}s" if season else ""
-        rows.append(row)
-    if (ordering := case.ordering) is not None:
-        rows += [
-            f"an order of {name} costs {cost:,.4g} {ordering.unit}, whatever its size"
-            for name, cost in zip(ordering.labels, ordering.values)
-        ]
-    if (moving := case.transshipment) is not None:
-        rows += [
-            f"stores that send one another goods: {pool}; {cost:,.4g} {moving.unit}"
-            for pool, cost in zip(moving.labels, moving.values)
-        ]
-    return [
-        *rows,
-        f"orders are {'whole' if case.network.integer else 'any'} numbers of {case.unit}s",
-    ]
-
-
-def _periods(case: AnyCase) -> str:
-    after = f", after {case.warm_up} that do not count" if case.warm_up else ""
-    return f"{case.periods} {case.period}s{after}"
+from .setup import AnyCase, make_setup, setup_at
 
 
 def study(case: AnyCase, options: Options) -> Study:

@@ -8,6 +8,7 @@ DOMAIN = Kind(
     __name__,
     {"standard": "template"},
     reader="read.case:resolve",
+    summary="summary:lines",
     timer="bench:bench",
     relaxed="read.case:without_checks",
 )

@@ -39,7 +39,7 @@ def fold(name: str, params, inputs: list, avals) -> list[np.ndarray] | None:
     if any(i is None for i in inputs) or any(_size(a) > SMALL for a in avals):
         return None
     with np.errstate(all="ignore"):
-        result = _evaluate(name, params, inputs, avals[0])
+        result = evaluated(name, params, inputs, avals[0])
     if result is None:
         return None
     results = result if isinstance(result, list) else [result]
@@ -50,7 +50,8 @@ def _size(aval) -> int:
     return math.prod(aval.shape)
 
 
-def _evaluate(name, params, inputs, aval):
+def evaluated(name, params, inputs, aval):
+    """The output, or a list of the outputs; None if there is no rule."""
     if name in _DIRECT:
         return _DIRECT[name](*inputs)
     if name in ("empty", "empty2"):  # an array that is never read

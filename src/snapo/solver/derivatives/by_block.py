@@ -20,6 +20,7 @@ from ..evaluate import DECIDED, in_a_row
 from ..statistics import Estimate
 from .changes import BlockPlan, plan
 
+LARGE = 2**26  # bytes of derivatives with respect to a schedule
 CHUNK = 8192  # paths in one call of an engine, where a block has no more
 
 
@@ -45,11 +46,11 @@ class ScheduleDerivatives(NamedTuple):
             for name, item in sums.items()
         }
 
-    @property
-    def bytes(self) -> int:
-        """The memory that they take."""
+    def unless_large(self) -> "ScheduleDerivatives | None":
+        """These; None where they take more than `LARGE` bytes."""
         leaves = jax.tree.leaves((self.passes, self.further))
-        return sum(leaf.nbytes for leaf in leaves if any(leaf.strides))
+        size = sum(leaf.nbytes for leaf in leaves if any(leaf.strides))
+        return self if size <= LARGE else None
 
 
 class PassResult(NamedTuple):

@@ -164,30 +164,25 @@ def select(
 ) -> Selection:
     """The start, unless the best of the candidates is above it by two errors.
 
-    A few of the paths suffice where the choice is clear. Of long paths a candidate that is plainly
-    below another on these is not looked at again. Without a candidate of a finite value the first
-    one is kept, uncompared.
+    A few of the paths suffice where the choice is clear. A candidate that is plainly below another
+    on these is not looked at again. Without a candidate of a finite value the first one is kept,
+    uncompared.
 
     - `paths`: at most.
     """
     source = fresh(problem.sources.validation)
     paths = source.available(paths)
-    long = problem.simulator.horizon > LONG
-    search: tuple[float, float] | None = None
+    stages = (FEWEST, *STAGES) if problem.simulator.horizon > LONG else STAGES
+    search: tuple[float, float] = (0.0, 0.0)
     available: dict[str, Totals] = {}
-    for few in (FEWEST, *STAGES) if long else STAGES:
-        if paths < 2 * few:
-            break
+    for few in (*(stage for stage in stages if 2 * stage <= paths), paths):
         result, level, left = _selected(problem, start, candidates, source, few, engine, available)
-        if long:
-            search = search or result.search
-            result = result._replace(search=search)
-            candidates = {name: candidates[name] for name in left}
+        search = result.search if {TOP, NEWEST} <= candidates.keys() else search
+        candidates = {name: candidates[name] for name in left}
         plain = result.gain > PLAIN * result.error
         if plain or result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level):
-            return result
-    result = _selected(problem, start, candidates, source, paths, engine, available)[0]
-    return result if search is None else result._replace(search=search)
+            break
+    return result._replace(search=search)
 
 
 def _selected(

@@ -12,8 +12,8 @@ from snapo.case.load import load
 from snapo.case.toml import to_toml
 from snapo.domains.pension.read.case import read_case, resolve
 from snapo.domains.pension.records.inputs import every_given, pension_inputs
-from snapo.live.files import read_files, readable, with_numbers
-from snapo.live.positions import InputPositions
+from snapo.study.positions import InputPositions
+from snapo.study.positions.files import read_files, readable, with_numbers
 
 LITTLE = 2.0**-21  # weights still add up to one
 

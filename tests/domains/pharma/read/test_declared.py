@@ -15,8 +15,8 @@ from snapo.domains.pharma.read.case import resolve
 from snapo.domains.pharma.units.filter_dryer import FilterDryer
 from snapo.domains.pharma.units.registry import read_units
 from snapo.domains.pharma.units.wet_mill import WetMill
-from snapo.live.files import read_files
-from snapo.live.positions import InputPositions
+from snapo.study.positions import InputPositions
+from snapo.study.positions.files import read_files
 
 MILL = {
     "type": "wet-mill", "duration": "30 min", "speed": "1200 m/min", "rate": "1e-3 1/s",

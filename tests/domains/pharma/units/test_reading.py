@@ -15,8 +15,8 @@ from snapo.domains.pharma.units.crystalliser import Crystalliser
 from snapo.domains.pharma.units.reactor import Reactor
 from snapo.domains.pharma.units.registry import read_units
 from snapo.domains.pharma.units.tray_dryer import TrayDryer
-from snapo.live.files import Files, with_numbers
 from snapo.report.page import Chart, Table
+from snapo.study.positions.files import Files, with_numbers
 
 SIZES = {"smallest": "1 um", "largest": "400 um", "cells": 100, "spacing": "geometric"}
 GRID = {"method": "finite-volumes", "sizes": SIZES}

@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from snapo.case.error import CaseError
+
 from .contract import ContractLayout, StepTerms
 
 MISSED = 5.0  # charge for a unit of a promised minimum, in the largest amount that a unit moves
@@ -145,3 +147,18 @@ def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None
         if not result.low[0, i] - tolerance <= start[i] <= result.high[0, i] + tolerance:
             return -1, i
     return None
+
+
+def check_limits(case: Any, schedule: Any) -> None:
+    """Refuses a contract that cannot be met; `schedule`: with NumPy leaves.
+
+    **Raises:** `CaseError` with the first step and level that no decisions can keep.
+    """
+    layout = case.contract.layout
+    fault = first_fault(layout, schedule)
+    if fault is not None:
+        step, level = fault
+        day = case.days[max(step, 0)]
+        name = layout.levels[level].name
+        raise CaseError(str(case.file), f"contract: {name}", None,
+                        f"its limits cannot be met from {day} on, whatever is decided")  # fmt: skip

@@ -67,8 +67,8 @@ class IntradaySimulator(EnergySimulator):
     scheduled_values: UnitValueTable | None = None
 
     @classmethod
-    def of(cls, case: Any) -> Self:
-        made = super().of(case)
+    def bare(cls, case: Any) -> Self:
+        made = super().bare(case)
         size = VIEWS * len(made.layout.pairs)
         return replace(made, auction=formed(case.scheduled), action=Box(0.0, 1.0, size))
 
@@ -197,6 +197,11 @@ class IntradayPolicy(UnitValuePolicy):
     def __call__(self, observation, smooth=EXACT):
         views = as_observation(observation).reshape((VIEWS, -1))
         return jnp.concatenate([super(IntradayPolicy, self).__call__(x, smooth) for x in views])
+
+
+def simulator_kind(case: Any) -> type[EnergySimulator]:
+    """The simulator of a case."""
+    return EnergySimulator if case.scheduled is None else IntradaySimulator
 
 
 def without_trades(problem: Problem, scheduled: bool) -> Problem:

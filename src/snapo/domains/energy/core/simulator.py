@@ -65,8 +65,13 @@ class EnergySimulator(PricedSimulator):
     @classmethod
     def of(cls, case: Any) -> Self:
         """The contract of a case, with the scales of its numbers."""
+        return cls.bare(case).scaled({x.name: x.values for x in case.numbers()})
+
+    @classmethod
+    def bare(cls, case: Any) -> Self:
+        """The contract of a case; all scales are 1."""
         layout, market = case.contract.layout, case.market
-        made = cls(  # pyright: ignore[reportCallIssue]
+        return cls(  # pyright: ignore[reportCallIssue]
             formed(case.contract),
             formed(case.model),
             market.forward_curve.use(),
@@ -82,7 +87,6 @@ class EnergySimulator(PricedSimulator):
                 0.0, 1.0, len(layout.pairs) + len(layout.choices)
             ),
         )
-        return made.scaled({x.name: x.values for x in case.numbers()})
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
         """With the scales of features of these inputs."""

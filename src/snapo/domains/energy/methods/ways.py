@@ -7,16 +7,14 @@ that their values stay in the fastest cache, and the best so far in registers.
 
 from collections.abc import Callable
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from snapo.engine.code_cache import KERNELS, code_folder
-from snapo.lanes.machine.disk import cached
-from snapo.lanes.machine.linked import Linked, address
-from snapo.lanes.machine.pipeline import unavailable
-
 from ..core.contract import ContractLayout
+
+if TYPE_CHECKING:
+    from snapo.lanes.machine.linked import Linked
 
 WIDTH = 16  # columns at once; the last ones of a number of columns may be computed twice
 NOTHING = "0xFFF0000000000000"  # minus infinity
@@ -39,6 +37,8 @@ class Ways(NamedTuple):
 
     def best(self, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray) -> np.ndarray:
         """[modes, nodes, columns]; the arguments are those of `grid.best`."""
+        from snapo.lanes.machine.linked import address  # late: a case is checked without it
+
         modes, _, columns = after.shape
         money = fixed if fixed.ndim > 1 else np.repeat(fixed[:, None], columns, axis=1)
         value = np.empty((len(self.first) - 1, columns))
@@ -101,11 +101,17 @@ def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: lis
 @cache
 def available() -> bool:
     """Whether machine code can be made here."""
+    from snapo.lanes.machine.pipeline import unavailable  # late, as above
+
     return unavailable() is None
 
 
 @cache
-def _machine() -> Linked:
+def _machine() -> "Linked":
+    from snapo.engine.code_cache import KERNELS, code_folder  # late, as above
+    from snapo.lanes.machine.disk import cached
+    from snapo.lanes.machine.linked import Linked
+
     return Linked(cached(_text(), code_folder(KERNELS)), {"best": 2})
 
 

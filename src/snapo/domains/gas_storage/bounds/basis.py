@@ -18,7 +18,6 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy.special import ndtr
 
 from ..prices.process import GaussianFactors
 
@@ -303,6 +302,8 @@ def _hermite(y: np.ndarray, degree: int) -> list[np.ndarray]:
 
 def _hinge_means(hinges: np.ndarray, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """[hinges, ...] expectations of (y - k)+, y normal."""
+    from scipy.special import ndtr  # late: a case is checked without it
+
     above = mean - hinges.reshape(-1, *[1] * mean.ndim)
     d = above / deviation
     return deviation * np.exp(-(d**2) / 2) / math.sqrt(2 * math.pi) + above * ndtr(d)

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-from scipy.special import ndtri
 
 from ..prices.process import GaussianFactors
 from .basis import REACH, PolynomialBasis, gaussian_basis
@@ -230,7 +229,8 @@ def states_of(basis: PolynomialBasis) -> tuple[np.ndarray, np.ndarray, np.ndarra
     levels = LEVELS if basis.common else 1
     selected = len(basis.selected)
     if selected not in COUNTS:
-        from scipy.stats import qmc  # late: it takes a second to load
+        from scipy.special import ndtri  # late: a case is checked without scipy
+        from scipy.stats import qmc
 
         points = qmc.Sobol(selected + 1, rng=np.random.default_rng(0)).random(POINTS).T
         z = ndtri(np.clip(points, 2.0**-31, 1 - 2.0**-31))

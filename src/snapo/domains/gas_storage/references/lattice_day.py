@@ -1,9 +1,8 @@
 """One day of the inventory lattice: its grid, the best decisions on it, and following them."""
 
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-import scipy.sparse as sparse
 
 from .day_terms import (
     DayRates,
@@ -14,6 +13,9 @@ from .day_terms import (
     holding_cost,
     moves,
 )
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Which flows of a day are tried: the extremes (most, least, smallest), also the node where the
 # value less the price is greatest ("free"), or also every node ("every").
@@ -156,17 +158,19 @@ def follow(day: DayDecisions, weight: np.ndarray) -> LatticeFlow:
     return LatticeFlow(injected, withdrawn, after)
 
 
-def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> sparse.csr_array:
+def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> "csr_array":
     """Linear interpolation from rising nodes [m] to points [n], flat outside. [n, m], sparse
 
     Linear on purpose: it keeps the order of values, and on a concave value it can only lose.
     """
+    from scipy.sparse import csr_array  # late: a case is checked without it
+
     count, size = len(points), len(nodes)
     if size == 1:
-        return sparse.csr_array(np.ones((count, 1)))
+        return csr_array(np.ones((count, 1)))
     points = np.clip(points, nodes[0], nodes[-1])
     left = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, size - 2)
     share = (points - nodes[left]) / (nodes[left + 1] - nodes[left])
     weights = np.stack([1 - share, share], axis=1).ravel()
     columns = np.stack([left, left + 1], axis=1).ravel()
-    return sparse.csr_array((weights, columns, np.arange(0, 2 * count + 1, 2)), (count, size))
+    return csr_array((weights, columns, np.arange(0, 2 * count + 1, 2)), (count, size))

@@ -21,6 +21,7 @@ Kinds of `[demand]`: "poisson", "geometric" and "negative-binomial".
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any, Literal
 
 import equinox as eqx
@@ -91,11 +92,20 @@ def count_mean() -> Any:
     return mean_key(LARGEST)
 
 
-def most_of(law: str, *parameters: float) -> int:
-    """The largest distinguished demand, of SciPy's `law` at the largest mean."""
-    from scipy import stats  # late: it takes a second to load
+def most_of(upto: Callable[[np.ndarray], np.ndarray]) -> int:
+    """The largest distinguished demand; `upto`: the probabilities of at most each demand, at the
+    largest mean."""
+    count = 64
+    while upto(np.array(float(count))) < 1 - TAIL:
+        count *= 2
+    return int(np.argmax(upto(np.arange(count + 1.0)) >= 1 - TAIL)) + 1
 
-    return int(np.ceil(getattr(stats, law)(*parameters).ppf(1 - TAIL))) + 1
+
+def negative_binomial(size: float, mean: float) -> Callable[[np.ndarray], np.ndarray]:
+    """The probabilities of at most each demand."""
+    from scipy.special import betainc  # late: a case without counts needs none
+
+    return lambda k: betainc(size, k + 1, size / (size + mean))
 
 
 class GeometricTable(CaseTable):
@@ -116,7 +126,7 @@ class GeometricDemand(CountDemand):
     @classmethod
     def read(cls, section: TableContext, table: GeometricTable, maximum: float):
         mean = ROOM * maximum * table.mean.values[0]
-        return cls(most_of("nbinom", 1, 1 / (1 + mean)), table.mean)
+        return cls(most_of(negative_binomial(1.0, mean)), table.mean)
 
     def logarithms(self, parameters, factor, k):
         mean = parameters[MEAN] * factor
@@ -162,7 +172,7 @@ class NegativeBinomialDemand(CountDemand):
             raise section.error("deviation", deviation, message)
         size = mean**2 / (deviation**2 - mean)
         largest = ROOM * maximum * mean
-        result = most_of("nbinom", size, size / (size + largest))
+        result = most_of(negative_binomial(size, largest))
         return cls(result, table.mean, table.deviation)
 
     def logarithms(self, parameters, factor, k):
@@ -202,7 +212,9 @@ class PoissonDemand(CountDemand):
     @classmethod
     def read(cls, section: TableContext, table: PoissonTable, maximum: float):
         mean = ROOM * maximum * table.mean.values[0]
-        return cls(most_of("poisson", mean), table.mean)
+        from scipy.special import pdtr  # late, as above
+
+        return cls(most_of(lambda k: pdtr(k, mean)), table.mean)
 
     def logarithms(self, parameters, factor, k):
         mean = parameters[MEAN] * factor

@@ -1,7 +1,6 @@
 """Rules of thumb of one item: where a rule starts, and the cost of a period to expect."""
 
 import numpy as np
-from scipy.special import ndtri
 
 from .records import InventoryCase
 
@@ -26,12 +25,18 @@ def safety_factor(case: InventoryCase) -> float:
     item = case.item
     holding = item.cost("holding") * (item.lead_time + 1 if item.lost else 1)
     ratio = item.cost("shortage") / (item.cost("shortage") + holding)
-    return float(np.clip(ndtri(ratio), -1.0, 4.0))
+    return float(np.clip(_quantile(ratio), -1.0, 4.0))
+
+
+def _quantile(share: float) -> float:
+    from scipy.special import ndtri  # late: a network is checked without it
+
+    return float(ndtri(share))
 
 
 def density_at(share: float) -> float:
     """The standard normal density at the quantile that this share of demands is below."""
-    return float(np.exp(-(ndtri(share) ** 2) / 2) / np.sqrt(2 * np.pi))
+    return float(np.exp(-(_quantile(share) ** 2) / 2) / np.sqrt(2 * np.pi))
 
 
 def economic_lot(case: InventoryCase) -> float:

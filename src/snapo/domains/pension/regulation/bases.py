@@ -8,8 +8,9 @@ import datetime
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
+
+from snapo.lanes.program.in_numpy import in_numpy
 
 from ..people.liability import paid_at
 from ..people.lpi import limited, log_growth
@@ -102,8 +103,7 @@ def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
         grown = log_growth(case, values) if limited(case) else None
         return *payments(case, values), grown
 
-    with jax.enable_x64(True):
-        flow, discount, growth = jax.tree.map(np.asarray, jax.jit(both)(inputs))
+    flow, discount, growth = in_numpy(both)(inputs)
     steps = paid_at(case, np.arange(len(flow)))
     if growth is not None:
         grown = np.exp(growth[steps])

@@ -6,14 +6,14 @@ commodities, S5 credit, S6 insurance, S10 active management; S7 to S9 are zero b
 the Regeling Pensioenwet, article 2.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+
+from snapo.lanes.program.in_numpy import in_numpy
 
 from ..market.assets.asset_class import by_kind, ratios
 from ..market.assets.swaps import swap_gains
@@ -187,20 +187,28 @@ def shocked(case: PensionCase, inputs: dict[str, Any], paid: Due, name: str) -> 
     if case.liability.basis != "fixed":
         after = shifted_discount(rules, name, paid.years, paid.discount)
 
-    before = curve_prices(case, inputs)
+    before = _prices(case, inputs)
 
     def shifted(steps: np.ndarray, linked: bool) -> np.ndarray:
         factors = f"real_{name}" if linked else name
-        return shifted_discount(
-            rules, factors, steps * case.step, np.asarray(before(steps, linked))
+        return shifted_discount(rules, factors, steps * case.step, before(steps, linked))
+
+    classes = in_numpy(lambda: ratios(case, before, shifted))() - 1
+    swaps = np.zeros(0)
+    if case.overlay is not None:
+        swaps = np.asarray(in_numpy(lambda: swap_gains(case, before, shifted))())
+    return Shocked(float(paid.flow @ (after - paid.discount)), classes, swaps)
+
+
+def _prices(case: PensionCase, inputs: dict[str, Any]) -> Callable[[np.ndarray, bool], np.ndarray]:
+    """Today's prices of payments, in NumPy."""
+
+    def prices(steps: np.ndarray, linked: bool) -> np.ndarray:
+        return np.asarray(
+            in_numpy(lambda inputs: curve_prices(case, inputs)(steps, linked))(inputs)
         )
 
-    with jax.enable_x64(True):
-        classes = np.asarray(ratios(case, before, shifted)) - 1
-        swaps = np.zeros(0)
-        if case.overlay is not None:
-            swaps = np.asarray(swap_gains(case, before, shifted))
-    return Shocked(float(paid.flow @ (after - paid.discount)), classes, swaps)
+    return prices
 
 
 def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
@@ -216,17 +224,16 @@ def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
 
 def _credit(case: PensionCase, held: np.ndarray) -> float:
     """S5: bonds with a rating lose the rise of its spread until their payments."""
-    rules, lost, before = regulation_of(case).rules, 0.0, curve_prices(case, {})
+    rules, lost, before = regulation_of(case).rules, 0.0, _prices(case, {})
     for kind, positions in by_kind(case):
         for position, rating in zip(positions, kind.ratings(case, positions)):
             if rating >= 0:
                 rise = rules.spreads.get(case.credit.names[rating], rules.spreads["other"])
 
-                def wider(steps: np.ndarray, linked: bool, rise=rise) -> Array | np.ndarray:
-                    return before(steps, linked) * jnp.exp(-rise * steps * case.step)
+                def wider(steps: np.ndarray, linked: bool, rise=rise) -> np.ndarray:
+                    return before(steps, linked) * np.exp(-rise * steps * case.step)
 
-                with jax.enable_x64(True):
-                    left = kind.ratio(case, [position], before, wider)
+                left = in_numpy(partial(kind.ratio, case, [position], before, wider))()
                 lost += float(held[position]) * (1 - float(left[0]))
     return max(lost, 0.0)
 

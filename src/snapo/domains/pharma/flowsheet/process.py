@@ -17,6 +17,7 @@ from snapo.lanes.machine.threads import cores
 from ..derivatives.mode import of_method
 from ..given import Entry, Form
 from ..progress import say
+from ..time.dynamics import LATE
 from .case import Flowsheet, PharmaCase
 from .flow import Flow, entry_words, flow
 from .inputs import pharma_inputs
@@ -26,7 +27,6 @@ from .recycle import Closed
 from .stiffness import with_steps
 from .stream import Stream
 
-ROUND_OFF = 1e-9  # of a unit's duration
 _Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
 
 
@@ -313,7 +313,7 @@ class Process:
         controls = jnp.asarray(track.controls)
         control = controls[left] + share[:, None] * (controls[left + 1] - controls[left])
         rows = jax.vmap(lambda y, c: of_row(y, *c))(state, control)
-        within = (times >= 0) & (times <= grid[-1] * (1 + ROUND_OFF))
+        within = (times >= 0) & (times <= grid[-1] * (1 + LATE))
         result = jnp.stack([rows[name][i] for i, name in enumerate(states)])
         return jnp.where(within, result, jnp.nan)
 

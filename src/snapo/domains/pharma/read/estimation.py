@@ -11,9 +11,9 @@ from snapo.case.quantity import Range
 from snapo.case.table import TableContext, parse
 
 from ..flowsheet.possible import smallest
-from ..flowsheet.process import ROUND_OFF
 from ..given import Entry
 from ..quality.records import Estimation, Experiment
+from ..time.dynamics import LATE
 from ..units.operation import Unit
 from .entries import EntryNumbers
 from .numbers import ANY, NOT_NEGATIVE, POSITIVE, quantity, suggest, unit_of
@@ -112,7 +112,7 @@ def _experiment(
     for row, time, state in zip(rows, times, names):
         unit = state.partition(".")[0]
         end = fit.get(endpoints[unit], local.get(endpoints[unit], numbers.value(endpoints[unit])))
-        if time > end * (1 + ROUND_OFF):
+        if time > end * (1 + LATE):
             message = (
                 f"{unit} ends at {end:.10g} s in this experiment, and after that there is nothing "
                 f"to compare with; for a longer batch set {endpoints[unit][0]} in its `settings`"

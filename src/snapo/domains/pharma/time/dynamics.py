@@ -12,6 +12,8 @@ from jaxtyping import Array, Float
 from ..flowsheet.stream import LedgerFinish
 from .profile import Profile
 
+LATE = 1e-9  # of a unit's duration: round-off of a time that is asked for
+
 
 @dataclass(frozen=True)
 class Numerics:

@@ -11,7 +11,6 @@ power of the step.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -131,6 +130,8 @@ class _Field(eqx.Module):
 
 
 def _adaptive(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
+    import diffrax  # late: runs on a mesh need none, and it takes half a second to load
+
     def right_hand_side(share, y):
         controls = [values_at(*item, share) for item in problem.controls]
         return problem.duration * problem.rate(y, problem.drive(*controls))

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.lanes.program.in_numpy import in_numpy
+
 from ...market.assets.asset_class import log_prices
 from ...market.assets.swaps import swap_values
 from ...market.correlation import matrix
@@ -51,13 +53,12 @@ class Human(NamedTuple):
 def human(case: PensionCase, inputs: dict[str, Any], figures: LiabilityFigures) -> Human:
     """All of them; `figures` are the case's `reconcile.figures`."""
     assets, liability = float(case.assets.amount.used()), figures.liability
-    with jax.enable_x64(True):
-        params = {name: jnp.asarray(values, jnp.float64) for name, values in inputs.items()}
-        held = _parallel(case, params, case.curve)
-        linked = _parallel(case, params, case.inflation.break_even)
-        rates = np.asarray(-log_bond(case.curve, params, np.array(TENORS))) / TENORS
-        volatility = {} if case.scenarios is not None else _rate_volatility(case, params)
-        grown = _supplied(case) if case.scenarios is not None else _median(case, params)
+    held = _parallel(case, inputs, case.curve)
+    linked = _parallel(case, inputs, case.inflation.break_even)
+    bonds = in_numpy(lambda values: log_bond(case.curve, values, np.array(TENORS)))
+    rates = -np.asarray(bonds(inputs)) / TENORS
+    volatility = {} if case.scenarios is not None else _rate_volatility(case, inputs)
+    grown = _supplied(case) if case.scenarios is not None else _median(case, inputs)
     owed = float(np.sum(figures.key_rate)) / BASIS_POINT
     promised = figures.inflation01 / BASIS_POINT
     return Human(
@@ -76,9 +77,9 @@ def human(case: PensionCase, inputs: dict[str, Any], figures: LiabilityFigures) 
 
 def _parallel(case: PensionCase, values: dict[str, Any], curve: MarketCurve) -> float:
     """d (assets and swaps today) / d shift of all quotes of `curve`, money."""
-    name, quotes = curve.rate.name, jnp.asarray(curve.rate.values)
+    name, quotes = curve.rate.name, curve.rate.values
 
-    def value(shift):
+    def value(shift, values):
         moved = values | {name: quotes + shift}
         held = case.assets.weight.used() * float(case.assets.amount.used())
         total = held @ log_prices(case, moved)
@@ -86,18 +87,19 @@ def _parallel(case: PensionCase, values: dict[str, Any], curve: MarketCurve) -> 
             total = total + case.overlay.notional.used() @ swap_values(case, moved)
         return total
 
-    return float(jax.jit(jax.grad(value))(jnp.zeros(())))
+    return float(in_numpy(jax.grad(value))(0.0, values))
 
 
 def _rate_volatility(case: PensionCase, values: dict[str, Any]) -> dict[int, float]:
     """Of Gaussian factors: a zero rate of u years moves by B(u) / u times each of them."""
-    count = case.rates.count()
-    together = np.asarray(matrix(case, values))[:count, :count]
-    now = case.rates.volatility.used()[0]
-    loads = [
-        now * np.asarray(reach(case.rates.mean_reversion.used(), float(u))) / u for u in TENORS
-    ]
-    return {u: float(np.sqrt(load @ together @ load)) for u, load in zip(TENORS, loads)}
+    count, now = case.rates.count(), case.rates.volatility.used()[0]
+
+    def deviations(values):
+        together = matrix(case, values)[:count, :count]
+        loads = [now * reach(case.rates.mean_reversion.used(), float(u)) / u for u in TENORS]
+        return [jnp.sqrt(load @ together @ load) for load in loads]
+
+    return dict(zip(TENORS, map(float, in_numpy(deviations)(values))))
 
 
 def _median(case: PensionCase, values: dict[str, Any]) -> np.ndarray:
@@ -116,7 +118,7 @@ def _median(case: PensionCase, values: dict[str, Any]) -> np.ndarray:
 
         return jax.lax.scan(step, terms.start, steps)[1]
 
-    gross = np.asarray(jax.jit(simulate)(values))
+    gross = np.asarray(in_numpy(simulate)(values))
     return np.expm1(np.log(gross).mean(0) / case.step)
 
 

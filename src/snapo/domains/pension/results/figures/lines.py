@@ -47,6 +47,7 @@ def against_months(case: PensionCase, result: LiabilityFigures) -> list[str]:
 
 SCENARIOS = {"P": "P (real-world)", "Q": "Q (risk-neutral)"}
 MONEY = ("liability", "liability on payment nodes")
+ROUNDING = 1e-12  # relative errors up to this one are printed as 0
 SIZES = ((1e9, " billion"), (1e6, " million"), (1e3, " thousand"))
 
 
@@ -231,8 +232,10 @@ def _line(case: PensionCase, line: ReconciledFigure) -> str:
     def text(value: float) -> str:
         return readable(value, case.currency) if money else f"{value:,.6g}"
 
-    available = "" if line.given is None else f", given {text(line.given)} ({line.error:+.1e})"
-    return f"{line.name}: {text(line.own)}{available}"
+    if line.given is None:
+        return f"{line.name}: {text(line.own)}"
+    error = line.error if abs(line.error or 0.0) > ROUNDING else 0.0
+    return f"{line.name}: {text(line.own)}, given {text(line.given)} ({error:+.1e})"
 
 
 def reconciled(

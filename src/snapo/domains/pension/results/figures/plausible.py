@@ -5,8 +5,9 @@ The ranges are wide: a fund outside one of them is possible, and its user knows 
 
 from collections.abc import Iterator
 
-import jax
 import numpy as np
+
+from snapo.lanes.program.in_numpy import in_numpy
 
 from ...fund.contributions import CONTRIBUTIONS, log_discount
 from ...records.case import PensionCase
@@ -107,8 +108,7 @@ def _rolling(case: PensionCase, human: Human) -> Iterator[str]:
     target, years = float(paid.target_ratio.used()), float(paid.recovery_years.used())
     if human.funding >= target:
         return
-    with jax.enable_x64(True):
-        rate = -float(log_discount(case, {}, np.array([years]))[0]) / years
+    rate = -float(in_numpy(lambda: log_discount(case, {}, np.array([years])))()[0]) / years
     grown, left = np.exp(rate * case.step), case.step / years
     growth = (1 - left) * grown if case.plan.timing == "advance" else grown - left
     if growth >= 1:

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from snapo.lanes.program.in_numpy import in_numpy
+
 from ...fund.schedule import basis_log_bond
 from ...people.cash_flows import horizon, project, reserved
 from ...people.liability import paid_at, people
@@ -54,10 +56,9 @@ class ReconciledFigure:
 
 def figures(case: PensionCase, inputs: dict[str, Any]) -> LiabilityFigures:
     """All figures; `inputs` are plain arrays by name."""
-    with jax.enable_x64(True):
-        result = _slopes(case)(_with_curves(case, inputs))
-        slopes, (flow, discount) = jax.tree.map(np.asarray, result)
-        load = float(reserved(case, inputs))
+    values = _with_curves(case, inputs)
+    curves = case.curve.rate.name, case.inflation.break_even.rate.name
+    slopes, (flow, discount, load) = _slopes(case)({name: values[name] for name in curves}, values)
     years = paid_at(case, np.arange(horizon(case))) * case.step
     value = flow * discount
     total = float(value.sum())
@@ -70,23 +71,22 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> LiabilityFigures:
         key_rate=BASIS_POINT * slopes[case.curve.rate.name],
         key_inflation=BASIS_POINT * slopes[prices],
         inflation01=BASIS_POINT * float(slopes[prices].sum()),
-        cash_flow=flow[: horizon(case) - case.steps] / load,
+        cash_flow=flow[: horizon(case) - case.steps] / float(load),
     )
 
 
 @lru_cache(maxsize=4)  # stresses ask for the same case at other inputs
-def _slopes(case: PensionCase) -> Callable[[dict[str, Any]], Any]:
-    """Slopes of the liability by every input, with payments and discount factors.
-
-    Compiled in one piece: hundreds of small operations take several times as long.
-    """
+def _slopes(case: PensionCase) -> Callable[..., Any]:
+    """Slopes of the liability by every number of the curves, with payments, discount factors and
+    the loading for expenses."""
     case = replace(case, scenarios=None)
 
-    def value(values):
+    def value(curves, others):
+        values = others | curves
         both = payments(case, values)
-        return jnp.dot(*both), both
+        return jnp.dot(*both), (*both, reserved(case, values))
 
-    return jax.jit(jax.grad(value, has_aux=True))
+    return in_numpy(jax.grad(value, has_aux=True))
 
 
 def check(
@@ -108,13 +108,12 @@ def check(
         ),
     ]
     plain = replace(case, scenarios=None)
-    with jax.enable_x64(True):
-        values = _with_curves(plain, inputs)
-        complete = jax.jit(
-            lambda params: people(plain, params, basis_log_bond(plain, params)).accrued[0]
-        )
-        split = np.asarray(complete(values)).sum()
-    lines.append(_line("liability on payment nodes", float(split), result.liability, EXACT))
+
+    def split(values):
+        return people(plain, values, basis_log_bond(plain, values)).accrued[0]
+
+    value = float(in_numpy(split)(_with_curves(plain, inputs)).sum())
+    lines.append(_line("liability on payment nodes", value, result.liability, EXACT))
     if case.liability.basis != "fixed" and _shifts_as_one(case.curve):
         parallel = -BASIS_POINT * result.duration * result.liability
         lines.append(_line("sum of key rates", float(result.key_rate.sum()), parallel, EXACT))

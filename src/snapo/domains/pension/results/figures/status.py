@@ -1,13 +1,14 @@
 """Members and liability by status, and the fund's payments of today, in money per year."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.smooth import Exact
 
 from ...fund.contributions import annuity
@@ -65,8 +66,7 @@ def groups(case: PensionCase, inputs: dict[str, Any]) -> list[StatusGroup]:
     members = case.members
     if members is None:
         return []
-    with jax.enable_x64(True):
-        value = np.asarray(jax.jit(lambda inputs: _by_cohort(case, inputs))(_double(inputs)))
+    value = in_numpy(partial(_by_cohort, case))(inputs)
     number, pension, salary = (
         entry.used() if entry.values.size else np.zeros(len(members.status))
         for entry in (members.number, members.pension, members.salary)
@@ -100,8 +100,7 @@ def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
 def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
     """The payments of today; `liability`: that of the case."""
     case = replace(case, scenarios=None)
-    with jax.enable_x64(True):
-        numbers = jax.jit(lambda inputs: _pace(case, inputs, liability))(_double(inputs))
+    numbers = in_numpy(lambda inputs: _pace(case, inputs, liability))(inputs)
     return Pace(*map(float, numbers))
 
 
@@ -142,7 +141,3 @@ def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> tuple[
         increase * benefits,
         (risen - cut) * liability,
     )
-
-
-def _double(inputs: dict[str, Any]) -> dict[str, Any]:
-    return {name: np.asarray(values, np.float64) for name, values in inputs.items()}

@@ -8,7 +8,6 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
 
 from snapo.case.error import CaseError
 from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
@@ -351,17 +350,20 @@ def outside(distribution: Distribution, centre: float, low: float, high: float) 
     """The share of draws below `low` or above `high`; formulas in `Distribution`."""
     spread = distribution.spread
 
+    def normal(x: float) -> float:
+        return math.erfc(-x / math.sqrt(2)) / 2
+
     def below(x: float) -> float:
         if math.isinf(x):
             return 0.0 if x < 0 else 1.0
         match distribution.kind:
             case "normal":
-                return float(ndtr((x - centre) / spread))
+                return normal((x - centre) / spread)
             case "uniform":
                 return min(1.0, max(0.0, ((x - centre) / spread + 1) / 2))
             case "lognormal":
                 if x <= 0 or x < 1e-300:
                     return 0.0
-                return float(ndtr((math.log(x / centre) + spread**2 / 2) / spread))
+                return normal((math.log(x / centre) + spread**2 / 2) / spread)
 
     return below(low) + 1 - below(high)

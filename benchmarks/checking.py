@@ -1,0 +1,54 @@
+"""What `snapo check` takes: processor seconds of the whole command, on the template of each kind.
+
+    python -m benchmarks.checking [KIND …]
+
+Each command runs in a process of its own, in turns with one that only imports JAX and Equinox; the
+least of a few rounds is printed, and the ratio of the two beside the one that is required. A case
+of kind "own" has none: its check compiles the user's simulator and examines it.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from snapo.study.commands import new
+from snapo.study.domain import find, installed
+
+ROUNDS = 3
+IMPORTS = ("-c", "import equinox")
+NEEDED = {"pension": 3.5}  # its liability is computed in several ways
+USUAL = 2.5
+
+
+def seconds(arguments: Sequence[str]) -> float:
+    """Processor seconds of Python with these arguments."""
+    process = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        sys.exit(f"{' '.join(arguments)}: exit code {process.returncode}")
+    return usage.ru_utime + usage.ru_stime
+
+
+def table(kinds: Sequence[str] = ()) -> Iterator[str]:
+    """The lines of the table, each as soon as it is known."""
+    yield f"{'snapo check':<16}{'processor s':>12}{'imports s':>11}{'ratio':>7}{'needed':>8}"
+    for kind in kinds or installed():
+        example = getattr(find(kind, "here"), "example", None)
+        with tempfile.TemporaryDirectory() as folder:
+            case = Path(folder) / "case"
+            new(kind, case)
+            command = ["-m", "snapo", "check", str(case)]
+            command += [] if example is None else ["--simulator", example]
+            rounds = [(seconds(command), seconds(IMPORTS)) for _ in range(ROUNDS)]
+        own, imports = map(min, zip(*rounds))
+        needed = "-" if example is not None else NEEDED.get(kind, USUAL)
+        yield f"{kind:<16}{own:12.2f}{imports:11.2f}{own / imports:7.2f}{needed:>8}"
+
+
+if __name__ == "__main__":
+    for line in table(sys.argv[1:]):
+        print(line, flush=True)
