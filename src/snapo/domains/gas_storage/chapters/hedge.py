@@ -15,7 +15,7 @@ from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 
 from ..hedges import as_text, usual_hedges
-from ..hedges.draws import NoForwardCurve, StoreDraws
+from ..hedges.draws import NoForwardCurve, StoreDraws, curve_factors
 from ..hedges.held import Overnight, by_day
 from ..hedges.simulate import DailyHedges, HedgeGains, static
 from ..hedges.table import Hedges
@@ -101,9 +101,10 @@ def measure(run: StudyRun) -> HedgeTables:
     setup, case = run.setup, case_of(run.setup)
     products = case.products or usual_products(case.days, case.valuation_date)
     hedges = case.hedges or Hedges(usual_hedges(products.families))
-    engine, policy = setup.engines.evaluate.bind(setup.problem), policy_of(run.solution)
-    draws = StoreDraws(setup.problem, engine, policy, setup.training.seed)
     try:
+        curve_factors(setup.problem)
+        engine, policy = setup.engines.evaluate.bind(setup.problem), policy_of(run.solution)
+        draws = StoreDraws(setup.problem, engine, policy, setup.training.seed)
         fit = draws(FITTED, 2 * hedges.paths).paths
         paths, groups = draws(MEASURED, hedges.paths)[:2]
     except NoForwardCurve as reason:

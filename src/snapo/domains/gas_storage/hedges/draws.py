@@ -16,6 +16,7 @@ from ..contract.schedule import of_prices
 from ..contract.simulator import simulator_of
 from ..ladder.methods import NO_CURVE
 from ..policy.network import StoragePolicy
+from ..prices.process import GaussianFactors
 from ..setup import OUTPUT, factors
 from .exposures import BLOCK, StorePaths
 
@@ -48,10 +49,8 @@ class StoreDraws:
 
         **Raises:** `NoForwardCurve`.
         """
-        problem, prices = self.problem, factors(self.problem)
+        problem, prices = self.problem, curve_factors(self.problem)
         simulator, schedule = simulator_of(problem), problem.schedule
-        if prices is None or not prices.exact or prices.spikes is not None:
-            raise NoForwardCurve(NO_CURVE)
         forward = np.append(schedule.steps.forward, schedule.constants.end_forward)
         discount = np.append(schedule.steps.gas_discount, schedule.constants.end_discount)
         source = Pseudo(self.seed, stream=stream(EVALUATE, number))
@@ -76,6 +75,17 @@ class StoreDraws:
         joined = [np.concatenate(part, axis=-1) for part in zip(*parts, strict=True)]
         groups = source.groups(np.concatenate(blocks))
         return DrawnStore(StorePaths(prices, forward, discount, *joined[:4]), groups, *joined[4:])
+
+
+def curve_factors(problem: Problem) -> GaussianFactors:
+    """The factors of a problem's forward curve.
+
+    **Raises:** `NoForwardCurve`.
+    """
+    prices = factors(problem)
+    if prices is None or not prices.exact or prices.spikes is not None:
+        raise NoForwardCurve(NO_CURVE)
+    return prices
 
 
 def _sold(problem: Problem, rollout, levels: np.ndarray) -> np.ndarray:

@@ -11,12 +11,11 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.load import load
-from snapo.engine import Engine
+from snapo.engine import Engine, choose
 from snapo.problem.carry.save import PolicyFileError
 from snapo.problem.carry.save import load as load_policy
 from snapo.problem.policy import Policy
 from snapo.solver.solution import POLICY
-from snapo.study.ready import engines_for
 
 from ..hedges import usual_hedges
 from ..hedges.draws import NoForwardCurve, StoreDraws
@@ -152,7 +151,7 @@ def run_backtest(
     discount, cash = np.asarray(schedule.steps.flow_discount), 0.0
     every = (len(days) if due else EVERY) if every is None else every
     starts = _starts(len(days), every if curved else len(days), due)
-    engine, first = engines_for("auto", ledger.problem, ledger.policy).evaluate, None
+    engine, first = choose("auto", ledger.problem, ledger.policy).evaluate, None
     for start, after in zip(starts, (*starts[1:], len(days)), strict=True):
         date = days[start] if start else valuation
         if models is not None and start in due:

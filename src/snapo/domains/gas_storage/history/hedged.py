@@ -70,7 +70,7 @@ class HedgeBook:
     """The positions of all hedges of a contract over its days.
 
     - `curves`: prices known on a step of the contract; -1 is a valuation date before it.
-    - `trading`: the steps with a curve of their own, on which positions change.
+    - `trading`: the steps on which a curve is published, on which positions change.
     """
 
     def __init__(

@@ -107,7 +107,7 @@ class StepCurves:
 
     @cached_property
     def trading(self) -> frozenset[int]:
-        """The steps with a curve of their own."""
+        """The steps on which a curve is published."""
         return frozenset(
             t for t in range(-1, len(self.days)) if self.day(t) in self.observed.curves
         )
