@@ -71,7 +71,7 @@ def plan_of(file: Path, data: Any, notes: list[str]) -> BacktestPlan:
 
 
 def is_calendar(value: Any) -> bool:
-    """Whether it says when the model is estimated."""
+    """Whether it is a calendar of estimates."""
     if isinstance(value, str):
         return value == NEVER or value in PERIODS
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
