@@ -277,8 +277,8 @@ def sensitivities_and_totals(
     blocks = source.blocks(paths, int(np.clip(paths // MINIMUM, BLOCKS, MAXIMUM)))
     if isinstance(bound.simulator, Uncontrolled):
         totals = None  # a program without control variates may round in another way
-    own = DerivativePass(problem, bound, policy, Exact(), True, actions, totals=totals)
-    held, moved = own.derivatives(blocks), None
+    exact = DerivativePass(problem, bound, policy, Exact(), True, actions, totals=totals)
+    held, moved = exact.derivatives(blocks), None
     if earlier is not None:
         # Paired, so that a few blocks suffice; the weights of another objective are those of all.
         few = blocks[: max(FEWEST, len(blocks) // DRIFT)] if problem.objective.linear else blocks
