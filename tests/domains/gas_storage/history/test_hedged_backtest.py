@@ -235,6 +235,9 @@ def test_positions_wait_for_the_next_curve():
     assert len(quiet) == 6 and all(x.traded == x.cost == 0.0 for x in quiet)
     balance = [x for x in quiet if x.products == "day ahead, balance of month"]
     assert any(x.gain for x in balance)
+    # The day-ahead of the 9th has been delivered on the 10th: nothing is held on the next days.
+    last = [x.gain for x in result.hedge_days if x.products == "day ahead"]
+    assert last[9] != 0.0 and last[10:13] == [0.0, 0.0, 0.0] and last[13] != 0.0
     for hedge in result.hedges:
         days = [x for x in result.hedge_days if x.products == hedge.products]
         assert sum(x.gain - x.cost for x in days) == pytest.approx(hedge.gain, rel=1e-9)

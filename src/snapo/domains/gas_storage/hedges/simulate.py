@@ -173,10 +173,13 @@ class HedgeAccount:
         self.traded: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
 
     def hold(self, positions: Sequence[HeldVolume], change: np.ndarray, t: int) -> None:
-        """Holds positions over a `change` [T - t, N] of the prices of the dates after step t."""
+        """Holds positions over a `change` [T - t, N] of the prices of the dates after step t.
+
+        Days that are delivered already do not count.
+        """
         money = self.discount[t + 1 :, None] * change
         for row, volume in positions:
-            days = slice(max(row.block.first - t - 1, 0), row.block.after - t - 1)
+            days = slice(*(max(x - t - 1, 0) for x in (row.block.first, row.block.after)))
             self.gain[row.family] -= volume * money[days].sum(axis=0)
 
     def trade(self, before: Sequence[HeldVolume], now: Sequence[HeldVolume], t: int) -> None:
