@@ -3,24 +3,29 @@
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections import Counter, deque
 
+import jax
 import numpy as np
 import pytest
 from tests.book.books import HERE, answers_of, write_book
 from tests.book.conftest import ROWS
 from tests.book.fragile import echo
+from tests.domains.energy.energy_cases import battery, plant, swing
 
-from snapo.book import run
+from snapo.book import commands, run
 from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
 from snapo.book.run import Shard, run_book
+from snapo.book.work import check_held
 from snapo.case.error import CaseError
+from snapo.domains.energy.core.policy import UnitValuePolicy
 from snapo.engine.workers import Lost, answers
 
 
@@ -47,6 +52,39 @@ def test_an_exception_is_a_loss_too():
     assert table[b"a"] == b"a!" and table[b"b"] == b"b!"
     assert table[b"fails:"] == Lost("MemoryError: too large")
     assert table[b"other:"] == Lost("no worker has a processor of the required kind")
+
+
+@pytest.mark.prove  # it damages a book that was valued
+@pytest.mark.parametrize(
+    "text", ["[1]", "{}", '{"sums": 3}', '{"sums": [{"stress": "base"}]}', "3"]
+)
+def test_a_result_of_another_shape_is_refused(text, valued, tmp_path):
+    """The first was a traceback. What was computed stays: `--resume` makes the result again."""
+    for name in ("book.json", "result.json"):
+        shutil.copy(valued.out / name, tmp_path / name)
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(CaseError, match=r"result.json: this file was changed .*--resume"):
+        commands.report(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("of", "changes"),
+    [
+        (battery, {"cycles": {"day": 1.0, "term": 6.0}}),
+        (plant, {"before": {"off": 3}}),  # the same shapes, and modes in another order
+        (swing, {"annual": None}),
+    ],
+)
+def test_a_policy_is_not_held_where_levels_or_modes_differ(of, changes):
+    """A sweep lost the value of the unchanged contract too, with a TypeError; a plant decided by the values
+    of other modes."""
+    same, other = (
+        UnitValuePolicy(case.contract.layout, 99, key=jax.random.key(0))
+        for case in (of(), of(**changes))
+    )
+    check_held(same, UnitValuePolicy(of().contract.layout, 99, key=jax.random.key(1)))
+    with pytest.raises(ValueError, match=r"does not fit this one.*--train"):
+        check_held(same, other)
 
 
 def test_an_unreadable_contract_fails_alone(valued, tmp_path):

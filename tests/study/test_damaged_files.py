@@ -140,7 +140,7 @@ def test_damaged_arrays_beside_a_case(tmp_path):
     assert files >= 14
 
 
-TRAINED = ("solution.npz", "groups.npz", "sensitivities.csv")
+TRAINED = ("solution.npz", "groups.npz", "policy.npz", "sensitivities.csv")
 
 
 @pytest.mark.prove

@@ -237,7 +237,14 @@ def report(path: Path) -> Path:
     except (OSError, ValueError):
         message = "this book has no results yet: snapo book BOOK --resume computes the rest"
         raise CaseError(str(path / RESULT), "", None, message) from None
-    write_text(path / REPORT, render(page(result, record)))
+    try:
+        chapters = page(result, record)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        message = (
+            "this file was changed since it was written: snapo book BOOK --resume makes it again"
+        )
+        raise CaseError(str(path / RESULT), "", None, message) from None
+    write_text(path / REPORT, render(chapters))
     return path / REPORT
 
 

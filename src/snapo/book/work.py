@@ -218,6 +218,7 @@ class _Decided:
         setup = setup_at(self.setup, case)
         changes = dict(_changes(self.inputs, setup.problem.inputs_by_name))
         if policy is not None:
+            check_held(self.setup.policy, setup.policy)
             return self._valued(setup, policy, changes, self.order.tasks.deltas == "all")
         solution = setup.solve(bar=False)
         deltas = Delta.of_table(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
@@ -287,6 +288,17 @@ class _Decided:
         )
 
 
+def check_held(policy: Any, at_point: Any) -> None:
+    """**Raises:** `ValueError` where policies of a contract, and of the contract at a point, differ
+    in more than their numbers, such as levels, moves or the order of modes: the first one would
+    fail there, or decide by the wrong numbers."""
+    if _text(form_of(policy)) != _text(form_of(at_point)):
+        raise ValueError(
+            "the policy of the unchanged contract does not fit this one, whose levels or decisions "
+            'differ; train one here: --train of a sweep, or policy = "stress" of a book'
+        )
+
+
 class _Calculated:
     """A process without a policy: the share of batches within all limits, and its attributes."""
 
@@ -329,7 +341,12 @@ def _changes(
 def _shape(setup: Setup) -> str:
     """The hash of the form of simulator and policy, and of the engine that runs them."""
     form = (form_of(setup.problem.simulator), form_of(setup.policy), setup.engines.name)
-    return _hash(re.sub(r"0x[0-9a-f]+", "", repr(form)))
+    return _hash(_text(form))
+
+
+def _text(form: Any) -> str:
+    """A form without addresses of functions, which differ between processes."""
+    return re.sub(r"0x[0-9a-f]+", "", repr(form))
 
 
 def _hash(text: str) -> str:

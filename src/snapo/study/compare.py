@@ -12,7 +12,7 @@ from snapo.report.checksums import changed_files
 from snapo.report.folder import RunResult
 from snapo.solver import checkpoint, statistics
 from snapo.solver.derivatives.interval import Interval, Reported
-from snapo.solver.solution import SOLUTION, Solution
+from snapo.solver.solution import HALFWAY, POLICY, SOLUTION, Solution
 from snapo.solver.statistics import Estimate, rounded
 
 from . import run_folder
@@ -98,7 +98,7 @@ class Comparison:
 
     def _sensitivities(self) -> Iterator[str]:
         if not self.sensitivities:
-            yield "the sensitivities to the inputs of both runs are equal"
+            yield "no sensitivity that is known in both runs differs"
             return
         yield "sensitivities that differ most (first, second, difference, error of the policies):"
         for sensitivity in self.sensitivities[:MAXIMUM]:
@@ -122,7 +122,7 @@ def compare(first: Path, second: Path) -> Comparison:
         message = f'{first} is a run of kind "{kinds[0]}"; only runs of one kind can be compared'
         raise CaseError(str(second), "kind", kinds[1], message)
     for run, record in zip((first, second), records, strict=True):
-        run_folder.check_whole(run, record, (GROUPS, SOLUTION))
+        run_folder.check_whole(run, record, (GROUPS, SOLUTION, POLICY, HALFWAY))
         if changed_files(run, {run_folder.RESULT: record["result"]} if "result" in record else {}):
             message = (
                 "this file was changed or damaged since it was written: solve with --resume again"
@@ -196,11 +196,12 @@ class Comparisons(NamedTuple):
             for item in pair.sensitivities:
                 table.setdefault((item.input, item.label), {})[position] = item
         ranked = sorted(table.items(), key=lambda x: -max(abs(y.effect) for y in x[1].values()))
-        yield "sensitivities that differ most:" if ranked else "no sensitivity differs"
+        head = "sensitivities that differ most (-: the same, or not known in both runs):"
+        yield head if ranked else "no sensitivity that is known in both runs differs"
         for (name, label), items in ranked[:MAXIMUM]:
             one = next(iter(items.values()))
             values = [items[i].second if i in items else None for i in range(len(self.pairs))]
-            cells = "".join(f"{_figure(value) or 'the same':>14}" for value in values)
+            cells = "".join(f"{_figure(value) or '-':>14}" for value in values)
             text = f"{name} {label}".strip()
             yield f"  {text:<32}{_figure(one.first):>14}{cells} per {one.unit or '1'}"
 

@@ -1,17 +1,21 @@
 """A battery by the hour against the exact numbers of D5 (shared/cases/desk.md)."""
 
 import datetime
+import shutil
 
 import numpy as np
 import pytest
-from tests.domains.energy.energy_cases import battery, best_plan, exact
+from tests.domains.energy.energy_cases import HOME, battery, best_plan, case_at, exact
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.grid import grid_of
+from snapo.domains.energy.methods.intrinsic import intrinsic_value
 from snapo.domains.energy.methods.lattice import refined
 from snapo.domains.energy.read.hours import hours_of
 from snapo.domains.energy.setup import bare_problem, factors_of
 from snapo.solver.derivatives.bump import one_percent
+
+HOURS = [f"2026-05-04T{hour:02d}:00" for hour in range(6)]
 
 
 def test_forward_prices():
@@ -64,6 +68,65 @@ def test_cycles_of_each_day_and_of_the_term():
 
 
 @pytest.mark.prove
+@pytest.mark.parametrize(
+    "cycles", [{"day": 1.0, "term": 2.0}, {"day": 1.0, "term": 90.0}, {"day": 5.0, "term": 1.0}]
+)
+def test_a_limit_that_another_one_implies_needs_no_nodes(cycles):
+    """30 hours in two days: the other limit alone, on the nodes of two levels. With those of three
+    the value was up to 9 % too low."""
+    end, implied = datetime.datetime(2026, 5, 5, 6), "day" if cycles["term"] < 2 else "term"
+    case = battery(end=end, cycles=cycles)
+    problem = bare_problem(case)
+    grid = grid_of(case.contract.layout, problem.schedule)
+    place = [level.name for level in case.contract.layout.levels].index(
+        "taken today" if implied == "day" else "taken"
+    )
+    assert grid.exact and {len(x[place]) for x in grid.nodes} == {1}
+    alone = battery(end=end, cycles={x: y for x, y in cycles.items() if x != implied})
+    assert exact(case, finer=1) == pytest.approx(exact(alone, finer=1), rel=1e-12)
+
+
+UNEVEN = {
+    "energy": 3.987, "stored": 1.23,
+    "charge": {"power": 1.234, "efficiency": 0.8765},
+    "discharge": {"power": 1.111, "efficiency": 0.9432},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        UNEVEN,
+        pytest.param(UNEVEN | {"cycles": {"term": 1.7}}, marks=pytest.mark.prove),
+        pytest.param({"cycles": {"day": 1.0, "term": 1.5}}, marks=pytest.mark.prove),
+    ],
+)
+def test_the_intrinsic_value_has_no_nodes(changes):
+    """A linear program of the schedule equals that of `best_plan`; coarse nodes were 0.1 to 1 % lower."""
+    case = battery(end=datetime.datetime(2026, 5, 6), **changes)
+    schedule = bare_problem(case).schedule
+    value = intrinsic_value(case.contract.layout, schedule)
+    assert not grid_of(case.contract.layout, schedule).exact
+    assert value == pytest.approx(best_plan(case), rel=1e-9)
+
+
+@pytest.mark.prove
+def test_energy_is_not_stored_and_taken_in_one_hour(tmp_path):
+    """At negative prices a linear program would burn energy so; the nodes do not."""
+    changes = UNEVEN | {
+        "end": datetime.datetime(2026, 5, 4, 6),
+        "cycles": {"day": 9.0, "term": 9.0},
+    }
+    shutil.copytree(HOME / "template_battery", tmp_path, dirs_exist_ok=True)
+    rows = [f"{time},{-100.0 - number}" for number, time in enumerate(HOURS)]
+    (tmp_path / "curve.csv").write_text("\n".join(["time,price", *rows]))
+    keys = {f"contract.{name}": value for name, value in changes.items()}
+    case = case_at(tmp_path, keys | {"model.kind": "one-factor-normal"})
+    value = intrinsic_value(case.contract.layout, bare_problem(case).schedule)
+    assert value < 0.98 * best_plan(case)
+
+
+@pytest.mark.prove
 def test_cycles_of_the_term_are_worth_more_than_those_by_day():
     by_day, by_term = (
         exact(battery(end=datetime.datetime(2026, 5, 7), cycles=cycles), forward=True)
@@ -98,6 +161,48 @@ def test_the_day_of_summer_time_has_23_hours():
 def test_mistakes_are_named(changes, where):
     with pytest.raises(CaseError, match=where):
         battery(**changes)
+
+
+def with_times(folder, times, **changes):
+    """Six hours in Berlin, with these times in the file of the curve; the price of a row is its number."""
+    shutil.copytree(HOME / "template_battery", folder, dirs_exist_ok=True)
+    rows = [f"{time},{number}" for number, time in enumerate(times, start=1)]
+    (folder / "curve.csv").write_text("\n".join(["time,price", *rows]))
+    keys = {"end": datetime.datetime(2026, 5, 4, 6), "time_zone": "Europe/Berlin"} | changes
+    return case_at(folder, {f"contract.{name}": value for name, value in keys.items()})
+
+
+@pytest.mark.parametrize(
+    ("times", "where"),
+    [
+        ([*HOURS[:3], HOURS[2], *HOURS[3:]], r"line 5, column time: .*already, on line 4"),
+        ([time + "Z" for time in HOURS], r"line 2, .*hour of local time"),
+        ([*HOURS[:3], HOURS[3] + ":00+02:00", *HOURS[4:]], r"line 5, .*hour of local time"),
+        ([*HOURS[:2], "2026-05-04T01:15", *HOURS[2:]], r"line 4, .*no such hour from"),
+        ([*HOURS[:3], "2026-05-04T03:00:07", *HOURS[4:]], r"line 5, .*hour of local time"),
+    ],
+)
+def test_every_row_of_a_curve_within_the_hours_is_read(times, where, tmp_path):
+    """A second price of an hour, one of a quarter of it, and a time of another time zone were passed over."""
+    with pytest.raises(CaseError, match=where):
+        with_times(tmp_path, times)
+
+
+def test_an_hour_that_the_clock_skips_has_no_price(tmp_path):
+    first = datetime.date(2026, 3, 29)
+    with pytest.raises(CaseError, match=r"line 4, .*2026-03-29T02:00.*no such hour"):
+        shutil.copytree(HOME / "template_battery", tmp_path, dirs_exist_ok=True)
+        rows = [f"2026-03-29T{hour:02d}:00,{hour + 1}" for hour in range(24)]
+        (tmp_path / "curve.csv").write_text("\n".join(["time,price", *rows]))
+        case_at(tmp_path, {"contract.start": first, "contract.end": datetime.date(2026, 3, 30),
+                           "contract.time_zone": "Europe/Berlin", "market.valuation_date": first})  # fmt: skip
+
+
+def test_other_ways_to_write_an_hour(tmp_path):
+    """Seconds that are zero, a blank for the T, in any order; files of dates write no midnight."""
+    times = ["2026-05-04 01:00:00", "2026-05-04", *HOURS[2:], "2026-05-04T06:15"]
+    curve = with_times(tmp_path, times).market.forward_curve
+    assert curve.values.tolist() == [2.0, 1.0, 3.0, 4.0, 5.0, 6.0]
 
 
 def test_a_day_ends_with_its_last_hour():

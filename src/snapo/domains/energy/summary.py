@@ -5,7 +5,7 @@ from snapo.problem.inputs import plain
 
 from .core.feasibility import check_limits
 from .core.intraday import simulator_kind
-from .methods.lattice import lattice
+from .methods.intrinsic import intrinsic_value
 from .read.case import EnergyCase
 
 
@@ -23,6 +23,6 @@ def lines(case: EnergyCase) -> list[str]:
         f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "
         f"flows: {', '.join(x.name for x in layout.flows)}",
         f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity",
-        f"intrinsic value {lattice(layout, schedule, None).value:,.2f} {case.currency}",
+        f"intrinsic value {intrinsic_value(layout, schedule):,.2f} {case.currency}",
         "the contract can be met",
     ]

@@ -26,7 +26,7 @@ from ..core.intraday import IntradaySimulator
 from ..core.policy import UnitValuePolicy
 from ..core.simulator import simulator_of
 from ..methods.hindsight import EnergyRelaxation
-from ..methods.lattice import lattice
+from ..methods.intrinsic import intrinsic_value
 from ..methods.measure import common_measure, measures_of
 from ..read.case import KINDS
 from ..setup import case_of, factors_of
@@ -202,7 +202,7 @@ class EnergyMethods(ContractMethods):
         return self.desk
 
     def by_day(self) -> Estimated:
-        return Estimated(lattice(self.layout, self.run.setup.problem.schedule, None).value)
+        return Estimated(intrinsic_value(self.layout, self.run.setup.problem.schedule))
 
     def least_squares(self) -> np.ndarray:
         """Of a contract of several levels or modes: the fitted value, on the same paths."""

@@ -8,7 +8,8 @@ from snapo.study.study import StudyRun
 
 from ..core.intraday import IntradaySimulator, without_trades
 from ..core.simulator import simulator_of
-from ..methods.lattice import lattice, refined
+from ..methods.intrinsic import intrinsic_value
+from ..methods.lattice import refined
 from ..setup import factors_of
 
 
@@ -28,9 +29,9 @@ class ExactValue:
 
 
 def measure_intrinsic(run: StudyRun) -> Intrinsic:
-    """The lattice at forward prices."""
+    """See `intrinsic_value`."""
     problem = run.setup.problem
-    return Intrinsic(lattice(simulator_of(problem).layout, problem.schedule, None).value)
+    return Intrinsic(intrinsic_value(simulator_of(problem).layout, problem.schedule))
 
 
 def measure(run: StudyRun) -> ExactValue:

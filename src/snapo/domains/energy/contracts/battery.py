@@ -115,11 +115,12 @@ class BatteryContract(EnergyContract):
         out, wear = use(inputs, self.discharge_efficiency), use(inputs, self.wear)
         charge, discharge = use(inputs, self.charge), use(inputs, self.discharge)
         high, again = [energy * one], [jnp.zeros(count, bool)]
-        if self.cycles_day is not None:
-            high.append(use(inputs, self.cycles_day) * energy * one)
+        day, term = self._cycles(inputs, discharge * count / energy)
+        if day is not None:
+            high.append(day * energy * one)
             again.append(jnp.asarray(self.day_ends))
-        if self.cycles_term is not None:
-            high.append(use(inputs, self.cycles_term) * energy * one)
+        if term is not None:
+            high.append(term * energy * one)
             again.append(jnp.zeros(count, bool))
         none = jnp.zeros((count, len(high)))
         start = jnp.zeros(len(high)).at[0].set(use(inputs, self.stored))
@@ -142,6 +143,18 @@ class BatteryContract(EnergyContract):
             intraday=intraday,
         )
         return Terms(start, steps)
+
+    def _cycles(self, inputs: dict[str, Any], highest: Array) -> tuple[Array | None, Array | None]:
+        """Limits of a day and of the term. Of two, that which the other one implies is at least
+        `highest`, the cycles of all hours: no plan reaches it, and methods need no nodes for it."""
+        day, term = (x and use(inputs, x) for x in (self.cycles_day, self.cycles_term))
+        if day is None or term is None:
+            return day, term
+        days = jnp.sum(self.day_ends)
+        return (
+            jnp.where(day > term, jnp.maximum(day, highest), day),
+            jnp.where(term >= days * day, jnp.maximum(term, highest), term),
+        )
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         keys = {"stored": levels["energy"]}

@@ -1,6 +1,7 @@
 """The table `[contract]` of a swing, and its reading; see `swing.py`."""
 
 import datetime
+import re
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -15,8 +16,9 @@ from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
 from .swing import SwingContract, layout_of
 
 GROUP = "contract"
+MONTH_DAY = re.compile(r"\d{2}-\d{2}", re.ASCII)
 A_DAY, A_YEAR = "{volume_unit}/day", "{volume_unit}/year"
-RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, by="date", before=0.0)
+RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, move=0.1, by="date", before=0.0)
 STRIKE = Quantity(PRICE, group="strike", move=0.1, by="date", meaning="paid for a unit")
 FACTOR = Quantity("1", NOT_NEGATIVE, "strike", move=0.01)
 ADDED = Quantity(PRICE, group="strike", move=0.1)
@@ -272,17 +274,28 @@ def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
 
 
 def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
-    """[T] whether a day is the last of its contract year; the last day of all always is."""
-    month_day = (table.start.month, table.start.day)
+    """[T] whether a day is the last of its contract year; the last day of all always is.
+
+    A year that begins on 29 February begins on 1 March where there is no such day.
+    """
+    first = table.start
     if table.year_begins is not None:
+        text = table.year_begins
         try:
-            first = datetime.date.fromisoformat(f"2000-{table.year_begins}")
+            first = datetime.date.fromisoformat(f"2000-{text}")
         except ValueError:
-            raise where.error("year_begins", table.year_begins, 'allowed is a day of the year such '
-                              'as "10-01"') from None  # fmt: skip
-        month_day = (first.month, first.day)
-    following = [day + datetime.timedelta(1) for day in days]
-    last_days = np.array([(day.month, day.day) == month_day for day in following], bool)
+            first = None
+        if first is None or not MONTH_DAY.fullmatch(text):
+            message = 'allowed is a day of the year such as "10-01"'
+            raise where.error("year_begins", text, message)
+
+    def begins(day: datetime.date) -> bool:
+        try:
+            return day == first.replace(year=day.year)
+        except ValueError:
+            return (day.month, day.day) == (3, 1)
+
+    last_days = np.array([begins(day + datetime.timedelta(1)) for day in days], bool)
     if len(last_days):
         last_days[-1] = True
     return last_days

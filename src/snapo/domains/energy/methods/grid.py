@@ -18,6 +18,7 @@ import numpy as np
 
 from ..core.contract import ContractLayout
 from .corners import corners, flow_signs
+from .idle import at_rest, extremes, idle_levels, with_idle, without
 from .measure import banked_widths, measures_of, node_widths
 from .settling import Settling, balances, settling
 from .ways import StepWays
@@ -60,7 +61,10 @@ class StepGrid(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ContractGrid:
-    """All steps of a contract with NumPy numbers; `exact`: see above."""
+    """All steps of a contract with NumPy numbers; in `layout` nothing moves an idle level.
+
+    `exact`: see above.
+    """
 
     layout: ContractLayout
     steps: list[StepGrid]
@@ -86,7 +90,9 @@ def grid_of(
     """
     terms, found = schedule.steps.terms, schedule.steps.intervals
     start = np.asarray(schedule.constants.start, float)
-    before, after, exact = _nodes(layout, terms, found, start, parts, apart)
+    idle = idle_levels(layout, terms, found, start)
+    before, after, exact = _nodes(layout, terms, found, start, parts, apart, idle)
+    layout = at_rest(layout, idle)
     scale = max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
     by_volumes: dict[tuple, tuple] = {}
     steps = []
@@ -142,9 +148,13 @@ def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
     return result if money is None else result + money[:, None]
 
 
-def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.ndarray | None):
+def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.ndarray | None, idle):
     """Nodes at the start of each step [T + 1] and after each [T], by level; and whether exact."""
-    horizon, count = len(terms.low), len(layout.levels)
+    every, horizon = (start, terms.restarts, idle), len(terms.low)
+    others = ~np.array(idle, bool)
+    start, apart = start[others], None if apart is None else apart[others]
+    layout, terms, found = without(layout, terms, found, idle)
+    count = len(layout.levels)
     measures = measures_of(layout, terms, start)
     counted = count - layout.banked
     visited = [_visited(layout, terms, found, start, i) for i in range(counted)]
@@ -183,6 +193,7 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
         else:
             exact = True
         columns.append(points)
+    columns = with_idle(columns, *every)
     before = [tuple(c[0][t] for c in columns) for t in range(horizon + 1)]
     after = [tuple(c[1][t] for c in columns) for t in range(horizon)]
     return before, after, exact
@@ -194,24 +205,11 @@ def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.empty(horizon + 1), np.empty(horizon + 1)
     low[0] = high[0] = first = last = start[i]
     for t in range(horizon):
-        change = _extremes(layout, terms, t, i)
+        change = extremes(layout, terms, t, i)
         low[t + 1] = min(max(first + change.min(), found.next_low[t, i]), found.next_high[t, i])
         high[t + 1] = max(min(last + change.max(), found.next_high[t, i]), low[t + 1])
         first, last = (0.0, 0.0) if terms.restarts[t, i] else (low[t + 1], high[t + 1])
     return low, high
-
-
-def _extremes(layout: ContractLayout, terms, t: int, i: int) -> np.ndarray:
-    """What a step can change a level by, at the ends of each flow."""
-    result = set()
-    for move in layout.every_move:
-        if all(terms.least[t, flow] <= 0 for flow in move.flows):
-            result.add(move.changes[i])
-        for flow in move.flows:
-            effect = layout.flows[flow].effects[i]
-            ends = terms.least[t, flow], terms.most[t, flow]
-            result |= {move.changes[i] + effect * volume for volume in ends}
-    return np.array(sorted(result))
 
 
 def _origin(layout: ContractLayout, terms, i: int) -> float:
@@ -262,14 +260,14 @@ def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
         count = sum(map(len, after))
         before = [first, *_settled(after, restarts)]
         for t in range(horizon):
-            moved = (before[t][:, None] + _extremes(layout, terms, t, i)).ravel()
+            moved = (before[t][:, None] + extremes(layout, terms, t, i)).ravel()
             after[t] = _within(np.append(after[t], moved), low[t + 1], high[t + 1], near)
             if len(after[t]) > MOST:
                 return None
             before[t + 1] = np.zeros(1) if restarts[t] else after[t]
         for t in reversed(range(1, horizon)):
             if not restarts[t - 1]:
-                moved = (after[t][:, None] - _extremes(layout, terms, t, i)).ravel()
+                moved = (after[t][:, None] - extremes(layout, terms, t, i)).ravel()
                 after[t - 1] = _within(np.append(after[t - 1], moved), low[t], high[t], near)
                 if len(after[t - 1]) > MOST:
                     return None

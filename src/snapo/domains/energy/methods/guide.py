@@ -68,7 +68,7 @@ class _UnitRows:
         after = self._after(t, later)
         key = tuple(x.tobytes() for x in step.after)
         if key not in self.by_nodes:
-            self.by_nodes[key] = _step_weights(layout, step, self.counts)
+            self.by_nodes[key] = _step_weights(layout, self.grid.layout, step, self.counts)
         weights = self.by_nodes[key]
         self.low[t], self.spacing[t] = weights.rows
         if self.slopes is None:
@@ -195,11 +195,13 @@ class _StepWeights(NamedTuple):
     moves: list[sparse.csr_array]
 
 
-def _step_weights(layout: ContractLayout, step: StepGrid, counts) -> _StepWeights:
+def _step_weights(
+    layout: ContractLayout, on_grid: ContractLayout, step: StepGrid, counts
+) -> _StepWeights:
     low, spacing = _rows(step, counts)
     rows = low + spacing * _numbers(counts)
-    slopes = [_slope(layout, step, rows, spacing, f) for _, f in layout.pairs]
-    moves = [_between(step.after, rows + np.array(move.changes)) for move in layout.moves]
+    slopes = [_slope(on_grid, step, rows, spacing, f) for _, f in layout.pairs]
+    moves = [_between(step.after, rows + np.array(move.changes)) for move in on_grid.moves]
     return _StepWeights((low, spacing), slopes, moves)
 
 

@@ -1,6 +1,8 @@
 """Hours of the local calendar: steps of a contract, their prices and times."""
 
 import datetime
+import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,7 +11,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 from pydantic import Field
 
-from snapo.case.csv import FileReference, read_rows, rising_dates
+from snapo.case.csv import FileReference, Row, read_rows, rising_dates
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable, TableContext
@@ -22,6 +24,8 @@ from ...gas_storage.read.tables import DATE, FORWARD, ZERO_RATE, DateKey, FileNa
 HOURS = 8760.0  # of a year of 365 days
 TIME = "a date or a time of the hour, 2026-05-01T00:00:00"
 FIELDS = ("time", "price")
+# Without a time zone: that of the case holds. Seconds may be written where they are zero.
+HOUR = re.compile(r"(\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2})?)(:00(\.0+)?)?", re.ASCII)
 
 
 class HourlyContractTable(CaseTable):
@@ -147,29 +151,48 @@ def hourly_market(curve: CaseInput, table: Any, hours: Hours) -> GasMarket:
 def hourly_curve(
     section: TableContext, file: str, hours: Hours, unit: str, name: str = "forward_curve"
 ) -> CaseInput:
-    """The price of each hour, by its local time; an hour that comes twice has two rows in order."""
+    """The price of each hour, by its local time; an hour that comes twice has two rows in order.
+
+    **Raises:** `CaseError` for an hour without a price, and for a row from the first to the last
+    hour that is a second price of its hour, or of no hour.
+    """
     rows = read_rows(FileReference(section, "forward_curve", file), FIELDS)
-    known: dict[str, list] = {}
+    by_hour: dict[str, list[Row]] = {}
     for row in rows:
-        text = row.cells["time"].strip().replace(" ", "T")[:16]
-        try:
-            datetime.datetime.fromisoformat(text)
-        except ValueError:
-            raise row.error("time", "an hour is written 2026-05-01T07:00") from None
-        known.setdefault(text, []).append(row)
-    seen: dict[str, int] = {}
-    found = []
+        by_hour.setdefault(_local_hour(row), []).append(row)
+    first, last, needed = hours.local[0], hours.local[-1], Counter(hours.local)
+    seen: Counter[str] = Counter()
+    prices = []
     for label in hours.local:
-        place = seen.get(label, 0)
-        seen[label] = place + 1
-        if place >= len(known.get(label, ())):
+        place = seen[label]
+        seen[label] += 1
+        if place >= len(by_hour.get(label, ())):
             message = (
-                f"there is no price for this hour; one is needed for each from {hours.local[0]} "
-                f"to {hours.local[-1]}"
+                f"there is no price for this hour; one is needed for each from {first} to {last}"
             )
             raise CaseError(file, label, None, message)
-        found.append(known[label][place])
-    return _input(name, found, hours.local, unit, "hour")
+        prices.append(by_hour[label][place])
+    for label, of_hour in by_hour.items():
+        if first <= label <= last and len(of_hour) > needed[label]:
+            row = of_hour[needed[label]]
+            if label in needed:
+                before = of_hour[0].line
+                raise row.error("time", f"this hour has a price already, on line {before}")
+            message = f"there is no such hour from {first} to {last} in the time zone of the case"
+            raise row.error("time", message)
+    return _input(name, prices, hours.local, unit, "hour")
+
+
+def _local_hour(row: Row) -> str:
+    """The hour of a row as 2026-05-01T07:00; a day, as files of dates write its midnight, is its
+    first hour."""
+    match = HOUR.fullmatch(row.cells["time"])
+    try:
+        if match is not None:
+            return f"{datetime.datetime.fromisoformat(match[1]):%Y-%m-%dT%H:%M}"
+    except ValueError:
+        pass
+    raise row.error("time", "an hour of local time is written 2026-05-01T07:00")
 
 
 def dated_curve(

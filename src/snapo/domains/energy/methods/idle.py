@@ -1,0 +1,90 @@
+"""Idle levels: those of which no plan reaches a limit, so that nothing depends on them.
+
+They have one node. With a node for each of their volumes, grids of the other levels were coarser.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ..core.contract import ContractLayout, StepTerms
+
+NEAR = 1e-9  # of the largest volume
+
+
+def idle_levels(
+    layout: ContractLayout, terms: StepTerms, intervals: Any, start: np.ndarray
+) -> tuple[bool, ...]:
+    """[levels] whether a level is idle; none is where levels have money or joint obligations."""
+    if layout.banked or terms.promises is not None or terms.of_levels is not None:
+        return (False,) * len(layout.levels)
+    numbers = layout, terms, intervals
+    return tuple(_idle(*numbers, float(start[i]), i) for i in range(len(layout.levels)))
+
+
+def _idle(layout: ContractLayout, terms: StepTerms, intervals: Any, start: float, i: int) -> bool:
+    if np.any(terms.short[:, i]):
+        return False
+    near = NEAR * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
+    first = last = start
+    for t in range(len(terms.low)):
+        change = extremes(layout, terms, t, i)
+        first, last = first + min(change.min(), 0.0), last + max(change.max(), 0.0)
+        low, high = intervals.next_low[t, i], intervals.next_high[t, i]
+        if first < low - near or last > high + near:
+            return False
+        if terms.restarts[t, i]:
+            first = last = 0.0
+    return True
+
+
+def at_rest(layout: ContractLayout, idle: tuple[bool, ...]) -> ContractLayout:
+    """The layout in which nothing moves these levels."""
+    return _with_numbers(layout, lambda x: tuple(0.0 if y else z for y, z in zip(idle, x)))
+
+
+def without(layout: ContractLayout, terms: StepTerms, intervals: Any, idle: tuple[bool, ...]):
+    """Layout, terms and intervals of the other levels."""
+    keep = np.flatnonzero(~np.array(idle, bool))
+
+    def of(numbers: Any) -> Any:
+        return numbers[:, keep]
+
+    reduced = _with_numbers(layout, lambda x: tuple(x[i] for i in keep))
+    names = "low", "high", "owed", "short", "restarts"
+    terms = terms._replace(**{name: of(getattr(terms, name)) for name in names})
+    levels = tuple(layout.levels[i] for i in keep)
+    return reduced._replace(levels=levels), terms, type(intervals)(*map(of, intervals))
+
+
+def with_idle(columns: list, start: np.ndarray, restarts: np.ndarray, idle: tuple[bool, ...]):
+    """Nodes of all levels, by level at the start of each step [T + 1] and after each [T]."""
+    others, result = iter(columns), []
+    for i, rests in enumerate(idle):
+        if not rests:
+            result.append(next(others))
+            continue
+        restarted = np.append(0, np.cumsum(restarts[:, i])) > 0
+        nodes = [np.array([0.0 if ended else start[i]]) for ended in restarted]
+        result.append((nodes, nodes[:-1]))
+    return result
+
+
+def extremes(layout: ContractLayout, terms: Any, t: int, i: int) -> np.ndarray:
+    """What a step can change a level by, at the ends of each flow."""
+    result: set[float] = set()
+    for move in layout.every_move:
+        if all(terms.least[t, flow] <= 0 for flow in move.flows):
+            result.add(move.changes[i])
+        for flow in move.flows:
+            effect = layout.flows[flow].effects[i]
+            ends = terms.least[t, flow], terms.most[t, flow]
+            result |= {move.changes[i] + effect * volume for volume in ends}
+    return np.array(sorted(result))
+
+
+def _with_numbers(layout: ContractLayout, numbers_of: Any) -> ContractLayout:
+    return layout._replace(
+        flows=tuple(flow._replace(effects=numbers_of(flow.effects)) for flow in layout.flows),
+        moves=tuple(move._replace(changes=numbers_of(move.changes)) for move in layout.moves),
+    )
