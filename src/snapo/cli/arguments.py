@@ -62,6 +62,17 @@ def simulator_class(text: str) -> tuple[str, str]:
     return module, name
 
 
+def calendar(text: str) -> str | int:
+    """When a back-test estimates its model."""
+    if text in ("never", "month", "quarter", "year"):
+        return text
+    try:
+        return whole_number(text)
+    except argparse.ArgumentTypeError:
+        message = f"{text!r} is not never, month, quarter, year or a number of days"
+        raise argparse.ArgumentTypeError(message) from None
+
+
 def add_past(commands) -> None:
     """`snapo calibrate` and `snapo backtest`."""
     calibrate = commands.add_parser(
@@ -101,8 +112,20 @@ def add_past(commands) -> None:
         "--every",
         metavar="N",
         type=whole_number,
-        default=30,
-        help="days from one solution to the next, with the curve of its date (default: 30)",
+        help="days from one solution to the next, with the curve of its date (default: 30, or "
+        "whenever the model is estimated again)",
+    )
+    backtest.add_argument(
+        "--calibrate",
+        metavar="WHEN",
+        type=calendar,
+        help="estimate the model again: never, on the first day of each month, quarter or year, or "
+        "after a number of days (default: `calibrate` of [backtest])",
+    )
+    backtest.add_argument(
+        "--hedge",
+        action="store_true",
+        help="trade hedges in listed products on each day with a curve",
     )
     backtest.add_argument(
         "--policy", metavar="RUN", type=Path, help="decide with the trained policy of this run"

@@ -250,12 +250,19 @@ def _calibrate(options: argparse.Namespace) -> Answer:
 
 def _backtest(options: argparse.Namespace) -> Answer:
     from snapo.domains.gas_storage.history.backtest import backtest
-    from snapo.domains.gas_storage.history.backtest import summary as realised
+    from snapo.domains.gas_storage.history.results import summary as realised
     from snapo.study.runs.store import located
 
     policy = None if options.policy is None else located(options.policy)
     result = backtest(
-        options.case, options.history, say, every=options.every, policy=policy, out=options.out
+        options.case,
+        options.history,
+        say,
+        every=options.every,
+        calibrate=options.calibrate,
+        hedge=options.hedge,
+        policy=policy,
+        out=options.out,
     )
     return result, realised(result), OK
 

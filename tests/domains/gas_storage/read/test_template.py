@@ -12,6 +12,7 @@ from snapo.case.load import load
 from snapo.case.settings import EvaluationTable, FittedTable, ObjectiveTable
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.hedges.table import HedgeTable
+from snapo.domains.gas_storage.history.table import BacktestTable
 from snapo.domains.gas_storage.ladder.products import ProductsTable
 from snapo.domains.gas_storage.prices.registry import kinds
 from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
@@ -39,6 +40,7 @@ def test_commented_keys_of_the_new_case_are_right():
         "objective": ObjectiveTable.model_fields,
         "products": ProductsTable.model_fields,
         "hedge": HedgeTable.model_fields,
+        "backtest": BacktestTable.model_fields,
         "training": FittedTable.model_fields,
         "evaluation": EvaluationTable.model_fields,
     }

@@ -6,30 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.problem.problem import Problem
-from snapo.problem.scenarios import EVALUATE, Pseudo, stream
-from snapo.problem.smooth import Exact
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Text
 from snapo.report.quantity import number
 from snapo.report.rows import Bar, Column, WithError, ladder, table
 from snapo.solver import statistics
-from snapo.solver.adjoint import float64
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 
-from ..bounds.relaxation import factors_on_paths, path_of, spots_on_paths
-from ..contract.schedule import of_prices
-from ..contract.simulator import simulator_of
-from ..hedges import MIN_VARIANCE, DailyHedge, usual_hedges
-from ..hedges.exposures import BLOCK, StorePaths
+from ..hedges import as_text, usual_hedges
+from ..hedges.draws import NoForwardCurve, StoreDraws, curve_factors
 from ..hedges.held import Overnight, by_day
 from ..hedges.simulate import DailyHedges, HedgeGains, static
 from ..hedges.table import Hedges
-from ..ladder.methods import NO_CURVE
 from ..ladder.products import usual_products
 from ..references.intrinsic import intrinsic
-from ..setup import OUTPUT, case_of, factors, policy_of
+from ..setup import case_of, policy_of
 from .run import StorageRun
 
 MEASURED, FITTED = 259, 260  # streams of the evaluation: of the table, and of the exposures
@@ -110,9 +102,12 @@ def measure(run: StudyRun) -> HedgeTables:
     products = case.products or usual_products(case.days, case.valuation_date)
     hedges = case.hedges or Hedges(usual_hedges(products.families))
     try:
-        fit, _ = paths_of(run, FITTED, 2 * hedges.paths)
-        paths, groups = paths_of(run, MEASURED, hedges.paths)
-    except ValueError as reason:
+        curve_factors(setup.problem)
+        engine, policy = setup.engines.evaluate.bind(setup.problem), policy_of(run.solution)
+        draws = StoreDraws(setup.problem, engine, policy, setup.training.seed)
+        fit = draws(FITTED, 2 * hedges.paths).paths
+        paths, groups = draws(MEASURED, hedges.paths)[:2]
+    except NoForwardCurve as reason:
         return HedgeTables(reason=str(reason))
     overnight = Overnight(products)
     first, simulated = overnight.first, [SimulatedHedge(UNHEDGED, "", {})]
@@ -125,7 +120,7 @@ def measure(run: StudyRun) -> HedgeTables:
             simulated.append(SimulatedHedge(name, form, gains))
     daily = DailyHedges(overnight, hedges.daily).simulated(fit, paths)
     for hedge, gains in zip(hedges.daily, daily, strict=True):
-        simulated.append(SimulatedHedge(_name(hedge), _products(hedge), gains))
+        simulated.append(SimulatedHedge(hedge.title, hedge.products, gains))
     rows = tuple(row_of(hedge, paths.money, groups) for hedge in simulated)
     of_products = tuple(x for hedge in simulated[1:] for x in product_rows(hedge, paths.money))
     for row in rows:
@@ -134,49 +129,6 @@ def measure(run: StudyRun) -> HedgeTables:
     run.write_records("hedge.csv", HedgeRow, rows)
     run.write_records("hedge_products.csv", HedgeProduct, of_products)
     return HedgeTables(rows, of_products, paths.count)
-
-
-def paths_of(run: StudyRun, number: int, count: int) -> tuple[StorePaths, np.ndarray]:
-    """The trained policy on fresh paths of this stream, and their groups.
-
-    **Raises:** `ValueError` where paths have no forward curve.
-    """
-    setup = run.setup
-    problem, prices = setup.problem, factors(setup.problem)
-    process = simulator_of(problem).process
-    if prices is None or not prices.exact or prices.spikes is not None:
-        raise ValueError(NO_CURVE)
-    policy, schedule = policy_of(run.solution), problem.schedule
-    forward = np.append(schedule.steps.forward, schedule.constants.end_forward)
-    discount = np.append(schedule.steps.gas_discount, schedule.constants.end_discount)
-    source = Pseudo(setup.training.seed, stream=stream(EVALUATE, number))
-    engine = setup.engines.evaluate.bind(problem)
-    blocks = list(source.blocks(count, max(1, -(-count // BLOCK))))
-    parts = []
-    for block in blocks:
-        draws = source.draws(block, problem.simulator)
-        rollout = engine.values(policy, draws, Exact(), record=("state", "outputs"))
-        levels = np.asarray(path_of(rollout, "inventory"), np.float64)
-        sold, money = _sold(problem, rollout, levels), float64(rollout.totals)[OUTPUT]
-        part = factors_on_paths(process, rollout), levels, sold, np.asarray(money)
-        if not parts:  # whether the factors make the spot prices
-            curves = StorePaths(prices, forward, discount, *part).curves
-            spots = spots_on_paths(process, of_prices(schedule), rollout)
-            if not np.allclose(curves.spots[:-1], spots[:-1], rtol=1e-5, atol=1e-5):
-                raise ValueError(NO_CURVE)
-        parts.append(part)
-    joined = [np.concatenate(part, axis=-1) for part in zip(*parts, strict=True)]
-    groups = source.groups(np.concatenate(blocks))
-    return StorePaths(prices, forward, discount, *joined), groups
-
-
-def _sold(problem: Problem, rollout, levels: np.ndarray) -> np.ndarray:
-    """[T + 1, N] volume at the price of each day, and of the end."""
-    steps, constants = problem.schedule.steps, problem.schedule.constants
-    outputs = rollout.record["outputs"]
-    out = (1 - steps.withdrawal_fuel)[:, None] * np.asarray(outputs["withdrawal"], np.float64)
-    into = (1 + steps.injection_fuel)[:, None] * np.asarray(outputs["injection"], np.float64)
-    return np.concatenate([out - into, constants.end_fraction * levels[-1:]])
 
 
 def planned(setup: Setup) -> np.ndarray:
@@ -212,7 +164,7 @@ def product_rows(hedge: SimulatedHedge, money: np.ndarray) -> Iterator[HedgeProd
     total = money + sum(gain.gain for gain in hedge.gains.values())
     for family, (gain, cost, traded) in hedge.gains.items():
         shares = _share(money + gain, money), _share(total - gain, money)
-        name = _names([family])
+        name = as_text([family])
         about = hedge.hedge, hedge.products, name
         yield HedgeProduct(*about, *shares, float(traded.mean()), float(cost.mean()))
 
@@ -221,21 +173,6 @@ def _share(total: np.ndarray, money: np.ndarray) -> float:
     """The variance over that of the money without a hedge."""
     unhedged = np.var(money)
     return float(np.var(total) / unhedged) if unhedged > 0 else np.nan
-
-
-def _name(hedge: DailyHedge) -> str:
-    return "Daily, least variance" if hedge.rule == MIN_VARIANCE else "Daily, deltas"
-
-
-def _products(hedge: DailyHedge) -> str:
-    """Least variance takes only the first product of a family: of "months" the next month."""
-    if hedge.rule != MIN_VARIANCE:
-        return _names(hedge.families)
-    return _names([f"next {x[:-1]}" if x.endswith("s") else x for x in hedge.families])
-
-
-def _names(families: Sequence[str]) -> str:
-    return ", ".join(family.replace("_", " ") for family in families)
 
 
 def _title(row: HedgeRow) -> str:

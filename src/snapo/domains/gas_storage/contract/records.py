@@ -26,6 +26,7 @@ from snapo.problem.inputs import Input
 
 from ..curves.quotes import QuotedCurve
 from ..hedges.table import Hedges
+from ..history.table import BacktestPlan
 from ..ladder.products import TradedProducts
 from ..prices.process import PriceProcess
 
@@ -232,6 +233,7 @@ class StorageCase:
     - `notes`: remarks for the user of the case, one sentence each.
     - `quotes`: those from which the forward curve is made; None of a curve by day and month.
     - `products`: the traded products; None where the case names none. `hedges`: of its [hedge].
+    - `backtest`: of its [backtest].
     """
 
     file: Path
@@ -255,6 +257,7 @@ class StorageCase:
     quotes: QuotedCurve | None = None
     products: TradedProducts | None = None
     hedges: Hedges | None = None
+    backtest: BacktestPlan = BacktestPlan()
 
     kind = "gas-storage"
 

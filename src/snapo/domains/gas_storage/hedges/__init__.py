@@ -1,6 +1,6 @@
 """Profit and loss of a contract and its hedge; which hedges there are."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from ..ladder.products import BALANCE, DAY_AHEAD
@@ -17,6 +17,22 @@ class DailyHedge(NamedTuple):
 
     rule: str
     families: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        return "Daily, least variance" if self.rule == MIN_VARIANCE else "Daily, deltas"
+
+    @property
+    def products(self) -> str:
+        """Least variance takes only the first product of a family: of "months" the next month."""
+        if self.rule != MIN_VARIANCE:
+            return as_text(self.families)
+        return as_text([f"next {x[:-1]}" if x.endswith("s") else x for x in self.families])
+
+
+def as_text(families: Sequence[str]) -> str:
+    """Keys of [products] for a reader."""
+    return ", ".join(family.replace("_", " ") for family in families)
 
 
 def usual_hedges(families: Collection[str]) -> tuple[DailyHedge, ...]:

@@ -151,16 +151,16 @@ class StateFunctions:
 
 @dataclass(frozen=True, eq=False)
 class FittedExposures:
-    """The fit of each step 0 to T - 1.
+    """The fit of each step of `products`.
 
     - `volumes` [T + 1]: today's deltas by day; `products`: {step: those held from it on, as days}.
-    - `coefficients`: T arrays [K, products + F] of the functions.
+    - `coefficients`: {step from 0 on: [K, products + F] of the functions}.
     """
 
     functions: StateFunctions
     volumes: np.ndarray
     products: Mapping[int, Sequence[Days]]
-    coefficients: Sequence[np.ndarray]
+    coefficients: Mapping[int, np.ndarray]
 
     @classmethod
     def of(cls, paths: StorePaths, products: Mapping[int, Sequence[Days]]) -> "FittedExposures":
@@ -177,11 +177,11 @@ class FittedExposures:
 
         with ThreadPoolExecutor(cores()) as pool:
             parts = list(pool.map(moments, paths.blocks))
-        steps = []
-        for step in zip(*parts, strict=True):
+        solved = {}
+        for t, step in zip(_steps(products, paths.horizon), zip(*parts, strict=True), strict=True):
             square, right = (sum(x) for x in zip(*step, strict=True))
-            steps.append(_solved(np.asarray(square), np.asarray(right)))
-        return cls(functions, volumes, products, steps[::-1])
+            solved[t] = _solved(np.asarray(square), np.asarray(right))
+        return cls(functions, volumes, products, solved)
 
     def at(self, t: int, part: StorePaths, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Volumes a day [products, N] of other paths, sold forward after the flow of step t, and
@@ -201,17 +201,24 @@ class FittedExposures:
         return fit[: len(blocks)], factors + sensitivities(part.factors, t).T @ fixed
 
 
+def _steps(products: Mapping[int, Sequence[Days]], horizon: int) -> list[int]:
+    """The steps with a fit, the last one first; before step 0 all paths are in one state."""
+    return [t for t in reversed(range(horizon)) if t in products]
+
+
 def _targets(part: StorePaths, volumes: np.ndarray, functions: StateFunctions, blocks):
-    """Functions and targets of each step, the last one first."""
+    """Functions and targets of each step of `blocks`, the last one first."""
     factors, horizon = part.factors, part.horizon
     fixed = part.paid(0, part.moving(part.curves.spots)) * volumes[:, None]
     rest = part.exposed - fixed
     summed = np.concatenate([np.zeros_like(rest[:1]), np.cumsum(rest, axis=0)])
     weighted = np.zeros((factors.decay.shape[1], part.count))
     for t in reversed(range(horizon)):
-        moving = part.paid(t + 1, part.moving(part.ahead(t)))
         decay = factors.decay[t + 2][:, None] if t + 2 <= horizon else 0.0
         weighted = factors.loading[t + 1][:, None] * rest[t + 1] + decay * weighted
+        if t not in blocks:
+            continue
+        moving = part.paid(t + 1, part.moving(part.ahead(t)))
         targets = [
             (summed[after] - summed[first]) / moving[first - t - 1 : after - t - 1].sum(axis=0)
             for first, after in blocks[t]

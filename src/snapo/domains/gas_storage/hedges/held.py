@@ -29,9 +29,13 @@ HeldProducts = tuple[HeldProduct, ...]
 
 @dataclass(frozen=True, eq=False)
 class Overnight:
-    """The products that hedges hold from step to step."""
+    """The products that hedges hold from step to step.
+
+    `trading`: the steps on which anything trades; None: all.
+    """
 
     products: TradedProducts
+    trading: frozenset[int] | None = None
     _cached: dict[tuple[int, frozenset[str]], HeldProducts] = field(default_factory=dict)
 
     def of(self, hedge: DailyHedge, t: int) -> HeldProducts:
@@ -41,16 +45,23 @@ class Overnight:
 
     def held(self, t: int, families: Collection[str]) -> HeldProducts:
         """The products of a set of families of [products] that are held from step t on."""
-        next_day = {
+        after = self.after(t)
+        later = {
             day
-            for row in self._rows(t + 1, families)
+            for row in self._rows(after, families)
             for day in range(row.block.first, row.block.after)
         }
         return tuple(
             row
             for row in self._rows(t, families)
-            if next_day.issuperset(range(max(row.block.first, t + 2), row.block.after))
+            if later.issuperset(range(max(row.block.first, after + 1), row.block.after))
         )
+
+    def after(self, t: int) -> int:
+        """The next step on which something trades; the number of days where there is none."""
+        if self.trading is None:
+            return t + 1
+        return min((x for x in self.trading if x > t), default=len(self.products.days))
 
     def nearest(self, t: int, families: Collection[str]) -> HeldProducts:
         """The first product of each family that is held.

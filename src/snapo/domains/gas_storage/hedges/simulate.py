@@ -54,7 +54,7 @@ def static(paths: StorePaths, rows: HeldProducts, volumes: np.ndarray, first: in
 
     The exposure of a product is the mean of the volumes, weighted with today's discounted prices.
     """
-    total = _Total(paths)
+    account = HedgeAccount(paths.discount, paths.count)
     weights = paths.discount * paths.moving(paths.forward)
     change = paths.paid(0, paths.curves.spots - paths.forward[:, None])
     positions = []
@@ -62,10 +62,10 @@ def static(paths: StorePaths, rows: HeldProducts, volumes: np.ndarray, first: in
         days = slice(max(row.block.first, first + 1), row.block.after)
         mean = np.average(volumes[days], weights=weights[days])
         volume = _in_lots(np.full(paths.count, mean), row.block.lot)
-        total.gain[row.family] -= volume * change[days].sum(axis=0)
+        account.gain[row.family] -= volume * change[days].sum(axis=0)
         positions.append(HeldVolume(row, volume))
-    total.trade([], positions, first)
-    return total.gains
+    account.trade([], positions, first)
+    return account.gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +77,9 @@ class DailyHedges:
 
     def simulated(self, fit: StorePaths, paths: StorePaths) -> list[HedgeGains]:
         """The gains of each hedge on `paths`, its exposures fitted on other ones."""
-        rows = {
-            t: [self.overnight.of(hedge, t) for hedge in self.hedges]
-            for t in range(self.overnight.first, fit.horizon)
-        }
-        exposures = FittedExposures.of(fit, {t: _different(row) for t, row in rows.items()})
+        first = self.overnight.first
+        rows = {t: self.held(t) for t in range(first, fit.horizon)}
+        exposures = FittedExposures.of(fit, {t: different(row) for t, row in rows.items()})
 
         def gains(part: StorePaths) -> list[HedgeGains]:
             return self._gains(exposures, rows, part)
@@ -90,37 +88,56 @@ class DailyHedges:
             parts = list(pool.map(gains, paths.blocks))
         return [_joined(of) for of in zip(*parts, strict=True)]
 
+    def held(self, t: int) -> list[HeldProducts]:
+        """The products that each hedge holds from step t on."""
+        return [self.overnight.of(hedge, t) for hedge in self.hedges]
+
+    def positions(
+        self,
+        exposures: FittedExposures,
+        t: int,
+        part: StorePaths,
+        rows: Sequence[HeldProducts],
+        moving: np.ndarray,
+    ) -> list[list[HeldVolume]]:
+        """What each hedge sells in its products `rows` after the flow of step t.
+
+        `moving` [T - t, N]: discounted prices of the dates after the step, as noise moves them.
+        """
+        volumes, factors = exposures.at(t, part, moving)
+        volume_of = dict(zip(exposures.products[t], volumes, strict=True))
+
+        def sold(hedge: DailyHedge, held_rows: HeldProducts) -> Sequence[np.ndarray]:
+            if hedge.rule == MIN_VARIANCE:
+                return _minimum_variance(part, t, held_rows, moving, factors)
+            return [volume_of[_days(row)] for row in held_rows]
+
+        return [
+            [
+                HeldVolume(row, _in_lots(volume, row.block.lot))
+                for row, volume in zip(held_rows, sold(hedge, held_rows), strict=True)
+            ]
+            for hedge, held_rows in zip(self.hedges, rows, strict=True)
+        ]
+
     def _gains(
         self,
         exposures: FittedExposures,
         rows: Mapping[int, Sequence[HeldProducts]],
         part: StorePaths,
     ) -> list[HedgeGains]:
-        totals = [_Total(part) for _ in self.hedges]
+        accounts = [HedgeAccount(part.discount, part.count) for _ in self.hedges]
         before: list[list[HeldVolume]] = [[] for _ in self.hedges]
         ahead = part.ahead(self.overnight.first)
         for t, step in rows.items():
             next_curve = part.curves(t + 1)
-            change = part.paid(t + 1, next_curve - ahead)
             moving = part.paid(t + 1, part.moving(ahead))
-            volumes, factors = exposures.at(t, part, moving)
-            volume_of = dict(zip(exposures.products[t], volumes, strict=True))
-            for i, (hedge, held_rows) in enumerate(zip(self.hedges, step, strict=True)):
-                if hedge.rule == MIN_VARIANCE:
-                    sold = _minimum_variance(part, t, held_rows, moving, factors)
-                else:
-                    sold = [volume_of[_days(row)] for row in held_rows]
-                now = [
-                    HeldVolume(row, _in_lots(volume, row.block.lot))
-                    for row, volume in zip(held_rows, sold, strict=True)
-                ]
-                totals[i].trade(before[i], now, t)
-                for row, volume in now:
-                    days = slice(row.block.first - t - 1, row.block.after - t - 1)
-                    totals[i].gain[row.family] -= volume * change[days].sum(axis=0)
-                before[i] = now
-            ahead = next_curve[1:]
-        return [total.gains for total in totals]
+            now = self.positions(exposures, t, part, step, moving)
+            for account, old, new in zip(accounts, before, now, strict=True):
+                account.trade(old, new, t)
+                account.hold(new, next_curve - ahead, t)
+            before, ahead = now, next_curve[1:]
+        return [account.gains for account in accounts]
 
 
 def _minimum_variance(
@@ -146,20 +163,30 @@ def _minimum_variance(
     return (np.linalg.solve(square, unit @ target[:, :, None])[:, :, 0] / sizes).T
 
 
-class _Total:
-    """Sums of a hedge by family."""
+class HedgeAccount:
+    """Sums of a hedge by family, on `count` paths; `discount` [T + 1] of payments by date."""
 
-    def __init__(self, part: StorePaths):
-        self.part = part
-        self.gain: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(part.count))
-        self.cost: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(part.count))
-        self.traded: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(part.count))
+    def __init__(self, discount: np.ndarray, count: int):
+        self.discount, self.count = discount, count
+        self.gain: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
+        self.cost: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
+        self.traded: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
+
+    def hold(self, positions: Sequence[HeldVolume], change: np.ndarray, t: int) -> None:
+        """Holds positions over a `change` [T - t, N] of the prices of the dates after step t.
+
+        Days that are delivered already do not count.
+        """
+        money = self.discount[t + 1 :, None] * change
+        for row, volume in positions:
+            days = slice(*(max(x - t - 1, 0) for x in (row.block.first, row.block.after)))
+            self.gain[row.family] -= volume * money[days].sum(axis=0)
 
     def trade(self, before: Sequence[HeldVolume], now: Sequence[HeldVolume], t: int) -> None:
         """Trades the differences on days after step t, at the spread of the product held now."""
         marks = {x for row, _ in (*before, *now) for x in (row.block.first, row.block.after)}
         marks = sorted({max(x, t + 1) for x in marks})
-        nothing = np.zeros(self.part.count)
+        nothing = np.zeros(self.count)
         for first, after in pairwise(marks):
             old, new = (_on(positions, first) for positions in (before, now))
             row = new or old
@@ -168,7 +195,7 @@ class _Total:
             (_, block, family), _ = row
             volume = np.abs((new.volume if new else nothing) - (old.volume if old else nothing))
             self.traded[family] += (after - first) * volume
-            self.cost[family] += block.spread * self.part.discount[first:after].sum() * volume
+            self.cost[family] += block.spread * self.discount[first:after].sum() * volume
 
     @property
     def gains(self) -> HedgeGains:
@@ -191,7 +218,7 @@ def _days(row: HeldProduct) -> tuple[int, int]:
     return row.block.first, row.block.after
 
 
-def _different(rows: Sequence[HeldProducts]) -> list[tuple[int, int]]:
+def different(rows: Sequence[HeldProducts]) -> list[tuple[int, int]]:
     """The days of all products, each once."""
     return list(dict.fromkeys(_days(row) for held_rows in rows for row in held_rows))
 

@@ -1,82 +1,43 @@
 """`snapo backtest`: a gas store decided on past prices, each day with the prices until then."""
 
 import datetime
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.load import load
+from snapo.engine import Engine, choose
 from snapo.problem.carry.save import PolicyFileError
 from snapo.problem.carry.save import load as load_policy
 from snapo.problem.policy import Policy
 from snapo.solver.solution import POLICY
-from snapo.solver.statistics import plus_minus
-from snapo.solver.tables import write_csv
 
+from ..hedges import usual_hedges
+from ..hedges.draws import NoForwardCurve, StoreDraws
+from ..hedges.exposures import StorePaths
+from ..hedges.table import Hedges
+from ..ladder.methods import NO_CURVE
 from ..ladder.products import usual_products
 from ..ladder.rolling import Chains, TradeBlock, rolling
 from ..ladder.store import FlatStore
 from ..policy.network import StoragePolicy
 from ..references.intrinsic import intrinsic
-from .observed import ObservedMarket, read_observed
-from .rule import DatedRule, RuleCash, decided, drawn_spots, end_money, followed, solved_on
+from .hedged import HedgeBook, change_deviation, hedged_results
+from .observed import CURVES, ObservedMarket, StepCurves, read_observed
+from .recalibrate import ModelHistory
+from .results import MarkedPosition, StoreBacktest, answer_of, write
+from .rule import DatedRule, decided, drawn_spots, end_money, followed, solved_on
 
-FOLDER, DAYS, SOLUTIONS = "backtest", "days.csv", "solutions.csv"
-EVERY = 30  # days from one solution to the next one
-PATHS = 2048  # of the model, for expectations
+FOLDER = "backtest"
+STREAM = 261  # of the evaluation: of paths around the curve of a solution
+EVERY = 30  # days from one solution to the next one, where the model is never estimated
+PATHS = 2048  # of the model, for expectations without curves
 KIND = "gas-storage"
-
-
-@dataclass(frozen=True)
-class MarkedPosition:
-    """A solution, and the position marked to the curve of its date.
-
-    - `date`, `inventory`; `cash`: realised so far, discounted to the first valuation date.
-    - `expected`, `standard_error`: of the money of the rest of the contract, on paths of the model
-      around the curve of the date; `intrinsic`: by the best fixed plan; all discounted to the
-      same date.
-    """
-
-    date: datetime.date
-    inventory: float
-    cash: float
-    expected: float
-    standard_error: float
-    intrinsic: float
-
-
-@dataclass(frozen=True, eq=False)
-class StoreBacktest:
-    """The result of a back-test over T days; money is discounted to the valuation date.
-
-    - `days`; `spots`, `inventory` (after each day), `injection`, `withdrawal`, `cash` [T];
-      `expected_cash` [T]: the mean on the first valuation date.
-    - `realised`: the sum of the cash, the value of the gas left, and fixed costs.
-    - `expected`, `error`: its mean on `PATHS` drawn histories of the model and the standard error;
-      `deviation`: of one history; `share`: of histories that bring less than the realised one.
-    - `rolling`: of rolling intrinsic on the same curves; None without curves.
-    - `marks`: of every solution.
-    """
-
-    days: tuple[datetime.date, ...]
-    spots: np.ndarray
-    inventory: np.ndarray
-    injection: np.ndarray
-    withdrawal: np.ndarray
-    cash: np.ndarray
-    expected_cash: np.ndarray
-    realised: float
-    expected: float
-    error: float
-    deviation: float
-    share: float
-    rolling: float | None
-    marks: tuple[MarkedPosition, ...]
 
 
 def backtest(
@@ -84,18 +45,23 @@ def backtest(
     history: Path,
     progress,
     *,
-    every: int = EVERY,
+    every: int | None = None,
+    calibrate: str | int | None = None,
+    hedge: bool = False,
     policy: Path | None = None,
     out: Path | None = None,
 ) -> dict[str, Any]:
     """Decides the store of a case on the prices in a folder, and writes the results.
 
     - `history`: a folder with `spot.csv` and, if there are any, forward curves in `curves.csv`.
-    - `every`: days from one solution to the next, with the curve of its date; without curves
-      there is one solution.
+    - `every`: days from one solution to the next, with the curve of its date; by default 30, and
+      where the model is estimated again, the dates of these estimates only. Without curves there is
+      one solution.
+    - `calibrate`: when the model is estimated again, as in [backtest], whose other keys count too.
+    - `hedge`: trades the hedges of [hedge] on each day with a curve.
     - `policy`: a run, whose trained policy decides; by default the fitted value, with which
       training begins.
-    - `out`: the folder of `days.csv` and `solutions.csv`, by default `backtest` next to the case.
+    - `out`: the folder of the tables, by default `backtest` next to the case.
 
     **Raises:** `CaseError` where the case, a price or the run is wrong; nothing is written.
     """
@@ -113,10 +79,10 @@ def backtest(
         first = replace(first, policy=trained_policy(policy, first.policy))
     for note in notes:
         progress(f"note: {note}")
-    result = run_backtest(file, data, observed, first, every, progress)
+    result = run_backtest(file, data, observed, first, every, progress, calibrate, hedge)
     folder = file.parent / FOLDER if out is None else out
-    _write(folder, result)
-    return _answer(result) | {"folder": folder}
+    write(folder, result)
+    return answer_of(result) | {"folder": folder}
 
 
 def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
@@ -133,59 +99,132 @@ def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
     return policy
 
 
+class _Drawn(NamedTuple):
+    """The rule on histories that its model draws: `money` [N], `cash` [T, N] by day, discounted.
+
+    `control` [N]: of mean zero; `paths`: of all price factors, None where they have no curve.
+    """
+
+    money: np.ndarray
+    cash: np.ndarray
+    control: np.ndarray
+    paths: StorePaths | None = None
+
+    @property
+    def expected(self) -> tuple[float, float]:
+        """The mean of the money, with the control variate, and its standard error."""
+        spread, rest = np.var(self.control), self.money
+        if spread > 0:
+            slope = np.mean((rest - rest.mean()) * (self.control - self.control.mean())) / spread
+            rest = rest - slope * self.control
+        return float(rest.mean()), float(rest.std(ddof=1) / np.sqrt(len(rest)))
+
+
 def run_backtest(
     file: Path,
     data: Mapping[str, Any],
     observed: ObservedMarket,
     ledger: DatedRule,
-    every: int,
+    every: int | None,
     progress=lambda text: None,
+    calibrate: str | int | None = None,
+    hedge: bool = False,
 ) -> StoreBacktest:
     """The back-test of a case that was read; `ledger`: its rule on the valuation date."""
-    days, valuation = ledger.case.days, ledger.case.valuation_date
+    case, schedule = ledger.case, ledger.problem.schedule
+    days, valuation = case.days, case.valuation_date
     if not days:
-        raise CaseError(str(file), "contract.end", ledger.case.end, "no day is left to decide")
-    spots = np.array([observed.spot(day) for day in days])
+        raise CaseError(str(file), "contract.end", case.end, "no day is left to decide")
+    end = observed.spot(min(case.end, observed.spot_days[-1]))
+    spots = np.array([*(observed.spot(day) for day in days), end])
     curved = observed.has_curve(valuation)
-    rule = _on(file, data, ledger, observed, valuation, None) if curved else ledger
-    drawn = _drawn(rule)
-    schedule = ledger.problem.schedule
-    level, rows, marks, started = np.full(1, float(schedule.constants.inventory)), [], [], 0
-    discount = np.asarray(schedule.steps.flow_discount)
-    cash, state = 0.0, rule.initial_factors(1)
-    for t, day in enumerate(days):
-        if t and curved and t - started >= every:
-            progress(f"{day}: solving again")
-            rule, started = _on(file, data, ledger, observed, day, float(level[0])), t
-            state = rule.initial_factors(1)
-        if t == started:
-            money = _drawn(rule).money if t else drawn.money
-            amounts = float(level[0]), cash, float(discount[t]) if t else 1.0
-            marks.append(_mark(rule, day, money, *amounts))
-        row = decided(rule, t - started, ledger.problem, t, level, state, spots[t : t + 1])
-        level, state = row.inventory, row.factors
-        cash += float(row.cash[0])
-        rows.append(np.concatenate(row[:4]))
+    plan = case.backtest
+    plan = plan if calibrate is None else plan._replace(calibrate=calibrate)
+    due = plan.due(days)
+    if not curved and (due or hedge):
+        message = f"estimates of the model and hedges need a curve of {valuation} or earlier"
+        raise CaseError(str(observed.folder / CURVES), "date", None, message)
+    models = ModelHistory(file, data, observed, plan) if due else None
+    curves = StepCurves(observed, valuation, days, case.end, case.has_end_price, spots)
+    book = _book(ledger, curves) if hedge else None
+    level, rows, marks = np.full(1, float(schedule.constants.inventory)), [], []
+    discount, cash = np.asarray(schedule.steps.flow_discount), 0.0
+    every = (len(days) if due else EVERY) if every is None else every
+    starts = _starts(len(days), every if curved else len(days), due)
+    engine, first = choose("auto", ledger.problem, ledger.policy).evaluate, None
+    for start, after in zip(starts, (*starts[1:], len(days)), strict=True):
+        date = days[start] if start else valuation
+        if models is not None and start in due:
+            estimate = models.estimate(date)
+            if estimate.reason:
+                progress(f"note: {date}: the model before is kept: {estimate.reason}")
+        if start:
+            progress(f"{date}: solving again")
+        tables = data if models is None else models.data
+        stored = float(level[0]) if start else None
+        rule = _on(file, tables, ledger, observed, date, stored) if curved else ledger
+        drawn = _drawn(rule, curved, engine)
+        first = first or drawn
+        amounts = float(level[0]), cash, float(discount[start]) if start else 1.0
+        marks.append(_mark(rule, date, drawn, *amounts))
+        state = rule.initial_factors(1)
+        if book is not None:
+            if drawn.paths is None:
+                raise CaseError(str(file), "model.kind", case.model.kind, NO_CURVE)
+            book.solve(start, after, drawn.paths)
+            if book.first < 0 and not start:
+                book.trade(-1, float(level[0]), state[0])
+        for t in range(start, after):
+            curve = curves(t) if curved and t in curves.trading else None
+            row = decided(rule, t - start, ledger.problem, t, level, state, spots[t : t + 1], curve)
+            level, state = row.inventory, row.factors
+            cash += float(row.cash[0])
+            rows.append(np.concatenate(row[:4]))
+            if book is not None:
+                book.trade(t, float(level[0]), state[0])
+    assert first is not None
     inventory, injection, withdrawal, money = np.array(rows).T
-    end = observed.spot(min(ledger.case.end, observed.spot_days[-1]))
-    left = float(end_money(ledger.problem, level, np.array([end]))[0])
+    left = float(end_money(ledger.problem, level, spots[-1:])[0])
     realised = cash + left - float(schedule.constants.fixed_costs)
+    sums = [(mark.date, mark.cash + mark.expected) for mark in marks]
     return StoreBacktest(
         days,
-        spots,
+        spots[:-1],
         inventory,
         injection,
         withdrawal,
         money,
-        drawn.cash.mean(axis=1),
+        first.cash.mean(axis=1),
         realised,
-        float(drawn.money.mean()),
-        float(drawn.money.std(ddof=1) / np.sqrt(PATHS)),
-        float(drawn.money.std(ddof=1)),
-        float(np.mean(drawn.money < realised)),
-        _rolling(ledger, observed, spots, end) if curved else None,
+        *first.expected,
+        float(first.money.std(ddof=1)),
+        float(np.mean(first.money < realised)),
+        _rolling(ledger, curves) if curved else None,
         tuple(marks),
+        change_deviation([*(value for _, value in sums), realised]),
+        () if models is None else tuple(models.estimates),
+        () if book is None else hedged_results(book, realised, sums),
+        () if book is None else tuple(book.days),
+        () if book is None else tuple(book.positions),
     )
+
+
+def _starts(count: int, every: int, due: frozenset[int]) -> tuple[int, ...]:
+    """The steps of solutions: every so many days from the last one, and with every estimate."""
+    starts = [0]
+    for t in range(1, count):
+        if t - starts[-1] >= every or t in due:
+            starts.append(t)
+    return tuple(starts)
+
+
+def _book(ledger: DatedRule, curves: StepCurves) -> HedgeBook:
+    """The hedges of the case, without a position."""
+    case, schedule = ledger.case, ledger.problem.schedule
+    products = case.products or usual_products(case.days, case.valuation_date)
+    hedges = (case.hedges or Hedges(usual_hedges(products.families))).daily
+    discount = np.append(schedule.steps.gas_discount, schedule.constants.end_discount)
+    return HedgeBook(case, discount, hedges, products, curves, curves.trading)
 
 
 def _on(
@@ -205,128 +244,62 @@ def _on(
     return solved_on(file, data, day, inventory, curve, ledger.policy)
 
 
-def _drawn(rule: DatedRule) -> RuleCash:
-    """The rule on histories that its model draws."""
-    return followed(rule, drawn_spots(rule.problem, PATHS, rule.case.training.seed))
+def _drawn(rule: DatedRule, curved: bool, engine: Engine) -> _Drawn:
+    """The rule on histories that its model draws.
+
+    Curves show all price factors, and one factor is known from the spot price. Else the rule sees
+    spot prices only, on the drawn histories too.
+    """
+    problem, seed = rule.problem, rule.case.training.seed
+    if rule.filter is not None and (curved or rule.filter.gain.shape[1] == 1):
+        draws = StoreDraws(problem, engine.bind(problem), rule.policy, seed)
+        try:
+            result = draws(STREAM, (rule.case.hedges or Hedges(())).paths)
+            fixed = float(problem.schedule.constants.fixed_costs)
+            money = result.paths.money - fixed
+            return _Drawn(money, result.cash, result.control, result.paths)
+        except NoForwardCurve:
+            pass
+    result = followed(rule, drawn_spots(problem, PATHS, seed))
+    return _Drawn(result.money, result.cash, np.zeros(PATHS))
 
 
 def _mark(
     rule: DatedRule,
     day: datetime.date,
-    money: np.ndarray,
+    drawn: _Drawn,
     inventory: float,
     cash: float,
     discount: float,
 ) -> MarkedPosition:
-    """A solution marked to its curve; `money` [N]: of the rest of the contract on drawn paths."""
+    """A solution marked to its curve, with the rest of the contract on drawn paths."""
     fixed = float(rule.problem.schedule.constants.fixed_costs)
-    error = float(money.std(ddof=1) / np.sqrt(PATHS))
     kind = rule.case.contract.ratchets.interpolation
     plan = intrinsic(jax.tree.map(np.asarray, rule.problem.schedule), kind).value
-    mean = float(money.mean()) + fixed
-    return MarkedPosition(day, inventory, cash, *(x * discount for x in (mean, error, plan)))
+    mean, error = drawn.expected
+    rest = mean + fixed, error, plan
+    return MarkedPosition(day, inventory, cash, *(x * discount for x in rest))
 
 
-def _rolling(ledger: DatedRule, observed: ObservedMarket, spots: np.ndarray, end: float) -> float:
+def _rolling(ledger: DatedRule, curves: StepCurves) -> float:
     """Rolling intrinsic on the curves of the folder, less fixed costs.
 
     Forwards trade on the dates of a curve; on others only the day itself, at its spot price.
     """
     case, schedule = ledger.case, jax.tree.map(np.asarray, ledger.problem.schedule)
-    dates = (*case.days, case.end)
-    priced = len(dates) if case.has_end_price else len(case.days)
     products = case.products or usual_products(case.days, case.valuation_date)
-
-    def day(t: int) -> datetime.date:
-        return case.valuation_date if t < 0 else case.days[t]
-
-    def curves(t: int) -> np.ndarray:
-        if t == len(case.days):
-            return np.array([[end]])
-        curve = observed.curve(day(t), dates[max(t, 0) : priced])
-        curve = curve if priced == len(dates) else np.append(curve, curve[-1])
-        if t >= 0:
-            curve[0] = spots[t]
-        return curve[:, None]
 
     def blocks(t: int) -> tuple[TradeBlock, ...]:
         first, *others = products.blocks(t)
-        if day(t) in observed.curves:
+        if t in curves.trading:
             return (first, *others)
         return (first, *(block._replace(trades=False) for block in others))
 
     store = FlatStore(schedule, case.contract.ratchets.interpolation)
     try:
-        money = rolling(Chains(store), blocks, curves, 1, products.before).money
+        money = rolling(
+            Chains(store), blocks, lambda t: curves(t)[:, None], 1, products.before
+        ).money
     except ValueError as error:
         raise CaseError(str(case.file), "products", None, f"rolling intrinsic: {error}") from None
     return float(money[0]) - float(schedule.constants.fixed_costs)
-
-
-def _write(folder: Path, result: StoreBacktest) -> None:
-    head = (
-        "date", "spot", "inventory", "injection", "withdrawal", "cash", "cash_so_far",
-        "expected_so_far",
-    )  # fmt: skip
-    columns = (
-        result.days,
-        result.spots,
-        result.inventory,
-        result.injection,
-        result.withdrawal,
-        result.cash,
-        np.cumsum(result.cash),
-        np.cumsum(result.expected_cash),
-    )
-    names = ("date", "inventory", "cash_so_far", "expected", "standard_error", "intrinsic")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_csv(folder / DAYS, head, zip(*columns))
-        write_csv(folder / SOLUTIONS, names, map(astuple, result.marks))
-    except OSError as error:
-        message = f"the folder cannot be written ({error.strerror})"
-        raise CaseError(str(folder), "", None, message) from None
-
-
-def _answer(result: StoreBacktest) -> dict[str, Any]:
-    return {
-        "status": "ok",
-        "first": result.days[0].isoformat(),
-        "last": result.days[-1].isoformat(),
-        "days": len(result.days),
-        "realised": result.realised,
-        "expected": result.expected,
-        "standard_error": result.error,
-        "deviation": result.deviation,
-        "share": result.share,
-        "rolling_intrinsic": result.rolling,
-        "intrinsic": result.marks[0].intrinsic,
-        "solutions": [asdict(mark) | {"date": mark.date.isoformat()} for mark in result.marks],
-    }
-
-
-def summary(answer: Mapping[str, Any]) -> str:
-    """The answer for a reader."""
-    return "\n".join(_lines(answer))
-
-
-def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
-    yield f"{answer['days']} days from {answer['first']} to {answer['last']}"
-    less = f"{answer['share']:.0%} of drawn histories bring less"
-    yield f"{'realised':<20}{answer['realised']:>16,.2f}   {less}"
-    interval = plus_minus(answer["standard_error"])
-    spread = f"{interval} (95 %); standard deviation of one history {answer['deviation']:,.2f}"
-    yield f"{'expected':<20}{answer['expected']:>16,.2f}   {spread}"
-    if answer["rolling_intrinsic"] is not None:
-        yield f"{'rolling intrinsic':<20}{answer['rolling_intrinsic']:>16,.2f}"
-    yield f"{'intrinsic at start':<20}{answer['intrinsic']:>16,.2f}"
-    yield from _table(answer["solutions"])
-    yield f"by day: {answer['folder'] / DAYS}"
-
-
-def _table(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    yield f"{'solved on':<12}{'inventory':>14}{'cash so far':>16}{'expected rest':>16}{'sum':>16}"
-    for row in rows:
-        numbers = (row["cash"], row["expected"], row["cash"] + row["expected"])
-        text = "".join(f"{x:>16,.2f}" for x in numbers)
-        yield f"{row['date']:<12}{row['inventory']:>14,.2f}{text}"

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from snapo.solver.statistics import half_width
 from snapo.solver.tables import write_csv, write_text
 from snapo.study.run_folder import read as read_run
 
-from .maximum import HistoryFit, fit
+from .maximum import HistoryEstimate, HistoryFit, fit
 from .read import Calibration, read_calibration
 
 FOLDER = "calibration"  # next to the file, where nothing else is named
@@ -64,18 +64,6 @@ def calibrate(
 
 def _answer(calibration: Calibration, result: HistoryFit) -> dict[str, Any]:
     estimate = result.estimate
-    columns = (estimate.numbers, estimate.errors, estimate.low, estimate.high, estimate.unknown)
-    rows = [
-        {
-            "parameter": name,
-            "estimate": float(number),
-            "standard_error": float(error),
-            "low": float(low),
-            "high": float(high),
-            "unknown": bool(unknown),
-        }
-        for name, number, error, low, high, unknown in zip(estimate.names, *columns)
-    ]
     return {
         "status": "ok" if estimate.converged else "not converged",
         "kind": calibration.model.kind,
@@ -84,11 +72,30 @@ def _answer(calibration: Calibration, result: HistoryFit) -> dict[str, Any]:
         "dates": len(calibration.days),
         "prices": calibration.prices,
         "log_likelihood": estimate.log_likelihood,
-        "parameters": rows,
+        "parameters": [row._asdict() for row in parameter_rows(estimate)],
         "exact": list(result.model.exact),
         "vanished": list(result.vanished),
         "model": model_table(result),
     }
+
+
+class ParameterRow(NamedTuple):
+    """An estimate with its error and 95 % interval; `unknown`: the history does not determine
+    it."""
+
+    parameter: str
+    estimate: float
+    standard_error: float
+    low: float
+    high: float
+    unknown: bool
+
+
+def parameter_rows(estimate: HistoryEstimate) -> tuple[ParameterRow, ...]:
+    """All parameters."""
+    columns = (estimate.numbers, estimate.errors, estimate.low, estimate.high)
+    rows = zip(estimate.names, *(column.tolist() for column in columns), estimate.unknown.tolist())
+    return tuple(ParameterRow(*row) for row in rows)
 
 
 def model_table(result: HistoryFit) -> dict[str, Any]:

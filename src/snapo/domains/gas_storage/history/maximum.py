@@ -8,17 +8,17 @@ maximum the absolute values of its eigenvalues are used, so that each step rises
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from snapo.problem.quickly import compiled_sooner
 from snapo.solver.statistics import critical
 
-from .kalman import Filtered, filtered, log_likelihood
+from .kalman import Filtered, History, filtered, log_likelihood
 from .model import CORRELATION, LEVEL, POSITIVE, RATE, HistoryModel
 from .read import Calibration
 
@@ -26,6 +26,7 @@ MAX_STEPS = 150
 CLOSE = 1e-9  # half of the squared distance to the maximum, in standard deviations
 LONGEST = 1.0  # change of any variable in one step
 SHORTEST, ROUNDING = 1e-12, 1e-13  # share of a step at which the search ends; of the value
+DATES = 512  # histories are padded to multiples of it
 FLAT = 1e-9  # of the largest eigenvalue: less is no curvature
 SPEEDS = {1: (1.0, 8.0, 60.0), 2: (0.7, 3.0, 15.0)}  # per year, of the starts, by factors
 ERROR = 0.3  # of a series' movement between two dates: its measurement error at the start
@@ -190,22 +191,43 @@ def fit(calibration: Calibration) -> HistoryFit:
             model, maximum = smaller, without
             vanished.append(series)
         estimate = estimate_of(model, maximum)
-        states = jax.jit(partial(filtered, model))(estimate.numbers, calibration.history)
+        states = _states(model, jnp.asarray(estimate.numbers), padded(calibration.history))
         states = jax.tree.map(np.asarray, states)
+    days = len(calibration.days)
+    states = states._replace(mean=states.mean[:days], covariance=states.covariance[:days])
     return HistoryFit(model, estimate, states, tuple(vanished))
 
 
 def _best(model: HistoryModel, calibration: Calibration, starts: np.ndarray) -> Maximum:
     """The highest of the maxima that are reached from the starts [n, P]."""
-    history = jax.tree.map(jnp.asarray, calibration.history)
+    history = jax.tree.map(jnp.asarray, padded(calibration.history))
+    maxima = _maxima(model, history, jnp.asarray(starts))
+    value = np.where(np.isfinite(maxima.value), maxima.value, -np.inf)
+    best = int(np.argmax(value))
+    return jax.tree.map(lambda x: x[best], maxima)
+
+
+@compiled_sooner
+def _maxima(model: HistoryModel, history: History, starts: Array) -> Maximum:
+    """The maximum that is reached from each start [n, P]."""
 
     def search(start):
         return maximise(lambda x: log_likelihood(model, model.numbers(x), history), start)
 
-    maxima = jax.jit(jax.vmap(search))(jnp.asarray(starts))
-    value = np.where(np.isfinite(maxima.value), maxima.value, -np.inf)
-    best = int(np.argmax(value))
-    return jax.tree.map(lambda x: x[best], maxima)
+    return jax.vmap(search)(starts)
+
+
+@compiled_sooner
+def _states(model: HistoryModel, numbers: Array, history: History) -> Filtered:
+    return filtered(model, numbers, history)
+
+
+def padded(history: History) -> History:
+    """The history with dates without a price and without time after it, so that histories of
+    almost the same length need one compilation."""
+    more = -len(history.gap) % DATES
+    rows: Any = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in history[:-1])
+    return History(*rows, first=history.first)
 
 
 def _starts(model: HistoryModel, calibration: Calibration) -> np.ndarray:

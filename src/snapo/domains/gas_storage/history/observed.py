@@ -3,7 +3,8 @@
 import datetime
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,6 +83,46 @@ class ObservedMarket:
                 raise CaseError(str(self.folder / CURVES), latest.isoformat(), None, message)
             prices.append(price)
         return np.array(prices)
+
+
+@dataclass(frozen=True, eq=False)
+class StepCurves:
+    """The prices of a contract: on step t, [T + 1 - t] of the day, of later ones and of the
+    end date; of the valuation date before it, [T + 1], for -1.
+
+    - `days` [T], `end`: its dates; `end_price`: whether that of the end date counts.
+    - `spots` [T + 1]: spot prices of the same dates.
+    """
+
+    observed: ObservedMarket
+    valuation: datetime.date
+    days: tuple[datetime.date, ...]
+    end: datetime.date
+    end_price: bool
+    spots: np.ndarray
+    _made: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def day(self, t: int) -> datetime.date:
+        return self.days[t] if t >= 0 else self.valuation
+
+    @cached_property
+    def trading(self) -> frozenset[int]:
+        """The steps on which a curve is published."""
+        return frozenset(
+            t for t in range(-1, len(self.days)) if self.day(t) in self.observed.curves
+        )
+
+    def __call__(self, t: int) -> np.ndarray:
+        if t == len(self.days):
+            return self.spots[t:]
+        if t not in self._made:
+            dates = (*self.days, self.end) if self.end_price else self.days
+            curve = self.observed.curve(self.day(t), dates[max(t, 0) :])
+            curve = curve if self.end_price else np.append(curve, curve[-1])
+            if t >= 0:
+                curve[0] = self.spots[t]
+            self._made[t] = curve
+        return self._made[t]
 
 
 def read_observed(folder: Path, positive: bool, notes: list[str]) -> ObservedMarket:

@@ -65,15 +65,22 @@ class GaussianTable(CaseTable):
 
 
 class ObservedPrice(NamedTuple):
-    """A price of a date: its series, years to delivery, time of the year, and its cell."""
+    """A price of a date: its series, years to delivery, time of the year, and its cell, if it was
+    read from one."""
 
     day: datetime.date
     series: str
     years: float
     phase: float
     price: float
-    row: Row
-    column: str
+    row: Row | None = None
+    column: str = ""
+
+    def error(self, message: str) -> CaseError:
+        """What is wrong with it."""
+        if self.row is None:
+            return CaseError(self.series, self.day.isoformat(), self.price, message)
+        return self.row.error(self.column, message)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +123,22 @@ def read_calibration(path: Path) -> Calibration:
     prices = [price for price in _prices(section, table) if first <= price.day <= last]
     if not prices:
         raise section.error("first", table.first, f"there is no price from {first} to {last}")
-    normal, shift = model.kind == "one-factor-normal", model.shift or 0.0
+    return calibration_of(section, table, model.kind, model.shift or 0.0, prices, top.title)
+
+
+def calibration_of(
+    section: TableContext,
+    table: HistoryTable,
+    kind: str,
+    shift: float,
+    prices: Sequence[ObservedPrice],
+    title: str = "",
+) -> Calibration:
+    """The calibration of a model of this kind on prices, with the settings of [history].
+
+    **Raises:** `CaseError` where there are too few prices, or one that the model cannot have.
+    """
+    normal = kind == "one-factor-normal"
     if not normal:
         _check_sign(prices, shift)
     days = tuple(sorted({price.day for price in prices}))
@@ -124,8 +146,8 @@ def read_calibration(path: Path) -> Calibration:
     exact = _exact(section, table, columns)
     unit = float(np.std([price.price for price in prices])) if normal else 1.0
     form = HistoryModel(
-        model.kind,
-        2 if model.kind == "multi-factor" else 1,
+        kind,
+        2 if kind == "multi-factor" else 1,
         normal,
         shift,
         table.season,
@@ -137,7 +159,8 @@ def read_calibration(path: Path) -> Calibration:
     _check_amount(section, form, days, prices)
     _check_exact(form, prices)
     history = _history(form, prices, days, table.step)
-    return Calibration(file, top.title, days, len(prices), form, history, tuple(notes))
+    notes = tuple(section.notes)
+    return Calibration(section.file, title, days, len(prices), form, history, notes)
 
 
 def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPrice]:
@@ -199,11 +222,17 @@ def _observed(
     """The price of a cell, delivered in so many years or on a day; nothing for an empty cell."""
     if row.cells[column] == "":
         return
+    yield observed_price(day, series, ahead, row.number(column))._replace(row=row, column=column)
+
+
+def observed_price(
+    day: datetime.date, series: str, ahead: float | datetime.date, price: float
+) -> ObservedPrice:
+    """A price that is delivered in so many years, or on a day."""
     years = (ahead - day).days / YEAR if isinstance(ahead, datetime.date) else ahead
     length = 366 if calendar.isleap(day.year) else 365
     start = (day.timetuple().tm_yday - 1) / length
-    number = row.number(column)
-    yield ObservedPrice(day, series, years, (start + years) % 1.0, number, row, column)
+    return ObservedPrice(day, series, years, (start + years) % 1.0, price)
 
 
 def _check_sign(prices: Sequence[ObservedPrice], shift: float) -> None:
@@ -212,7 +241,7 @@ def _check_sign(prices: Sequence[ObservedPrice], shift: float) -> None:
             message = f"allowed is a number above {-shift:g}, whose logarithm the model needs"
             if not shift:
                 message += '; kind = "one-factor-normal" has prices of any sign'
-            raise price.row.error(price.column, message)
+            raise price.error(message)
 
 
 def _exact(section: TableContext, table: HistoryTable, columns: tuple[str, ...]):
@@ -250,7 +279,7 @@ def _check_exact(model: HistoryModel, prices: Sequence[ObservedPrice]) -> None:
                 f"{'s' if model.factors > 1 else ''} cannot meet more prices of {price.day} "
                 "exactly; leave it out of history.exact"
             )
-            raise price.row.error(price.column, message)
+            raise price.error(message)
         times.add(price.years)
 
 

@@ -23,11 +23,13 @@ from snapo.problem.smooth import Exact
 from ..contract.records import EndTerms, StorageCase
 from ..contract.schedule import StoreState
 from ..contract.simulator import StorageSimulator, simulator_of
+from ..ladder.forwards import PathCurves
 from ..policy.network import StoragePolicy
 from ..read.case import read_case
 from ..setup import bare_problem, factors, rebuilt
 
 CURVE = "forward_curve"  # the input
+RANK = 1e-9  # of the largest singular value: less is no effect of a factor on the curve
 ROOM = 1e-10  # variance of the fast factor, for a first price that is not the forward price
 
 
@@ -42,13 +44,39 @@ class SpotFilter(NamedTuple):
 class DatedRule:
     """A policy solved on a date: its problem, whose first day is the first that it decides.
 
-    `filter`: of the price factors; without it a spot price moves the fast factor only.
+    `filter`: of the price factors; without it a spot price moves the fast factor only. `prices`:
+    the curve of the date with its loadings on the factors.
     """
 
     case: StorageCase
     problem: Problem
     policy: StoragePolicy
     filter: SpotFilter | None
+    prices: PathCurves | None = None
+
+    def from_curve(self, t: int, before: np.ndarray, spot: float, curve: np.ndarray) -> np.ndarray:
+        """[1, F] the factors of the rule's day `t` from its spot price and its curve.
+
+        `curve` [T + 1 - t]: of the day and later ones. The spot price is met exactly; the rest is
+        the least-squares fit of the curve, nearest to the factors `before` [1, F] where it leaves
+        a choice.
+        """
+        assert self.prices is not None and self.filter is not None
+        loading, variance = self.prices.loadings(t)
+        forward = self.prices.forward[t:]
+        model = self.prices.factors
+        prices = np.append(spot, curve)
+        around, more = np.append(forward[0], forward), np.append(variance[0], variance)
+        if model.additive:
+            noise = prices - around
+        else:
+            noise = np.log((prices + model.shift) / (around + model.shift)) + more / 2
+        first = loading[0]
+        state = self.filter.decay[t] * before[0]
+        state = state + first * (noise[0] - first @ state) / (first @ first)
+        others = np.linalg.svd(first[None])[2][1:].T
+        change = np.linalg.lstsq(loading @ others, noise[1:] - loading @ state, RANK)[0]
+        return (state + others @ change)[None]
 
     def initial_factors(self, count: int) -> np.ndarray:
         """[count, F] the factors before the first day's price: zero."""
@@ -100,7 +128,11 @@ def solved_on(
     problem = rebuilt(problem)
     if policy is None:
         policy = StoragePolicy(problem.features, key=jax.random.key(0)).value_rule
-    return DatedRule(case, problem, policy, spot_filter(problem))
+    spots, model, schedule = spot_filter(problem), factors(problem), problem.schedule
+    if spots is None or model is None:
+        return DatedRule(case, problem, policy, None)
+    forward = np.append(schedule.steps.forward, schedule.constants.end_forward)
+    return DatedRule(case, problem, policy, spots, PathCurves(model, forward, np.zeros(())))
 
 
 def decided(
@@ -111,15 +143,19 @@ def decided(
     inventory: np.ndarray,
     before: np.ndarray,
     spot: np.ndarray,
+    curve: np.ndarray | None = None,
 ) -> DayResult:
     """The rule's day `t` at inventories and spot prices [N], which is the ledger's day `day`.
 
-    `before` [N, F]: the factors of the day before. The cash is that of the exact simulator of
+    `before` [N, F]: the factors of the day before. `curve` [T + 1 - t]: that of the day, which
+    shows several factors; of a single path. The cash is that of the exact simulator of
     `ledger`, with its discount factors.
     """
     gain, prior = None, before
     if rule.filter is not None:
         gain, prior = rule.filter.gain[t], rule.filter.decay[t] * before
+        if curve is not None and before.shape[1] > 1:
+            gain, prior = np.zeros_like(gain), rule.from_curve(t, before, float(spot[0]), curve)
     with jax.enable_x64(True):
         parts = (*_row(rule.problem, t), *_row(ledger, day))
         result = _day(rule.policy, *parts, gain, inventory, prior, spot)

@@ -27,11 +27,16 @@ class PathCurves:
         """[T + 1 - t, N] on step t, of it and of all later ones; of today, [T + 1, N], for -1."""
         if t < 0:
             return np.repeat(self.forward[:, None], self.states.shape[2], axis=1)
+        loading, variance = self.loadings(t)
+        return self._prices(t, product(loading, self.states[t]), variance)
+
+    def loadings(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """[T + 1 - t, F] the loadings of prices on the factors of step t, and [T + 1 - t] the
+        variance that they cause."""
         decay = self.factors.decay[t:].copy()
         decay[0] = 1.0
         loading = self.factors.loading[t:] * np.cumprod(decay, axis=0)
-        variance = np.einsum("di,ij,dj->d", loading, self._covariance[t], loading)
-        return self._prices(t, product(loading, self.states[t]), variance)
+        return loading, np.einsum("di,ij,dj->d", loading, self._covariance[t], loading)
 
     @property
     def spots(self) -> np.ndarray:

@@ -31,6 +31,7 @@ from ..contract.feasibility import check_feasible
 from ..contract.records import GasMarket, StorageCase, numbers_of
 from ..curves.quotes import QuotedCurve, QuotedCurveTable, read_quotes
 from ..hedges.table import HedgeTable, hedges_of
+from ..history.table import BacktestTable, plan_of
 from ..ladder.products import FORMATS as PRODUCTS
 from ..ladder.products import products_of
 from ..prices.process import Delivery
@@ -233,6 +234,7 @@ FORMATS = {
     "model": [process.table for process in kinds().values()],
     **PRODUCTS,
     "hedge": HedgeTable,
+    "backtest": BacktestTable,
     "report": ReportTable,
     "objective": ObjectiveTable,
     "training": FittedTable,
@@ -286,6 +288,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         quotes=quoted,
         products=products,
         hedges=hedges_of(file, top.hedge, notes, products),
+        backtest=plan_of(file, top.backtest, notes),
         model=model,
         objective=read_objective(top.objective, str(file)),
         training=read_training(top.training, str(file), FittedTable),

@@ -167,6 +167,7 @@ class StorageTable(CaseTable):
     model: dict = Field(description="the table [model]")
     products: dict | None = Field(None, description="the table [products]")
     hedge: dict | None = Field(None, description="the table [hedge]")
+    backtest: dict | None = Field(None, description="the table [backtest]")
     report: dict = Field({}, description="the table [report]")
     objective: dict = Field({}, description="the table [objective]")
     training: dict = Field({}, description="the table [training]")

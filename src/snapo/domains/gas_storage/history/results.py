@@ -1,0 +1,211 @@
+"""What a back-test results in: records, tables, and the text for a reader."""
+
+import datetime
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.solver.statistics import plus_minus
+from snapo.solver.tables import write_csv
+
+from .calibrate import INPUTS, ParameterRow
+from .hedged import HedgeDay, HedgedStore, HedgePosition
+from .recalibrate import DatedEstimate
+
+DAYS, SOLUTIONS, ESTIMATES = "days.csv", "solutions.csv", "calibrations.csv"
+HEDGES, HEDGE_DAYS, POSITIONS = "hedges.csv", "hedge_days.csv", "hedge_positions.csv"
+ESTIMATE_COLUMNS = ("date", "prices", "used", "reason", *ParameterRow._fields)
+
+
+@dataclass(frozen=True)
+class MarkedPosition:
+    """A solution, and the position marked to the curve of its date.
+
+    - `date`, `inventory`; `cash`: realised so far, discounted to the first valuation date.
+    - `expected`, `standard_error`: of the money of the rest of the contract, on paths of the model
+      around the curve of the date; `intrinsic`: by the best fixed plan; all discounted to the
+      same date.
+    """
+
+    date: datetime.date
+    inventory: float
+    cash: float
+    expected: float
+    standard_error: float
+    intrinsic: float
+
+
+@dataclass(frozen=True, eq=False)
+class StoreBacktest:
+    """The result of a back-test over T days; money is discounted to the valuation date.
+
+    - `days`; `spots`, `inventory` (after each day), `injection`, `withdrawal`, `cash` [T];
+      `expected_cash` [T]: the mean on the first valuation date.
+    - `realised`: the sum of the cash, the value of the gas left, and fixed costs.
+    - `expected`, `error`: its mean on drawn histories of the model and the standard error;
+      `deviation`: of one history; `share`: of histories that bring less than the realised one.
+    - `rolling`: of rolling intrinsic on the same curves; None without curves.
+    - `marks`: of every solution. `mark_deviation`: the standard deviation of the change of the
+      marked position from one solution to the next, NaN of fewer than two changes.
+    - `estimates`: of the model, on their dates; `hedges`: the result with each, `hedge_days` and
+      `positions` by day.
+    """
+
+    days: tuple[datetime.date, ...]
+    spots: np.ndarray
+    inventory: np.ndarray
+    injection: np.ndarray
+    withdrawal: np.ndarray
+    cash: np.ndarray
+    expected_cash: np.ndarray
+    realised: float
+    expected: float
+    error: float
+    deviation: float
+    share: float
+    rolling: float | None
+    marks: tuple[MarkedPosition, ...]
+    mark_deviation: float
+    estimates: tuple[DatedEstimate, ...] = ()
+    hedges: tuple[HedgedStore, ...] = ()
+    hedge_days: tuple[HedgeDay, ...] = ()
+    positions: tuple[HedgePosition, ...] = ()
+
+
+def write(folder: Path, result: StoreBacktest) -> None:
+    head = (
+        "date", "spot", "inventory", "injection", "withdrawal", "cash", "cash_so_far",
+        "expected_so_far",
+    )  # fmt: skip
+    columns = (
+        result.days,
+        result.spots,
+        result.inventory,
+        result.injection,
+        result.withdrawal,
+        result.cash,
+        np.cumsum(result.cash),
+        np.cumsum(result.expected_cash),
+    )
+    names = ("date", "inventory", "cash_so_far", "expected", "standard_error", "intrinsic")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_csv(folder / DAYS, head, zip(*columns))
+        write_csv(folder / SOLUTIONS, names, map(astuple, result.marks))
+        if result.estimates:
+            write_csv(folder / ESTIMATES, ESTIMATE_COLUMNS, _estimate_rows(result.estimates))
+        if result.hedges:
+            write_csv(folder / HEDGES, _names(HedgedStore), map(astuple, result.hedges))
+            write_csv(folder / HEDGE_DAYS, HedgeDay._fields, result.hedge_days)
+            write_csv(folder / POSITIONS, HedgePosition._fields, result.positions)
+    except OSError as error:
+        message = f"the folder cannot be written ({error.strerror})"
+        raise CaseError(str(folder), "", None, message) from None
+
+
+def _names(record: type) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(record))
+
+
+def _estimate_rows(estimates: Sequence[DatedEstimate]) -> Iterator[tuple]:
+    """A row for each parameter; one without a parameter where there is no estimate."""
+    for x in estimates:
+        about = x.date, x.prices, "no" if x.reason else "yes", x.reason
+        for *numbers, unknown in x.parameters:
+            yield (*about, *numbers, "yes" if unknown else "no")
+        if not x.parameters:
+            yield (*about, *("" for _ in ParameterRow._fields))
+
+
+def answer_of(result: StoreBacktest) -> dict[str, Any]:
+    return {
+        "status": "ok",
+        "first": result.days[0].isoformat(),
+        "last": result.days[-1].isoformat(),
+        "days": len(result.days),
+        "realised": result.realised,
+        "expected": result.expected,
+        "standard_error": result.error,
+        "deviation": result.deviation,
+        "share": result.share,
+        "rolling_intrinsic": result.rolling,
+        "intrinsic": result.marks[0].intrinsic,
+        "solutions": [asdict(mark) | {"date": mark.date.isoformat()} for mark in result.marks],
+        "mark_deviation": _finite(result.mark_deviation),
+        "estimates": [estimate.as_data() for estimate in result.estimates],
+        "hedges": [asdict(x) | {"deviation": _finite(x.deviation)} for x in result.hedges],
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+def summary(answer: Mapping[str, Any]) -> str:
+    """The answer for a reader."""
+    return "\n".join(_lines(answer))
+
+
+def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{answer['days']} days from {answer['first']} to {answer['last']}"
+    less = f"{answer['share']:.0%} of drawn histories bring less"
+    yield f"{'realised':<20}{answer['realised']:>16,.2f}   {less}"
+    interval = plus_minus(answer["standard_error"])
+    spread = f"{interval} (95 %); standard deviation of one history {answer['deviation']:,.2f}"
+    yield f"{'expected':<20}{answer['expected']:>16,.2f}   {spread}"
+    if answer["rolling_intrinsic"] is not None:
+        yield f"{'rolling intrinsic':<20}{answer['rolling_intrinsic']:>16,.2f}"
+    yield f"{'intrinsic at start':<20}{answer['intrinsic']:>16,.2f}"
+    yield from _table(answer["solutions"])
+    if answer["estimates"]:
+        yield from _estimates(answer["estimates"])
+    if answer["hedges"]:
+        yield from _hedges(answer)
+    yield f"by day: {answer['folder'] / DAYS}"
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    yield f"{'solved on':<12}{'inventory':>14}{'cash so far':>16}{'expected rest':>16}{'sum':>16}"
+    for row in rows:
+        numbers = (row["cash"], row["expected"], row["cash"] + row["expected"])
+        text = "".join(f"{x:>16,.2f}" for x in numbers)
+        yield f"{row['date']:<12}{row['inventory']:>14,.2f}{text}"
+
+
+def _estimates(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The parameters that the case takes, with their 95 % intervals."""
+    parts = {x["parameter"] for row in rows for x in row["parameters"]}
+    names = [name for name in dict.fromkeys(INPUTS.values()) if name in parts]
+    yield f"{'estimated on':<14}{'prices':>8}  " + "".join(f"{name:<32}" for name in names)
+    for row in rows:
+        cells = {x["parameter"]: x for x in row["parameters"]}
+        text = "".join(f"{_interval(cells.get(name)):<32}" for name in names)
+        yield f"{row['date']:<14}{row['prices']:>8,}  {text}".rstrip()
+        if row["reason"]:
+            yield f"{'':<24}the model before is kept: {row['reason']}"
+
+
+def _interval(row: Mapping[str, Any] | None) -> str:
+    if row is None:
+        return ""
+    return f"{row['estimate']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
+
+
+def _hedges(answer: Mapping[str, Any]) -> Iterator[str]:
+    """Contract, hedge and both; the deviation is that of the marked total between solutions."""
+    yield (
+        f"{'hedge':<52}{'contract':>14}{'hedge':>14}{'both':>14}{'deviation':>14}{'traded':>14}"
+        f"{'cost':>12}"
+    )
+    contract = answer["realised"]
+    none = {"hedge": "None", "products": "", "gain": 0.0, "total": contract, "traded": 0.0}
+    for row in (none | {"cost": 0.0, "deviation": answer["mark_deviation"]}, *answer["hedges"]):
+        name = f"{row['hedge']}: {row['products']}" if row["products"] else row["hedge"]
+        deviation = "" if row["deviation"] is None else f"{row['deviation']:,.0f}"
+        numbers = "".join(f"{x:>14,.0f}" for x in (contract, row["gain"], row["total"]))
+        yield f"{name:<52}{numbers}{deviation:>14}{row['traded']:>14,.0f}{row['cost']:>12,.0f}"
