@@ -51,7 +51,7 @@ def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
     fitted = simulator_of(problem).surprises is not None and case.objective.kind == "mean"
     training = TrainingPlan.from_settings(case.training.model_dump(), fitted)
     rule = UnitValuePolicy if case.scheduled is None else IntradayPolicy
-    # Training begins with the fitted value: random corrections would be losses where margins are low.
+    # Training begins with the fitted value: where margins are low, random corrections would lose.
     layout, key = simulator_of(problem).layout, jax.random.key(seed)
     policy = rule(layout, problem.features, key=key).value_rule
     return Setup(

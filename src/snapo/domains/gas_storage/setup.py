@@ -50,7 +50,7 @@ def make_setup(
     problem = _guided(replace(problem, sources=sources, rebuild=rebuilt), fit)
     fitted = simulator_of(problem).innovations is not None and case.objective.kind == "mean"
     training = TrainingPlan.from_settings(case.training.model_dump(), fitted)
-    # Training begins with the guide: random corrections would be losses where margins are low.
+    # Training begins with the guide: where margins are low, random corrections would lose.
     policy = StoragePolicy(problem.features, key=jax.random.key(seed)).value_rule
     engines = engines_for(engine, problem, policy)
     return _hedged(Setup(problem, policy, training, evaluation, engines, case=case))

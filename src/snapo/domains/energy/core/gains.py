@@ -2,8 +2,8 @@
 
 The value of one more unit of a volume is constant between the rows of the table and changes at
 them. A line through a few units would put the last one that gains between rows, where no best
-volume ends; without volatility, 0.1 to 0.7 % of the value would be lost. Where volumes lead
-further than a row, the last row that gains is therefore searched for.
+volume ends; without volatility, 0.1 to 0.7 % of the value would be lost. Where volumes are
+longer than a row, the last row that gains is therefore searched for.
 """
 
 import itertools
@@ -64,13 +64,13 @@ class FlowRows(NamedTuple):
         touched = [i for i, effect in enumerate(self.effects) if effect]
         room, stride, behind = jnp.full((), jnp.inf), jnp.zeros(()), jnp.zeros(())
         for i in reversed(touched):
-            up, moved = self.effects[i] > 0, self.table.rows.spacing[i] > 0
+            up, several = self.effects[i] > 0, self.table.rows.spacing[i] > 0
             left_over = dims[i] - 1 - begin[i] if up else begin[i]
-            room = jnp.where(moved, jnp.minimum(room, left_over), room)
+            room = jnp.where(several, jnp.minimum(room, left_over), room)
             step = math.prod(dims[i + 1 :]) * (1.0 if up else -1.0)
-            stride = stride + jnp.where(moved, step, 0.0)
+            stride = stride + jnp.where(several, step, 0.0)
             off = position[i] - begin[i]
-            behind = jnp.where(moved, off if up else -off, behind)
+            behind = jnp.where(several, off if up else -off, behind)
         length = free / units[-1]
         count = jnp.maximum(jnp.minimum(jnp.ceil(behind + length - NEAR), room + 1), 1.0)
         share = None

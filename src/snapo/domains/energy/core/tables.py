@@ -30,7 +30,7 @@ class UnitValues(NamedTuple):
     - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, less those of
       the first move of its mode; None where there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow; in that many searches the last
-      row that gains is found. None where one row is enough, since no volume leads further.
+      row that gains is found. None where one row is enough, since no volume is longer.
     """
 
     rows: LevelRows

@@ -19,7 +19,7 @@ from .fitted import backwards
 from .grid import ContractGrid, StepGrid
 
 MOST_ROWS = 401  # of the value of a level
-FURTHER = 1.5  # rows: a volume that leads no further than them is of one row
+FURTHER = 1.5  # rows: a volume no longer than that is of one row
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
 
@@ -101,8 +101,8 @@ class _UnitRows:
         return UnitValueTable(table)
 
     def _units(self) -> np.ndarray | None:
-        """[T, pairs, searches] the volume of a row along each flow. None where no volume leads
-        further, or where the rows of levels that a flow joins are of different volumes."""
+        """[T, pairs, searches] the volume of a row along each flow. None where no volume is
+        longer, or where the rows of levels that a flow joins are of different volumes."""
         if self.largest is None:
             return None
         result, longest = np.ones((len(self.low), len(self.layout.pairs))), 0.0

@@ -91,23 +91,23 @@ class ChangeChain(abc.ABC):
 
     def result(self) -> ExplainedChange:
         first, second, case = self.first, self.second, self.second.case
-        begun = self.started()
-        moved, curves = self.moved(begun.setup.case)
-        setup = self.setup_of(moved, begun.setup)
-        effect, moves = self._curve(begun.setup, setup, curves)
+        opening = self.started()
+        moved, curves = self.moved(opening.setup.case)
+        setup = self.setup_of(moved, opening.setup)
+        effect, moves = self._curve(opening.setup, setup, curves)
         shares = effect.after
         for name, note, step in self._steps(setup.case):
             setup = self.setup_of(step, setup)
             shares = self.add(name, note, shares, self.shares(setup, self.policy))
         last = self.shares(setup, self.last_policy)
         self.add(POLICY, NOTES[POLICY], shares, last)
-        cash = round(begun.cash, self.digits)
-        unpaired = (*self._unpaired(begun.start, first), *self._unpaired(last, second))
+        cash = round(opening.cash, self.digits)
+        unpaired = (*self._unpaired(opening.start, first), *self._unpaired(last, second))
         errors = [effect.error, *unpaired]
         change = round(second.value - first.value, self.digits)
         left = round(change + cash - sum(row.amount for row in self.rows), self.digits)
         self.row(REST, left, float(statistics.independent(*errors)), NOTES[REST])
-        if begun.flows or cash:
+        if opening.flows or cash:
             self.row(CASH, -cash, None, NOTES[CASH])
         return ExplainedChange(
             (first.folder, second.folder),
@@ -121,10 +121,10 @@ class ChangeChain(abc.ABC):
             tuple(self.rows),
             tuple(self.totals),
             moves,
-            begun.flows,
+            opening.flows,
             self.digits,
             self.source.available(second.case.evaluation.paths),
-            begun.notes,
+            opening.notes,
         )
 
     def time(self, setup: Setup, passed: int, cash: float) -> tuple[np.ndarray, Setup]:
