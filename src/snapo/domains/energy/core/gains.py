@@ -56,8 +56,8 @@ class FlowRows(NamedTuple):
 
     def _searched(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
         """With these segments: the rows before the last one that gains; that row; the next one; the
-        rows behind it. They change together on all levels
-        that the flow moves and that have several rows."""
+        rows behind it. Rows change together on all levels that the flow moves and that have
+        several rows."""
         dims, flat = self._table
         position = position_of(self.table, self._levels(forced))
         begin = along(position, self.effects, first=True)
