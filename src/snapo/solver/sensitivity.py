@@ -8,7 +8,7 @@ a bump of the exact simulator refutes it (`derivatives.verdict`); its interval h
 error of the policy (`derivatives.margin`).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64
 from .derivatives.bump import FEWEST, one_percent
-from .derivatives.by_block import DerivativePass, ScheduleDerivatives
+from .derivatives.by_block import DerivativePass
 from .derivatives.interval import Interval, Reported
 from .derivatives.verdict import Verdict, plain
 from .statistics import Estimate, plus_minus, rounded
@@ -79,7 +79,8 @@ class Sensitivities(NamedTuple):
     - `verdicts`: the verdict of a bump of the input, {input: Verdict}.
     - `reported`: the reported derivative, with its interval, {input: Reported}; if None, it is the
       held one with its sampling error.
-    - `schedule`: the held derivatives with respect to the schedule, unless they are large.
+    - `of_inputs`: the held derivatives with respect to the inputs of another problem that has the
+      same schedule; None where those with respect to the schedule are large.
     """
 
     inputs: dict[str, inputs_.Input]
@@ -90,7 +91,7 @@ class Sensitivities(NamedTuple):
     dropped: int = 0
     verdicts: dict[str, Verdict] | None = None
     reported: dict[str, Reported] | None = None
-    schedule: ScheduleDerivatives | None = None
+    of_inputs: Callable[[Problem], dict[str, Estimate]] | None = None
 
     def __getitem__(self, name: Any) -> Any:
         """The reported derivative with respect to an input, by its name."""
@@ -289,7 +290,7 @@ def sensitivities_and_totals(
         }
     result = Sensitivities(
         problem.inputs_by_name, held.inputs, None, moved, None, held.dropped, None, None,
-        held.schedule.unless_large(),
+        held.of_others,
     )  # fmt: skip
     if isinstance(smooth, Exact):
         return _without(result, problem.lost), None

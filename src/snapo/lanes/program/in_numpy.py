@@ -10,7 +10,6 @@ from importlib import import_module
 from typing import Any, ParamSpec
 
 import jax
-import jax.extend.core as jex
 import numpy as np
 
 from .. import jax_private
@@ -57,15 +56,11 @@ def _traced(function: Callable, leaves: Sequence[np.ndarray], form: Any) -> tupl
 
 def _program(closed: Any) -> ArrayRule:
     """A function of arrays from its equations, each with its rule."""
-    if not isinstance(closed, jex.ClosedJaxpr):
-        closed = jex.ClosedJaxpr(closed, ())
-    jaxpr, constants = (
-        closed.jaxpr,
-        dict(zip(closed.jaxpr.constvars, map(np.asarray, closed.consts))),
-    )
+    jaxpr = getattr(closed, "jaxpr", closed)
+    constants = dict(zip(jaxpr.constvars, map(np.asarray, getattr(closed, "consts", ()))))
 
     def key_of(atom: Any) -> Any:
-        if not isinstance(atom, jex.Literal):
+        if not jax_private.is_literal(atom):
             return atom
         name = object()
         constants[name] = np.asarray(atom.val, atom.aval.dtype)  # pyright: ignore

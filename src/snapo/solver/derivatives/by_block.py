@@ -1,6 +1,6 @@
 """Derivatives from one adjoint pass for each block of paths, with their standard errors."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -46,11 +46,11 @@ class ScheduleDerivatives(NamedTuple):
             for name, item in sums.items()
         }
 
-    def unless_large(self) -> "ScheduleDerivatives | None":
-        """These; None where they take more than `LARGE` bytes."""
+    @property
+    def bytes(self) -> int:
+        """The memory that they take."""
         leaves = jax.tree.leaves((self.passes, self.further))
-        size = sum(leaf.nbytes for leaf in leaves if any(leaf.strides))
-        return self if size <= LARGE else None
+        return sum(leaf.nbytes for leaf in leaves if any(leaf.strides))
 
 
 class PassResult(NamedTuple):
@@ -65,6 +65,12 @@ class PassResult(NamedTuple):
     dropped: int
     schedule: ScheduleDerivatives
     totals: Totals | None = None
+
+    @property
+    def of_others(self) -> Callable[[Problem], dict[str, Estimate]] | None:
+        """Those with respect to the inputs of another problem with this schedule; None where they
+        would keep more than `LARGE` bytes."""
+        return self.schedule.of_inputs if self.schedule.bytes <= LARGE else None
 
 
 class Pulled(NamedTuple):

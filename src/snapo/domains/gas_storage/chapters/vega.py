@@ -83,8 +83,8 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
         return Vegas()
     months = np.array([day.strftime("%Y-%m") for day in dates])
     wide = by_date(problem, names, len(dates))
-    if table.schedule is not None:
-        held = table.schedule.of_inputs(wide)
+    if table.of_inputs is not None:
+        held = table.of_inputs(wide)
     else:
         paths = setup.evaluation.within(problem.simulator.horizon).sensitivity_paths
         held = sensitivities(wide, policy, paths=paths, engine=setup.engines.evaluate).held
