@@ -289,8 +289,8 @@ def sensitivities_and_totals(
             for name, item in before.items()
         }
     result = Sensitivities(
-        problem.inputs_by_name, held.inputs, None, moved, None, held.dropped, None, None,
-        held.of_others,
+        problem.inputs_by_name, held.inputs,
+        moved=moved, dropped=held.dropped, of_inputs=held.of_others,
     )  # fmt: skip
     if isinstance(smooth, Exact):
         return _without(result, problem.lost), None

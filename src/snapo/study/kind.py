@@ -1,6 +1,6 @@
 """A kind of case whose modules are imported when they are first needed."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -87,6 +87,11 @@ class Kind:
         """The object "MODULE:NAME" of the package."""
         module, _, attribute = name.partition(":")
         return getattr(import_module(f"{self.package}.{module}"), attribute)
+
+
+def inputs_line(sizes: Collection[int]) -> str:
+    """The line of a summary on the inputs of a case; `sizes`: how many numbers each has."""
+    return f"{len(sizes)} inputs with {sum(sizes)} numbers, each with a sensitivity"
 
 
 def with_other_numbers(domain: Any, data: Mapping[str, Any]) -> Mapping[str, Any]:

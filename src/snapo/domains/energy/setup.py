@@ -18,12 +18,7 @@ from snapo.study.study import Setup
 
 from ..gas_storage.bounds.regression import AnyBasis, basis_of
 from ..gas_storage.prices.process import GaussianFactors, PriceProcess
-from .core.intraday import (
-    IntradayPolicy,
-    IntradaySimulator,
-    simulator_kind,
-    without_trades,
-)
+from .core.intraday import IntradayPolicy, IntradaySimulator, simulator_kind, without_trades
 from .core.policy import UnitValuePolicy
 from .core.simulator import simulator_of
 from .core.tables import UnitValueTable

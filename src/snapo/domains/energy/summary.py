@@ -2,6 +2,7 @@
 
 from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.inputs import plain
+from snapo.study.kind import inputs_line
 
 from .core.feasibility import check_limits
 from .core.intraday import simulator_kind
@@ -17,12 +18,11 @@ def lines(case: EnergyCase) -> list[str]:
     inputs, layout = case.inputs(), case.contract.layout
     schedule = in_numpy(simulator_kind(case).bare(case).prepare)(plain(inputs))
     check_limits(case, schedule)
-    numbers = sum(entry.value.size for entry in inputs.values())
     return [
         f"{case.title}: {len(case.days)} decisions, {case.days[0]} to {case.days[-1]}",
         f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "
         f"flows: {', '.join(x.name for x in layout.flows)}",
-        f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity",
+        inputs_line([entry.value.size for entry in inputs.values()]),
         f"intrinsic value {intrinsic_value(layout, schedule):,.2f} {case.currency}",
         "the contract can be met",
     ]

@@ -1,5 +1,7 @@
 """What `snapo check` prints of a storage case, in NumPy: nothing is compiled."""
 
+from snapo.study.kind import inputs_line
+
 from .contract.records import StorageCase, numbers_by_name
 from .contract.terms import known_schedule, value_without_decisions
 from .references.intrinsic import intrinsic
@@ -11,11 +13,9 @@ def lines(case: StorageCase) -> list[str]:
         value = value_without_decisions(case)
         return [f"{case.title}: no decision day is left; the value is {value:,.2f}"]
     plan = intrinsic(known_schedule(case), case.contract.ratchets.interpolation)
-    inputs = numbers_by_name(case).values()
-    numbers = sum(entry.values.size for entry in inputs)
     return [
         f"{case.title}: {len(case.days)} decision days, {case.days[0]} to {case.days[-1]}",
-        f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity",
+        inputs_line([entry.values.size for entry in numbers_by_name(case).values()]),
         f"intrinsic value {plan.value:,.2f} {case.currency}",
         "the contract can be met",
     ]

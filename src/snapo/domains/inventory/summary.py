@@ -2,6 +2,7 @@
 
 from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.inputs import plain
+from snapo.study.kind import inputs_line
 
 from .item.records import InventoryCase
 from .item.simulator import InventorySimulator
@@ -11,9 +12,7 @@ from .network.records import NetworkCase
 def lines(case: InventoryCase | NetworkCase) -> list[str]:
     """The case in a few lines: nothing is trained."""
     describe = _network_lines if isinstance(case, NetworkCase) else _item_lines
-    inputs = case.inputs()
-    numbers = sum(entry.value.size for entry in inputs.values())
-    last = f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity"
+    last = inputs_line([entry.value.size for entry in case.inputs().values()])
     return [*describe(case), last]  # pyright: ignore[reportArgumentType]
 
 

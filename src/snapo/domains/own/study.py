@@ -23,6 +23,7 @@ from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.profile import PROFILE, leaves
 from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
+from snapo.study.kind import inputs_line
 from snapo.study.ready import at_values, with_auto
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
@@ -89,10 +90,9 @@ def summary(case: OwnCase) -> list[str]:
 
 def lines(case: OwnCase) -> list[str]:
     """The case in a few lines."""
-    numbers = sum(values.value.size for values in case.inputs.values())
     return [
         f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.location)}",
-        f"{len(case.inputs)} inputs with {numbers} numbers, each with a sensitivity",
+        inputs_line([entry.value.size for entry in case.inputs.values()]),
         f"the {case.objective_words} is maximised",
     ]
 

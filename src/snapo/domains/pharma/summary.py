@@ -1,5 +1,7 @@
 """What `snapo check` prints of a process: nothing is computed."""
 
+from snapo.study.kind import inputs_line
+
 from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
 
@@ -7,12 +9,11 @@ from .flowsheet.inputs import pharma_inputs
 def lines(case: PharmaCase) -> list[str]:
     """A case in a few lines, one for each side of it, for its user to compare."""
     inputs = pharma_inputs(case)
-    numbers = sum(entry.value.size for entry in inputs.values())
     rows = [
         f"{case.title}: {' -> '.join(unit.name for unit in case.units)}",
         f"{len(case.network.reactions)} reactions among {len(case.network.species)} species, "
         "each conserves mass",
-        f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity",
+        inputs_line([entry.value.size for entry in inputs.values()]),
         f"{len(case.parameters)} process parameters, {len(case.attributes)} quality attributes",
         f"time by the {case.numerics.method} method",
     ]

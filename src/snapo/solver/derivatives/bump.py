@@ -333,6 +333,7 @@ class _Bumper:
     def _totals(self, problem: Problem, count: int) -> dict[str, np.ndarray]:
         paths = sum(map(len, self.blocks[:count]))
         self.spent += paths
+        # No difference here uses control variates; those of the centre are round-off away.
         return path_totals(problem, self.policy, paths, engine=self.engine, controls=False)
 
 

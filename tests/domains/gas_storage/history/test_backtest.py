@@ -16,7 +16,11 @@ from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.cli.main import main
 from snapo.domains.gas_storage import DOMAIN
-from snapo.domains.gas_storage.history.backtest import StoreBacktest, run_backtest
+from snapo.domains.gas_storage.history.backtest import (
+    DrawnHistories,
+    StoreBacktest,
+    run_backtest,
+)
 from snapo.domains.gas_storage.history.observed import ForwardQuote as Quote
 from snapo.domains.gas_storage.history.observed import ObservedMarket, read_observed
 from snapo.domains.gas_storage.history.read import read_calibration
@@ -225,6 +229,18 @@ def test_a_wrong_price_is_named(tmp_path, spot, curves, named):
         read_observed(tmp_path, True, [])
     for name in named:
         assert name in str(caught.value), caught.value
+
+
+def test_a_pair_of_equal_histories_is_one_sample():
+    """Antithetic histories count in pairs; a control of mean zero takes its part of the noise."""
+    one, control = np.random.default_rng(0).standard_normal((2, 400))
+    control -= control.mean()
+    money, groups = np.repeat(one, 2), np.repeat(np.arange(400), 2)
+    drawn = DrawnHistories(money, np.zeros((1, 800)), groups=groups)
+    assert drawn.expected.standard_error == pytest.approx(one.std(ddof=1) / 20, rel=1e-12)
+    noise = np.repeat(control, 2)
+    noisy = drawn._replace(money=money + 5 * noise, controls=(noise,))
+    assert noisy.expected.standard_error < 1.01 * drawn.expected.standard_error
 
 
 def test_what_is_known_on_a_day():

@@ -75,8 +75,8 @@ class FlowRows(NamedTuple):
         count = jnp.maximum(jnp.minimum(jnp.ceil(behind + length - NEAR), room + 1), 1.0)
         share = None
         if self.banked:
-            left = jnp.clip(jnp.floor(position[-1]), 0.0, max(dims[-1] - 2, 0))
-            share, begin = jnp.clip(position[-1] - left, 0.0, 1.0), begin.at[-1].set(left)
+            left, share = _between(position[-1], dims[-1])
+            begin = begin.at[-1].set(left)
         first_row = row_number(self.pair, begin, dims)
 
         def gain(row: Array) -> Array:
@@ -119,10 +119,15 @@ class FlowRows(NamedTuple):
         row = along(position, self.effects, not last)
         if not self.banked:
             return nearest_row(flat, self.pair, row, dims)
-        left = jnp.clip(jnp.floor(position[-1]), 0.0, max(dims[-1] - 2, 0))
-        share = jnp.clip(position[-1] - left, 0.0, 1.0)
+        left, share = _between(position[-1], dims[-1])
         sides = [nearest_row(flat, self.pair, row.at[-1].set(left + k), dims) for k in (0, 1)]
         return sides[0] + share * (sides[1] - sides[0])
+
+
+def _between(position: Array, count: int) -> tuple[Array, Array]:
+    """The row below a position among a number of rows, and the share of the next one."""
+    left = jnp.clip(jnp.floor(position), 0.0, max(count - 2, 0))
+    return left, jnp.clip(position - left, 0.0, 1.0)
 
 
 def position_of(table: UnitValues, levels: Array) -> Array:

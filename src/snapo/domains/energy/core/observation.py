@@ -38,10 +38,8 @@ class Head(NamedTuple):
         pairs, size = len(layout.pairs), head_size(layout)
         sizes = np.cumsum([pairs * 2 * SEGMENTS, pairs * (SEGMENTS - 1), pairs])
         units, positions, room = jnp.split(observation[: sizes[-1]], sizes[:-1])
-        units, positions = (
-            units.reshape((pairs, SEGMENTS, 2)),
-            positions.reshape((pairs, SEGMENTS - 1)),
-        )
+        units = units.reshape((pairs, SEGMENTS, 2))
+        positions = positions.reshape((pairs, SEGMENTS - 1))
         return cls(units, positions, room, observation[sizes[-1] : size])
 
 
@@ -69,11 +67,8 @@ def head(
     if unit_values is not None:
         read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
     units, positions, rooms, base = [], [], [], []
-    pairs, choices, first = (
-        layout.pairs,
-        layout.choices,
-        [-1, *(move.before for move in layout.every_move)],
-    )
+    pairs, choices = layout.pairs, layout.choices
+    first = [-1, *(move.before for move in layout.every_move)]
     spaces = volumes_by_move(layout, now, state.levels, EXACT, size)
     for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
         start = state.levels + jnp.asarray(move.changes)

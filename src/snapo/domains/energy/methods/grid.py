@@ -260,15 +260,15 @@ def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
         count = sum(map(len, after))
         before = [first, *_settled(after, restarts)]
         for t in range(horizon):
-            moved = (before[t][:, None] + extremes(layout, terms, t, i)).ravel()
-            after[t] = _within(np.append(after[t], moved), low[t + 1], high[t + 1], near)
+            shifted = (before[t][:, None] + extremes(layout, terms, t, i)).ravel()
+            after[t] = _within(np.append(after[t], shifted), low[t + 1], high[t + 1], near)
             if len(after[t]) > MOST:
                 return None
             before[t + 1] = np.zeros(1) if restarts[t] else after[t]
         for t in reversed(range(1, horizon)):
             if not restarts[t - 1]:
-                moved = (after[t][:, None] - extremes(layout, terms, t, i)).ravel()
-                after[t - 1] = _within(np.append(after[t - 1], moved), low[t], high[t], near)
+                shifted = (after[t][:, None] - extremes(layout, terms, t, i)).ravel()
+                after[t - 1] = _within(np.append(after[t - 1], shifted), low[t], high[t], near)
                 if len(after[t - 1]) > MOST:
                     return None
         if sum(map(len, after)) == count:

@@ -15,6 +15,7 @@ from snapo.engine import Engine, choose
 from snapo.problem.carry.save import PolicyFileError
 from snapo.problem.carry.save import load as load_policy
 from snapo.problem.policy import Policy
+from snapo.solver import statistics
 from snapo.solver.solution import POLICY
 
 from ..hedges import usual_hedges
@@ -99,25 +100,24 @@ def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
     return policy
 
 
-class _Drawn(NamedTuple):
+class DrawnHistories(NamedTuple):
     """The rule on histories that its model draws: `money` [N], `cash` [T, N] by day, discounted.
 
-    `control` [N]: of mean zero; `paths`: of all price factors, None where they have no curve.
+    `controls`: arrays [N] of mean zero. `groups` [N]: equal for histories that depend on one
+    another; None where none do. `paths`: of all price factors; None without a forward curve.
     """
 
     money: np.ndarray
     cash: np.ndarray
-    control: np.ndarray
+    controls: tuple[np.ndarray, ...] = ()
+    groups: np.ndarray | None = None
     paths: StorePaths | None = None
 
     @property
-    def expected(self) -> tuple[float, float]:
-        """The mean of the money, with the control variate, and its standard error."""
-        spread, rest = np.var(self.control), self.money
-        if spread > 0:
-            slope = np.mean((rest - rest.mean()) * (self.control - self.control.mean())) / spread
-            rest = rest - slope * self.control
-        return float(rest.mean()), float(rest.std(ddof=1) / np.sqrt(len(rest)))
+    def expected(self) -> statistics.Sampled:
+        """The mean of the money, with the controls regressed out of it."""
+        money, *controls = (statistics.shares(x, self.groups) for x in (self.money, *self.controls))
+        return statistics.controlled(money, controls)[2]
 
 
 def run_backtest(
@@ -196,7 +196,7 @@ def run_backtest(
         money,
         first.cash.mean(axis=1),
         realised,
-        *first.expected,
+        *first.expected[:2],
         float(first.money.std(ddof=1)),
         float(np.mean(first.money < realised)),
         _rolling(ledger, curves) if curved else None,
@@ -244,7 +244,7 @@ def _on(
     return solved_on(file, data, day, inventory, curve, ledger.policy)
 
 
-def _drawn(rule: DatedRule, curved: bool, engine: Engine) -> _Drawn:
+def _drawn(rule: DatedRule, curved: bool, engine: Engine) -> DrawnHistories:
     """The rule on histories that its model draws.
 
     Curves show all price factors, and one factor is known from the spot price. Else the rule sees
@@ -254,20 +254,19 @@ def _drawn(rule: DatedRule, curved: bool, engine: Engine) -> _Drawn:
     if rule.filter is not None and (curved or rule.filter.gain.shape[1] == 1):
         draws = StoreDraws(problem, engine.bind(problem), rule.policy, seed)
         try:
-            result = draws(STREAM, (rule.case.hedges or Hedges(())).paths)
-            fixed = float(problem.schedule.constants.fixed_costs)
-            money = result.paths.money - fixed
-            return _Drawn(money, result.cash, result.control, result.paths)
+            paths, groups, cash, control = draws(STREAM, (rule.case.hedges or Hedges(())).paths)
+            money = paths.money - float(problem.schedule.constants.fixed_costs)
+            return DrawnHistories(money, cash, (control,), groups, paths)
         except NoForwardCurve:
             pass
     result = followed(rule, drawn_spots(problem, PATHS, seed))
-    return _Drawn(result.money, result.cash, np.zeros(PATHS))
+    return DrawnHistories(result.money, result.cash)
 
 
 def _mark(
     rule: DatedRule,
     day: datetime.date,
-    drawn: _Drawn,
+    drawn: DrawnHistories,
     inventory: float,
     cash: float,
     discount: float,
@@ -276,7 +275,7 @@ def _mark(
     fixed = float(rule.problem.schedule.constants.fixed_costs)
     kind = rule.case.contract.ratchets.interpolation
     plan = intrinsic(jax.tree.map(np.asarray, rule.problem.schedule), kind).value
-    mean, error = drawn.expected
+    mean, error = drawn.expected[:2]
     rest = mean + fixed, error, plan
     return MarkedPosition(day, inventory, cash, *(x * discount for x in rest))
 

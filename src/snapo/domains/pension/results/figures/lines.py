@@ -9,6 +9,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.inputs import plain
+from snapo.study.kind import inputs_line
 
 from ...records.case import PensionCase
 from ...records.inputs import pension_inputs
@@ -78,14 +79,12 @@ def examine(case: PensionCase) -> Examined:
 def lines(case: PensionCase) -> list[str]:
     """Horizon, inputs and figures of a case as a human compares them: nothing is trained."""
     inputs = pension_inputs(case)
-    numbers = sum(entry.value.size for entry in inputs.values())
     result = examine(case)
     return [
         f"{case.title}: {case.steps} decisions over {case.steps * case.step:g} years, "
         f"{len(case.assets.classes)} classes, {case.buckets} swap tenors",
         f"scenarios: {'supplied' if case.scenarios else SCENARIOS[case.measure]}",
-        f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity; "
-        f"{len(case.held)} held",
+        f"{inputs_line([entry.value.size for entry in inputs.values()])}; {len(case.held)} held",
         *_human(case, result.human),
         *_status(case, plain(inputs), result.figures.liability),
         *in_words(case),
