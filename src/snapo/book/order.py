@@ -24,7 +24,8 @@ from snapo.solver.derivatives.interval import HELD
 from snapo.solver.provenance import versions
 from snapo.solver.sensitivity import Sensitivities
 
-from .file import BookContract, StressMove, TasksTable
+from .file import BookContract, TasksTable
+from .stress import StressMove
 
 STRESSES = 25  # of one order
 BATCHES = 512  # of paths, whose shares are kept

@@ -64,6 +64,13 @@ class BookPlan:
             table[contract.name] = first.setdefault(case, contract)
         return table
 
+    @property
+    def distinct(self) -> Iterator[tuple[BookContract, BookOrder]]:
+        """The contracts with different cases, each with an order of it."""
+        for contract in self.book.contracts:
+            if self.first_of_case[contract.name] is contract:
+                yield contract, self._base(contract, False)
+
     @cached_property
     def similar(self) -> dict[str, list[BookContract]]:
         """{similarity key: contracts}, equal cases once."""
