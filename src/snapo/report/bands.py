@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .drawing import LIGHT, WIDTH, legend_above, number_axis, unit_above
+from .drawing import LIGHT, WIDTH, date_axis, legend_above, number_axis, unit_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,11 +23,12 @@ def quantile_fan(
     unit: str,
     level: float | None,
     across: str = "Year",
+    dates: Literal["", "day", "hour"] = "",
 ) -> None:
     """Bands of quantiles over years: 1-99, 5-95 and 25-75 %, the median and the mean.
 
     `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value to draw a line at; `across`: the name of
-    the horizontal axis where it does not count years.
+    the horizontal axis where it does not count years; `dates`: the steps of a date axis.
     """
     for low, high, alpha, name in (
         ("p01", "p99", 0.14, "1–99 %"),
@@ -42,9 +43,12 @@ def quantile_fan(
     axes.plot(years, fan["mean"], label="Mean", **style)
     if level is not None:
         axes.axhline(level, color=LIGHT["limit"], linewidth=1.1, linestyle=(0, (1, 1.5)))
-    axes.set_xlim(years[0], years[-1])
-    axes.set_xlabel(across)
-    number_axis(axes.xaxis, 10)
+    if dates:
+        date_axis(axes, years[0], years[-1], dates == "hour")
+    else:
+        axes.set_xlim(years[0], years[-1])
+        axes.set_xlabel(across)
+        number_axis(axes.xaxis, 10)
     number_axis(axes.yaxis)
     unit_above(axes, unit)
     legend_above(axes)

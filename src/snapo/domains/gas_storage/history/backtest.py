@@ -134,7 +134,7 @@ def run_backtest(
     case, schedule = ledger.case, ledger.problem.schedule
     days, valuation = case.days, case.valuation_date
     if not days:
-        raise CaseError(str(file), "contract.end", case.end, "no day is left to decide")
+        raise CaseError(str(file), "contract.end", case.end, "no decision is left")
     end = observed.spot(min(case.end, observed.spot_days[-1]))
     spots = np.array([*(observed.spot(day) for day in days), end])
     curved = observed.has_curve(valuation)
