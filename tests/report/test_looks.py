@@ -217,6 +217,12 @@ def reported(kind, folder):
         from snapo.domains.gas_storage import DOMAIN
 
         return write_report(DOMAIN, write_run(folder / "run"))
+    if kind == "back-test":
+        from tests.domains.gas_storage.history.test_report import html_of, result_of
+
+        file = folder / "report.html"
+        file.write_text(html_of(result_of()), encoding="utf-8")
+        return file
     from tests.domains.pension.sections import test_report as fund
 
     (folder / "run" / "parts").mkdir(parents=True)
@@ -229,7 +235,7 @@ def reported(kind, folder):
 @pytest.mark.prove
 @pytest.mark.skipif(CHROMIUM is None, reason="this machine has no Chromium")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("kind", ["store", "fund"])
+@pytest.mark.parametrize("kind", ["store", "fund", "back-test"])
 def test_a_report_fits_every_screen_and_can_be_read(kind, scheme, browser, tmp_path):
     file = reported(kind, tmp_path)
     context = browser.new_context(color_scheme=scheme)
