@@ -176,24 +176,55 @@ WIDE = """() => [...document.querySelectorAll("body *")].filter((each) => {
   const box = each.getBoundingClientRect();
   return box.width && box.right > innerWidth + 1 && !each.closest(".scroll, .drawing, .skip");
 }).map((each) => each.outerHTML.slice(0, 80))"""
-# The contrast of every text with what lies behind it (WCAG 2: 4.5, and 3 for large type; a control
-# that is switched off is free of it).
+# The contrast of every text with what lies behind it, seen through its opacity (WCAG 2: 4.5, and 3 for
+# large type; a control that is switched off is free of it). Letters in a chart lie on the page, or on
+# the last shape drawn before them that holds their middle.
 PALE = """() => {
   const parse = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number);
+  const over = (top, under) => {
+    const share = top[3] ?? 1;
+    return [0, 1, 2].map((i) => share * top[i] + (1 - share) * under[i]);
+  };
   const light = (rgb) => rgb.slice(0, 3).map((c) => c / 255)
     .map((c) => (c <= 0.03928 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4))
     .reduce((sum, c, i) => sum + c * [0.2126, 0.7152, 0.0722][i], 0);
+  const solid = (each) => {
+    let share = 1;
+    for (let at = each; at; at = at.parentElement) share *= Number(getComputedStyle(at).opacity);
+    return share;
+  };
   const behind = (each) => {
+    const layers = [];
     for (let at = each; at; at = at.parentElement) {
       const found = parse(getComputedStyle(at).backgroundColor);
-      if (found.length === 3 || found[3] === 1) return found;
+      if (found.length === 3 || found[3] > 0) layers.push(found);
+      if (found.length === 3 || found[3] === 1) break;
     }
-    return [255, 255, 255];
+    return layers.reduceRight((under, top) => over(top, under), [255, 255, 255]);
   };
-  return [...document.querySelectorAll("body *:not(svg *):not(script):not(style)")].filter((each) => {
+  const drawn = (each) => {
+    const box = each.getBoundingClientRect(), x = (box.left + box.right) / 2, y = (box.top + box.bottom) / 2;
+    let under = behind(each.closest("svg"));
+    for (const shape of each.closest("svg").querySelectorAll("path, rect, polygon, circle, use, text")) {
+      if (shape === each) break;
+      const style = getComputedStyle(shape), filled = parse(style.fill), area = shape.getBoundingClientRect();
+      if (shape.tagName === "text" || !filled.length || x < area.left || x > area.right || y < area.top || y > area.bottom) continue;
+      if (shape.closest("defs, clipPath") || !shape.isPointInFill) continue;
+      const point = new DOMPoint(x, y).matrixTransform(shape.getScreenCTM().inverse());
+      if (!shape.isPointInFill(point)) continue;
+      under = over([...filled.slice(0, 3), (filled[3] ?? 1) * Number(style.fillOpacity) * solid(shape)], under);
+    }
+    return under;
+  };
+  const everything = "body *:not(svg *):not(script):not(style), svg text:not(:has(tspan)), svg tspan";
+  return [...document.querySelectorAll(everything)].filter((each) => {
     const own = [...each.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
     if (!own || !each.getClientRects().length || each.closest(":disabled")) return false;
-    const style = getComputedStyle(each), [a, b] = [light(parse(style.color)), light(behind(each))];
+    const style = getComputedStyle(each), chart = each.closest("svg");
+    if (style.visibility === "hidden") return false;
+    const under = chart ? drawn(each.closest("text")) : behind(each);
+    const ink = parse(chart ? style.fill : style.color), share = (ink[3] ?? 1) * solid(each);
+    const [a, b] = [light(over([...ink.slice(0, 3), share], under)), light(under)];
     const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
     return ratio < (parseFloat(style.fontSize) >= 24 ? 3 : 4.5);
   }).map((each) => each.outerHTML.slice(0, 80));

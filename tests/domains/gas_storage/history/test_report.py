@@ -9,10 +9,10 @@ import pytest
 from tests.domains.gas_storage.storage_cases import CASES
 
 from snapo.case.load import load
-from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.history.hedged import HedgeDay, HedgedStore, HedgePosition
 from snapo.domains.gas_storage.history.report import page
 from snapo.domains.gas_storage.history.results import MarkedPosition, StoreBacktest
+from snapo.domains.gas_storage.read.case import read_case
 
 FIRST, ONE = datetime.date(2025, 1, 15), datetime.timedelta(1)
 
@@ -59,7 +59,7 @@ def result_of(count: int = 40, **changes) -> StoreBacktest:
 
 
 def html_of(result: StoreBacktest) -> str:
-    return page(result, DOMAIN.read(*load(CASES / "quick")), "prices")
+    return page(result, read_case(*load(CASES / "quick")), "prices")
 
 
 def texts(result: StoreBacktest) -> str:

@@ -137,7 +137,11 @@ def _hedges(result: StoreBacktest, case: StorageCase) -> Block:
     def deviation(value: float) -> float | None:
         return value if np.isfinite(value) else None
 
-    rows = [HedgeRow("None", 0.0, result.realised, deviation(result.mark_deviation), 0.0, 0.0)]
+    rows = [
+        HedgeRow(
+            "Without a hedge", 0.0, result.realised, deviation(result.mark_deviation), 0.0, 0.0
+        )
+    ]
     names = _letters(result)
     rows += [
         HedgeRow(
