@@ -16,7 +16,7 @@ from matplotlib.text import Text
 
 from snapo.report.bands import Swing, scatter, tornado
 from snapo.report.charts import histogram
-from snapo.report.drawing import STYLE, WIDTH, number_axis
+from snapo.report.drawing import DARK, DARKEST, LIGHT, STYLE, WIDTH, number_axis
 from snapo.report.page import Page, Section, Table, coded, render
 from snapo.report.quantity import (
     measured,
@@ -229,6 +229,24 @@ PALE = """() => {
     return ratio < (parseFloat(style.fontSize) >= 24 ? 3 : 4.5);
   }).map((each) => each.outerHTML.slice(0, 80));
 }"""
+
+
+def luminance(colour):
+    """WCAG 2.2, relative luminance of three shares."""
+    linear = [x / 12.92 if x <= 0.03928 else ((x + 0.055) / 1.055) ** 2.4 for x in colour]
+    return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+
+
+@pytest.mark.parametrize("theme", [LIGHT, DARK])
+def test_letters_can_be_read_in_the_deepest_cell_of_a_map(theme):
+    """In the dark it was 3.96: above 4.5 for every depth up to the deepest."""
+    ink, main, paper = (
+        np.array([int(theme[name][i : i + 2], 16) / 255 for i in (1, 3, 5)])
+        for name in ("ink", "main", "paper")
+    )
+    for depth in np.linspace(0.0, DARKEST, 9):
+        under, top = luminance(depth * main + (1 - depth) * paper), luminance(ink)
+        assert (max(under, top) + 0.05) / (min(under, top) + 0.05) >= 4.5
 
 
 @pytest.fixture(scope="module")

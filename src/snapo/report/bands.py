@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .drawing import LIGHT, WIDTH, date_axis, legend_above, number_axis, unit_above
+from .drawing import DARKEST, LIGHT, WIDTH, date_axis, legend_above, number_axis, unit_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LETTER, LINE = 5.4, 11.5  # points: a letter and a line of text of 9 points
 GAP = 0.015  # between a bar and its number, as a share of the longest bar
-DARKEST = 0.6  # of the main colour in a cell: ink stays readable on it
 
 
 def quantile_fan(

@@ -58,6 +58,9 @@ DARK = {
 }
 
 
+DARKEST = 0.52  # of the main colour in a cell: ink on it has a contrast of 4.5 in both themes
+
+
 def variables(colours: dict[str, str]) -> str:
     """CSS custom properties, `--ink: #17212b; …`."""
     return " ".join(f"--{name}: {colour};" for name, colour in colours.items())
