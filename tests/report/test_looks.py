@@ -295,7 +295,7 @@ def test_a_report_fits_every_screen_and_can_be_read(kind, scheme, browser, tmp_p
         page.set_viewport_size({"width": width, "height": 900})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert page.evaluate(WIDE) == []
-    assert page.evaluate(PALE) == []
+        assert page.evaluate(PALE) == []
     text = page.inner_text("body")
     assert re.findall(RAW, text) == []
     context.close()

@@ -38,7 +38,7 @@ def _days(start: Any, end: Any) -> Any:
 
 
 def kinds_of(table: Any) -> Any:
-    """The tables of a case with the kinds of its numbers in place of these."""
+    """The tables of a case with each number replaced by its type."""
     if isinstance(table, Mapping):
         return {key: kinds_of(value) for key, value in table.items() if key != "title"}
     if isinstance(table, list):

@@ -365,7 +365,8 @@ def _settings(order: BookOrder) -> list[str]:
 
 
 def batched(shares: np.ndarray) -> np.ndarray:
-    """[B] means of equal batches of shares [groups] in order: of the most batches up to 512."""
+    """[B] means of consecutive batches of equal size of the shares [groups]: as many batches as
+    possible, at most 512."""
     count = next(n for n in range(min(BATCHES, len(shares)), 0, -1) if len(shares) % n == 0)
     return shares.reshape(count, -1).mean(1)
 

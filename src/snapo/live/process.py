@@ -1,4 +1,5 @@
-"""The worker as the server sees it: started, spoken to, and started again when it dies."""
+"""The server's side of a worker: starts it, exchanges messages with it, and starts it again when it
+ends."""
 
 import asyncio
 import json

@@ -228,9 +228,9 @@ def scatter(axes: "Axes", points: Sequence[tuple[str, float, float, bool]], unit
 
 
 def _beside(axes: "Axes", points) -> list[tuple[float, float]]:
-    """Offsets of the names in points: the nearest place that no name or point is at yet.
+    """Offsets of the names in points: the nearest position that is still free of names and points.
 
-    The names are given their places from the top down.
+    The names are placed from top to bottom.
     """
     width, height = axes.get_window_extent().size
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()

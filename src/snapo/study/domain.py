@@ -184,7 +184,7 @@ def _no_such_kind(kind: Any, available: Collection[str], file: str, where: str) 
         return CaseError(file, where, kind, message)
     names = [*available, BOOK] if where else list(available)
     kinds = ", ".join(f'"{item}"' for item in available)
-    kinds += f', and "{BOOK}" of a file for snapo book' if where else ""
+    kinds += f', or "{BOOK}" in a file for snapo book' if where else ""
     if kind is None:
         return CaseError(file, where, None, f"this key is missing; it is one of {kinds}")
     close = get_close_matches(kind, names, n=1) if isinstance(kind, str) else []

@@ -67,7 +67,8 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
 def _reach(
     simulator: Simulator, inputs: PyTree, values: list, smooth: Any, cuts: list[tuple[Any, int]]
 ) -> Reach:
-    """What all outputs of a path depend on; `cuts` takes the equations that end a slope."""
+    """The numbers on which all outputs of a path depend; `cuts` collects the equations at which
+    derivatives end."""
 
     def first(values, noise):
         schedule = simulator.prepare(inputs_.replace(inputs, values))

@@ -231,7 +231,7 @@ class DerivativePass(NamedTuple):
         return draws, None, {"actions": actions, "wrt": ("schedule",)}
 
     def _pulled(self, result: Adjoint, invalid: int, count: int) -> list[Pulled]:
-        """The derivatives of each of a number of columns."""
+        """The derivatives of each of `count` columns of weights."""
         leaves = [] if self.held else jax.tree.leaves(trainable(result.policy)[0])
         schedule, leaves = jax.tree.map(np.asarray, (result.schedule, leaves))
         if count == 1:

@@ -54,7 +54,7 @@ class Coordinates(NamedTuple):
         return self._replace(directions=self.directions[:count])
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
-        """[P] a random direction of all numbers, each drawn as large as its array's are."""
+        """[P] a random direction; the size of each number is the typical one in its array."""
         # In float64: JAX's arrays and NumPy's would round the same numbers to other deviations.
         leaves = [np.asarray(x, np.float64) for x in jax.tree.leaves(trainable(self.policy)[0])]
         drawn = [

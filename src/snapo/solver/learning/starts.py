@@ -37,7 +37,8 @@ SHORT = Training(steps=300, paths=128, validation_paths=512)
 
 
 class Imitating(Around):
-    """The rule moves the state; the policy is charged for the square of its distance."""
+    """The rule moves the state; the cost of the policy is the square of its distance from the
+    rule."""
 
     rule: Frozen
     scale: tuple[float, ...] = eqx.field(static=True)

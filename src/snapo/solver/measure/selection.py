@@ -197,7 +197,7 @@ def _selected(
     """The choice on a number of paths, the value of the initial rule on them, and the candidates
     that are not plainly below the best one.
 
-    `available`: {candidate: totals} on fewer of these paths; those on all of them afterwards.
+    `available`: {candidate: totals} on the first of these paths; returns those on all of them.
     """
     controls = problem.simulator.control_variates()
     names = list(candidates)

@@ -78,7 +78,7 @@ class FlatVolumes:
         self._limit_levels(self._least * self._effect, self._most * self._effect)
 
     def _volumes(self) -> tuple[np.ndarray, np.ndarray]:
-        """[T] the least and the most volume of each step, of both signs."""
+        """[T] the smallest and the largest volume of each step, with its sign."""
         forced, free = np.asarray(self.terms.least), np.asarray(self.terms.most)
         if self._down is None:
             return forced[:, self._up], free[:, self._up]

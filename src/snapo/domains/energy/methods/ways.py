@@ -60,7 +60,7 @@ class StepWays:
         return ways_of(*self.parts).best
 
     def serve(self, columns: int) -> bool:
-        """Whether there is code for them, and columns enough for it."""
+        """Whether machine code is available for them, and there are enough columns to use it."""
         return columns >= WIDTH and bool(self.parts[0].flows) and available()
 
 

@@ -198,7 +198,8 @@ def _reach(
 def _bends(
     schedule, day_rates: DayRates, t: int, nodes, after
 ) -> tuple[Bends | None, Bends | None]:
-    """Where the ends of the reach, not clipped to the limits, meet nodes: linear between nodes."""
+    """The inventories from which a full flow leads exactly to a node, before limits apply; the
+    value is linear between nodes."""
     keep, down, up = flow_ends(schedule, day_rates, t, nodes)
     meetings = [_meetings(item, after) for item in (down, up, keep)]
     cell, share, target = (np.concatenate(entry) for entry in zip(*meetings, strict=True))

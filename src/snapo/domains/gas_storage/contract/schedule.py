@@ -81,7 +81,8 @@ class Discounts(eqx.Module):
 
 
 def of_prices(schedule: Schedule) -> Schedule:
-    """The price process's schedule, T + 1 rows of NumPy, out of that of the whole problem."""
+    """The schedule of the price process, T + 1 rows of NumPy, taken from that of the whole
+    problem."""
     days, last = schedule.steps.price, schedule.constants.end_price
     rows = jax.tree.map(lambda leaf, end: np.concatenate([leaf, np.asarray(end)[None]]), days, last)
     return Schedule(schedule.constants.price, rows)

@@ -42,7 +42,7 @@ class RegimeTable(SingleFactorTable):
     kind: Literal["regimes"]
     tightens: CaseInput = PROBABILITY("probability a day that a calm market becomes tight")
     eases: CaseInput = PROBABILITY("probability a day that a tight market becomes calm")
-    premium: CaseInput = PREMIUM("ln of a tight market's price over a calm one's")
+    premium: CaseInput = PREMIUM("logarithm of the ratio of a tight market's price to a calm one's")
 
 
 class RegimeState(NamedTuple):

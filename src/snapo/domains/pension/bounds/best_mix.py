@@ -90,7 +90,8 @@ class GaussianReturns(NamedTuple):
 
     - `mean` [m], `load` [m, Z]: of n classes, and of money over cash (minus its log return): m = n
       + 1. Of classes made of bonds, to first order.
-    - `bonds`, `bond_load`: those of the q bonds beneath classes and swaps, on all paths.
+    - `bonds`, `bond_load`: the same for the q bonds of which classes and swaps are made, on all
+      paths.
     - `shares`: their weights [k, q of its own] in each kind, in the order of `by_kind`, and in the
       swaps if there are any; None where nothing is made of bonds.
     """

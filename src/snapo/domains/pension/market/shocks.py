@@ -78,7 +78,7 @@ def covariance(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "Z Z"
 
 
 def factor(covariance: Float[Array, "Z Z"]) -> Float[Array, "Z Z"]:
-    """The lower triangle that makes the vector from independent normals."""
+    """The lower triangular matrix that transforms independent normals into the vector."""
     scale = jnp.sqrt(jnp.diag(covariance))
     return scale[:, None] * jnp.linalg.cholesky(covariance / scale / scale[:, None])
 

@@ -213,7 +213,7 @@ def _groups(
             values = [row.number(limit, minimum, maximum) for row in inputs]
             for row, value in zip(inputs, values):
                 if value != values[0]:
-                    raise row.error(limit, f"the group {name} has {values[0]:g} further up")
+                    raise row.error(limit, f"the group {name} has {values[0]:g} in an earlier row")
             limits.append(values[0] if values else default)
         groups.append(AssetGroup(name, members, limits[0], limits[1]))
     return tuple(groups)

@@ -99,7 +99,7 @@ def _term(
 
 
 def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[Decision]:
-    """One for each entry that `of` means, all with the same bounds."""
+    """A decision for each number that `of` names, all with the same bounds."""
     table = parse(DecisionTable, raw, str(section.file), section.name)
     decisions = []
     for name, entry in numbers.all(section, "of", table.of):

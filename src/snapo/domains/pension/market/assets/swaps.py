@@ -74,7 +74,7 @@ def swap_schedule(scene: Scene) -> tuple[SwapTerms, SwapSteps]:
 
 
 def swap_mixture(case: PensionModel, terms: SwapTerms, steps: SwapSteps, now: Now) -> AssetMixture:
-    """The bonds beneath the b swaps; swaps are in the fund's own currency."""
+    """The underlying bonds of the b swaps; swaps are in the fund's own currency."""
     local = now._replace(foreign=None)
     fixed = strips.mixture(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, local)
     if terms.linked is None or steps.linked is None:

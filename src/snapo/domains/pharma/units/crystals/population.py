@@ -1,4 +1,4 @@
-"""Crystals as a crystalliser sees them: by moments, or by finite volumes over their size.
+"""The crystals in a crystalliser: by moments, or by finite volumes over their size.
 
 The moments 0 to 5 are exact where growth does not depend on size: mu_0' = B, and
 mu_k' = k G mu_(k-1) + B L0^k, per m3 of slurry. Where crystals dissolve they shrink, and none
