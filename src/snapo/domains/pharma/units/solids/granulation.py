@@ -206,7 +206,7 @@ def lognormal(count, third, ratio) -> Float[Array, " 6"]:
 
 
 def _spread(ratio) -> Array:
-    """Of ln(size), with a finite derivative where all are of one size."""
+    """The standard deviation of ln(size), with a finite derivative where all sizes are equal."""
     above = jnp.log(jnp.maximum(ratio, 1.0)) / 9
     same = above <= 0
     return jnp.where(same, 0.0, jnp.sqrt(jnp.where(same, 1.0, above)))
