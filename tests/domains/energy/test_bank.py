@@ -16,9 +16,7 @@ from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate, path_totals
 from snapo.testing.derivatives import wrong_derivatives
 
-START, LATE, SECOND, END = (
-    datetime.date(2026, *x) for x in ((9, 20), (9, 23), (10, 1), (10, 13))
-)
+START, LATE, SECOND, END = (datetime.date(2026, *x) for x in ((9, 20), (9, 23), (10, 1), (10, 13)))
 STRIKE, MOST, SOFT = 29.0, 8.0, 4.0
 MAKE_UP = {"make_up": {"years": 1, "price": 3.0}, "shortfall": "strike"}
 CARRY = {"carry_forward": {"years": 1, "max": 2.0}}

@@ -223,15 +223,15 @@ class EnergySimulator(PricedSimulator):
         if terms.of_levels is not None:
             cash = cash - level_money(terms.of_levels.before, state.levels, positive)
         if terms.bank is not None:
-            places = range(-layout.banks, 0)
+            indices = range(-layout.banks, 0)
             used = [
-                terms.bank.made_up(x[0], [x[i] for i in places], positive)
+                terms.bank.made_up(x[0], [x[i] for i in indices], positive)
                 for x in (state.levels, levels)
             ]
             cash = cash + terms.bank.refund * (used[1] - used[0])
-            balances = [levels[i] for i in places]
+            balances = [levels[i] for i in indices]
             owed = owed.at[0].set(terms.bank.owed(balances, positive))
-            for i, balance in zip(places, terms.bank.settled(levels[0], balances, positive)):
+            for i, balance in zip(indices, terms.bank.settled(levels[0], balances, positive)):
                 settled = settled.at[i].set(jnp.where(terms.restarts[0], balance, levels[i]))
         missed = smooth.positive_part(owed - levels, scale)
         # A promise is met: `short` is then for methods that compare values.

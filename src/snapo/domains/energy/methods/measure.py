@@ -82,12 +82,13 @@ def banked_widths(visited, measures, apart, nodes: float) -> list[float]:
     widest = [float(np.max(high - low)) for low, high in visited]
     counted = max(unit, widest[0] / COUNTED, apart[0]) or 1.0
     low, high = visited[0]
-    moving = sum((most > least).astype(int) for least, most in visited[1:])
-    # So many nodes of the counted level at steps with one balance that is not fixed, with two, ...
-    counts = [float(np.sum((high - low)[moving == k] / counted + 1)) for k in range(1, len(visited))]
+    free = sum((upper > lower).astype(int) for lower, upper in visited[1:])
+    # Nodes of the counted level at all steps with one balance that is not fixed, and with two.
+    every = (high - low) / counted + 1
+    counts = [float(np.sum(every[free == k])) for k in range(1, len(visited))]
     many = _times(counts, nodes)
-    most = min(max(many, BALANCES[0]), BALANCES[1]) - 1
-    balances = [max(unit, x / most, y) or 1.0 for x, y in zip(widest[1:], apart[1:])]
+    gaps = min(max(many, BALANCES[0]), BALANCES[1]) - 1
+    balances = [max(unit, x / gaps, y) or 1.0 for x, y in zip(widest[1:], apart[1:])]
     return [unit * ceil(x / unit - ROUND_OFF) if unit else x for x in (counted, *balances)]
 
 
