@@ -170,7 +170,8 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
         *limits,
         table.taken,
         short if minimum is not None else None,
-        *((None,) * 3 if made_up is None else (made_up.price, made_up.units, made_up.older_units)),
+        *((None, None) if made_up is None else (made_up.price, made_up.units)),
+        None if made_up is None else made_up.older_units,
         *((None, None) if carried is None else (carried.max, carried.units)),
         last_days,
         layout=layout_of(  # pyright: ignore[reportCallIssue]
