@@ -62,7 +62,7 @@ class BookOrder:
 
     @classmethod
     def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookOrder":
-        """Of a contract, without stresses where `more`, the other fields, has none."""
+        """The order of a contract, without stresses where `more`, the other fields, has none."""
         fields = {"stresses": (), **more}
         report = contract.tables.get("report", {})
         numbers = {key: value for key, value in report.items() if key not in TEXTS}

@@ -166,7 +166,7 @@ class BookPlan:
         return self._shared[kind]
 
     def shared_policies(self, read: AnswerReader) -> Iterator[SharedPolicy]:
-        """Those whose answers are complete, of all similar contracts that share one."""
+        """The shared policies of similar contracts whose answers are complete."""
         for kind in self.tested:
             if (result := self.shared_policy(kind, read)) is not None:
                 yield result
@@ -180,7 +180,7 @@ class BookPlan:
                 yield test_order(self._first_base(contract), answer.policy)
 
     def _first_base(self, contract: BookContract) -> BookOrder:
-        """That of a contract which waits for no other."""
+        """The first order of a contract that waits for no other."""
         return self._base(contract, contract.name in self.judged)
 
     @cached_property

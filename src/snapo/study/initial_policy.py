@@ -58,7 +58,7 @@ class SuppliedPolicy:
 
     @property
     def checksum(self) -> str:
-        """Of the file: a resumed run must begin with the same."""
+        """The checksum of the file: a resumed run must begin with the same."""
         return f"sha256 {hashlib.sha256(self.content).hexdigest()[:16]}"
 
     def adopted_by(self, local: Policy) -> Policy:

@@ -79,7 +79,7 @@ def shifted_policy(policy: Policy, by: np.ndarray) -> Policy:
 
 
 def coordinates(policy: Policy, earlier: Policy | None = None) -> Coordinates:
-    """Of a policy; `earlier` is the one from halfway through its training."""
+    """The coordinates of a policy; `earlier` is the one from halfway through its training."""
     numbers = _vector(policy)
     past = [] if earlier is None else [numbers - _vector(earlier)]
     past = [change for change in past if np.any(change)]
@@ -305,7 +305,7 @@ class _Fitted(NamedTuple):
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the top, with a prior of one radius."""
+        """The covariance of the maximum, with a prior of one radius."""
         inverse = self.inverse @ self.noise @ self.inverse
         return inverse @ np.linalg.inv(np.eye(len(inverse)) + inverse)
 

@@ -163,7 +163,7 @@ class FlatVolumes:
 
 
 class EnergyMethods(ContractMethods):
-    """Those of any contract of energy."""
+    """The methods of any contract of energy."""
 
     @cached_property
     def relaxation(self) -> EnergyRelaxation:
@@ -205,7 +205,7 @@ class EnergyMethods(ContractMethods):
         return Estimated(intrinsic_value(self.layout, self.run.setup.problem.schedule))
 
     def least_squares(self) -> np.ndarray:
-        """Of a contract of several levels or modes: the fitted value, on the same paths."""
+        """For a contract with several levels or modes the fitted value, on the same paths."""
         if no_flat_volumes(self.layout) or self.intraday:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()

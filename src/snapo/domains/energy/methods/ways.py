@@ -65,7 +65,7 @@ class StepWays:
 
 
 def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: list[int]) -> Ways:
-    """Those of the passages of a step between numbers of nodes of each level."""
+    """The ways of the passages of a step between numbers of nodes of each level."""
     source, target = (np.arange(np.prod(x, dtype=int)).reshape(x) for x in (before, after))
     starts, numbers, volumes, sizes, goals_of, weights_of = ([np.zeros(0, int)] for _ in range(6))
     for m, (move, of_move) in enumerate(zip(layout.every_move, passages)):

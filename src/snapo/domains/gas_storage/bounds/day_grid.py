@@ -122,7 +122,8 @@ def largest_rate(schedule) -> float:
 
 
 def spacing_of(schedule, inventories: int, widest: float) -> float:
-    """Of the regular nodes: where it can, a part of the largest flow, which then ends on a node.
+    """The spacing of the regular nodes: where it can, a part of the largest flow, which then ends
+    on a node.
 
     `widest`: the widest interval of inventories that the one in store can become.
     """

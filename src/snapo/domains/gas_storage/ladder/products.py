@@ -128,7 +128,7 @@ class TradedProducts:
         return tuple(family for family in FAMILIES if family in there)
 
     def only(self, families: Collection[str]) -> Self:
-        """Those of these families, and the day itself."""
+        """The products of these families, and the day itself."""
         products = tuple(product for product in self.products if product.family in families)
         balance = self.balance if BALANCE in families else None
         return replace(self, products=products, balance=balance)

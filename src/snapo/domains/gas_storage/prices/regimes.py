@@ -55,8 +55,9 @@ class RegimeState(NamedTuple):
 
 
 class RegimeConstants(NamedTuple):
-    """Of the first day: the factor's deviation and the probability [] of a tight market; of every
-    day: decay, deviation, transition [2, 2]; the premium, and the size of the factor in a year."""
+    """Constants: for the first day the factor's deviation and the probability [] of a tight market;
+    of every day: decay, deviation, transition [2, 2]; the premium, and the size of the factor in a
+    year."""
 
     first_deviation: Array
     first_tight: Array

@@ -30,7 +30,7 @@ class MixBounds(NamedTuple):
 
 
 def limits(case: PensionModel, leverage: float) -> MixBounds:
-    """Those of a fund; of swaps that are sized by payments, what leverage leaves to each."""
+    """The limits of a fund; for swaps that are sized by payments, what leverage leaves to each."""
     assets, overlay = case.assets, case.overlay
     low, high = np.array(assets.low, float), np.array(assets.high, float)
     group = np.full(len(low), -1)
@@ -110,7 +110,7 @@ ACROSS = GaussianReturns(0, 0, None, None, 0)  # pyright: ignore
 def gaussian_returns(
     case: PensionModel, terms: FundTerms, now: Period, market: Market
 ) -> GaussianReturns:
-    """Those of one step on one path."""
+    """The returns of one step on one path."""
 
     def over_cash(noise):
         moved = move(case, terms.market, now.market, market, noise)

@@ -144,7 +144,7 @@ def _class(row: Row, names: AssetNames) -> AssetClass:
 def _volatilities(
     section: TableContext, rows: Sequence[Row], local: Sequence[int], grid: TimeGrid
 ) -> CaseInput:
-    """Of the classes `local` with a separate shock, side by side."""
+    """Volatilities of the classes `local` with a separate shock, side by side."""
     if not local:
         return empty("asset_volatility", (grid.steps, 0))
     parts = [on_steps(_volatility(section, rows[i]), grid) for i in local]
@@ -183,8 +183,8 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
 def _weights(
     section: TableContext, file: str, rows: Sequence[Row], endpoints: Sequence[tuple[float, float]]
 ) -> list[float]:
-    """Of today, between their `endpoints`: 0 and 1, or beyond as far as the bounds of the class
-    go."""
+    """Weights of today, between their `endpoints`: 0 and 1, or beyond as far as the bounds of the
+    class go."""
     numbers = [row.number("weight", *item) for row, item in zip(rows, endpoints)]
     total = math.fsum(numbers)
     if abs(total - 1) > WHOLE:

@@ -280,7 +280,7 @@ def _remarks(run: RunFiles, case: Statement) -> list[str]:
 
 
 def _steps(run: RunFiles, case: Statement) -> int | None:
-    """Of a batch, else those of the case."""
+    """The steps of a batch, else those of the case."""
     batch = ONE_BATCH.of(run)
     if batch is not None:
         return batch.steps

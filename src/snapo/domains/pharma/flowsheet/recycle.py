@@ -148,7 +148,7 @@ def _streams(vector: Float[Array, " K"], like: tuple[Stream, ...]) -> tuple[Stre
 
 
 def _scales(streams: tuple[Stream, ...]) -> Float[Array, " K"]:
-    """Of every entry its order of magnitude; 1 where all of its kind are zero."""
+    """For every entry its order of magnitude; 1 where all of its kind are zero."""
     results = []
     for stream in streams:
         amount = jnp.max(stream.species + stream.solid)

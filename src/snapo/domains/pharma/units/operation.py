@@ -223,7 +223,7 @@ class Instant(Unit):
 
 
 def timed(units: Iterable[Unit]) -> tuple[Timed, ...]:
-    """Those that are integrated over time, in order."""
+    """The units that are integrated over time, in order."""
     return tuple(unit for unit in units if isinstance(unit, Timed))
 
 

@@ -115,7 +115,7 @@ class Reactor(Timed):
 
     @property
     def steps_transfer(self):
-        """Of cells in series every implicit step would factorise a large matrix."""
+        """No: for cells in series every implicit step would factorise a large matrix."""
         return self.kind != "plug-flow"
 
     def sizes(self, inlets):

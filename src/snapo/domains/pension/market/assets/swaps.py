@@ -25,15 +25,15 @@ from .asset_class import AssetMixture, Now, Scene
 
 
 class SwapTerms(NamedTuple):
-    """Of the fixed legs (see `bonds.strips`), and `reach` [i, f + 1] of the index-linked bonds or
-    None."""
+    """Terms of the fixed legs (see `bonds.strips`), and `reach` [i, f + 1] of the index-linked
+    bonds or None."""
 
     fixed: strips.StripTerms
     linked: Array | None
 
 
 class SwapSteps(NamedTuple):
-    """Of the fixed legs, and `drift` [T, i] of the index-linked bonds or None."""
+    """Steps of the fixed legs, and `drift` [T, i] of the index-linked bonds or None."""
 
     fixed: strips.StripSteps
     linked: Array | None
