@@ -87,8 +87,8 @@ class Yearly(NamedTuple):
 def yearly(
     case: PensionModel, inputs: dict[str, Any], sex: ArrayLike, age: ArrayLike, year: np.ndarray
 ) -> Yearly:
-    """Yearly mortality at whole `age` in calendar `year` after time 0; shapes broadcast. Ages outside
-    it use its ends."""
+    """Yearly mortality at whole `age` in calendar `year` after time 0; shapes broadcast. Ages
+    outside it use its ends."""
     mortality = _mortality(case)
     position = _place(mortality, sex, age)
     trend = use(inputs, mortality.improvement).ravel()
