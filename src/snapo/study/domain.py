@@ -149,7 +149,7 @@ def installed() -> dict[str, EntryPoint]:
     for entry_point in entry_points(group=GROUP):
         if entry_point.name in table and entry_point.value != table[entry_point.name].value:
             message = (
-                f"two packages bring this kind: {table[entry_point.name].value} "
+                f"two packages provide this kind: {table[entry_point.name].value} "
                 f"and {entry_point.value}"
             )
             raise CaseError("kind", "", entry_point.name, message)

@@ -96,7 +96,7 @@ def read_curve(
     if both:
         more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
         section.notes.append(
-            f"In {name} {both[0]}{more} quotes of the day and of the month: the first is used."
+            f"In {name} {both[0]}{more} a quote of the day and of the month: the first is used."
         )
     prices = []
     for day in days:

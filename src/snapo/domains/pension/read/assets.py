@@ -66,7 +66,7 @@ def read_assets(
     smoothed = [i for i, row in enumerate(rows) if row.cells.get("smoothing")]
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
-            raise rows[_cash(classes)].error(column_name, "cash is the rest of the other classes")
+            raise rows[_cash(classes)].error(column_name, "cash is what the other classes leave")
     low, high = _bounds(rows)
     groups = _groups(rows, classes, low, high)
     _check_bounds(section, low, high, groups)

@@ -305,6 +305,6 @@ def _matrix(rows: Sequence[Row]) -> np.ndarray:
         for j in range(i + 1, len(rows)):
             text = row.cells[columns[j]]
             if text and abs(float(text) - matrix[i, j]) > EQUAL:
-                message = f"a correlation matrix is symmetric, and its mirror is {matrix[i, j]:g}"
+                message = f"the matrix must be symmetric, and the mirror entry is {matrix[i, j]:g}"
                 raise row.error(columns[j], message)
     return matrix

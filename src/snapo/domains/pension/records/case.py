@@ -175,5 +175,5 @@ def missing_parts(case: PensionCase, stress: bool) -> dict[str, str]:
     if case.pots is None:
         result["pots"] = "the case has no [pots]"
     else:
-        result |= dict.fromkeys(OF_RIGHTS, "it is of promised rights, and this fund has [pots]")
+        result |= dict.fromkeys(OF_RIGHTS, "it is for promised rights, and this fund has [pots]")
     return result

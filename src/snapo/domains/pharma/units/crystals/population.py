@@ -240,7 +240,7 @@ def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"
 
 SURFACE = 0.01  # of all crystals' surface that may belong to some which are gone
 MAXIMUM = 1000  # points in time
-REMEDY = 'by moments none disappears; use method = "finite-volumes"'
+REMEDY = 'with moments no crystal disappears; use method = "finite-volumes"'
 
 
 def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:
