@@ -188,7 +188,7 @@ def describe(rounds: tuple[Round, ...]) -> str:
         else ""
     )
     return (
-        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} went on: "
+        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} continued: "
         f"{metadata}.{more}"
     )
 
