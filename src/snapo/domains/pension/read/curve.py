@@ -221,7 +221,7 @@ def read_inflation(
     )
 
 
-CORRELATION = NUMBER.of("model", meaning="a correlation; it moves together with its mirror")
+CORRELATION = NUMBER.of("model", meaning="a correlation; it moves together with its mirror entry")
 SMALLEST = 1e-8  # eigenvalue that a matrix must have to count as positive definite
 EQUAL = 1e-9
 
