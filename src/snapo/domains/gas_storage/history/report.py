@@ -122,7 +122,7 @@ def _marks(result: StoreBacktest, case: StorageCase, digits: int) -> list[Mark]:
     return marks
 
 
-class HedgeRow(NamedTuple):
+class HedgeLine(NamedTuple):
     """A line of the table of hedges."""
 
     name: str
@@ -138,13 +138,13 @@ def _hedges(result: StoreBacktest, case: StorageCase) -> Block:
         return value if np.isfinite(value) else None
 
     rows = [
-        HedgeRow(
+        HedgeLine(
             "Without a hedge", 0.0, result.realised, deviation(result.mark_deviation), 0.0, 0.0
         )
     ]
     names = _letters(result)
     rows += [
-        HedgeRow(
+        HedgeLine(
             f"{names[_key(x)][-1]}  {_key(x)}",
             x.gain,
             x.total,
