@@ -130,12 +130,12 @@ class Clip:
 
 
 def factor_of(norm, limit: Float[Array, " 2"]):
-    """The factor on an adjoint of this norm: the share kept, or less where the bound applies."""
+    """The factor for an adjoint of this norm: the share kept, or less where the bound applies."""
     return jnp.minimum(limit[1], limit[0] / norm)
 
 
 def clipped(packed, packing, simulator: Simulator, constants, limit):
-    """The identity on a path's packed state, whose cotangent is bounded and shrunk."""
+    """The identity function of a path's packed state; its cotangent is bounded and reduced."""
     scale = simulator.state_scale(constants)
     ones = tuple(jnp.ones_like(vector) for vector in packed)
     scales = ones if scale is None else packing.pack(scale)

@@ -30,7 +30,7 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
 class UnitValuePolicy(Policy):
-    """The action is a share of each volume, and a weight of each move that has others."""
+    """The action has a share of each volume, and a weight for each move that has alternatives."""
 
     network: Network | None
     form: tuple = eqx.field(static=True)

@@ -98,9 +98,9 @@ AHEAD = 2  # rows of tape that are fetched before they are needed
 class Transposed:
     """A phase's joint program, and the numbers of its outputs and inputs that have cotangents.
 
-    - `cotangents`: those given, of the outputs `moving`; a last one holds the bound of clipping
-      and the share that is kept.
-    - `back`: those computed, of the inputs `active`.
+    - `cotangents`: the inputs of the program, those of the outputs `moving`; the last one has the
+      bound of clipping and the share that is kept.
+    - `back`: the cotangents that are computed, those of the inputs `active`.
     """
 
     program: Program
@@ -197,7 +197,7 @@ def run(build: Build) -> None:
 
     A horizon whose tape would be too long is done in segments: the carry at each segment's start
     is saved on the way forward, and on the way back a segment goes forward again, with a tape.
-    Several columns of weights go back one after the other over the same tape.
+    Several columns of weights are propagated backwards one after the other, over the same tape.
     """
     function = build.function("run", ", i64 %begin, i64 %end")
     code = function.code
