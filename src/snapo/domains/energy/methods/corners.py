@@ -11,7 +11,7 @@ def corners(nodes, levels: np.ndarray, signs: Sequence[int]) -> tuple[np.ndarray
     Cells are cut into simplices along the flows, so that a function between nodes is linear along
     every flow, and the best volumes lead to nodes.
     """
-    signs, count, sizes = np.asarray(signs), len(levels), [len(x) for x in nodes]
+    ahead, count, sizes = np.array(signs), len(levels), [len(x) for x in nodes]
     if not sizes:
         return np.zeros((1, count), int), np.ones((1, count))
     lefts, shares = [], []
@@ -27,7 +27,7 @@ def corners(nodes, levels: np.ndarray, signs: Sequence[int]) -> tuple[np.ndarray
     ends = np.concatenate([np.ones((1, count)), sorted_shares, np.zeros((1, count))])
     rows, everyone = [corner.copy()], np.arange(count)
     for axis in order:
-        corner[axis, everyone] += signs[axis]
+        corner[axis, everyone] += ahead[axis]
         rows.append(corner.copy())
     inside = [np.clip(row, 0, highest) for row in rows]
     return np.stack([np.ravel_multi_index(tuple(x), sizes) for x in inside]), -np.diff(ends, axis=0)
