@@ -136,7 +136,7 @@ class GroupRunner:
     def _own(self, context: np.ndarray, inputs: KernelInputs) -> Iterator[np.ndarray]:
         """The context with separate scratch memory."""
         sizes = self._scratch(inputs.length, inputs.columns)
-        limit = max(SPARE - 2 * inputs.memory.size, 0)
+        limit = max(SPARE - 4 * inputs.memory.size, 0)
         scratch = spare.take(self)
         if scratch is None or not scratch.suffices(sizes):
             spare.shrink(limit - sum(sizes.values()))
@@ -218,8 +218,9 @@ class Runner(GroupRunner):
 
 
 class Spare:
-    """Scratch memory between calls: of all kernels together, at most `SPARE` bytes less twice the
-    inputs of the latest call: those of long paths are large, and the caller has them too.
+    """Scratch memory between calls: of all kernels together, at most `SPARE` bytes less four times
+    the inputs of the latest call: those of long paths are large, and the caller has them in several
+    problems.
 
     Memory returns to the kernel that had it; memory unused for longest is freed first.
     """
