@@ -36,6 +36,47 @@ class Curve:
     write: Callable[..., Ref]
 
 
+class Ahead:
+    """Lines of memory, from an address on, that loops of dot products fetch before they are needed.
+
+    Each round of a loop fetches some. All at once they would take every buffer that the processor
+    has for misses of its cache, and what is needed at present would wait.
+    """
+
+    def __init__(self, code: "Code", start: str, lines: int, rounds: int):
+        self.code, self.start, self.taken = code, start, 0
+        self.each = min(MOST, -(-lines // rounds)) if rounds else 0
+        code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
+        first = self.each * rounds
+        if lines > first:  # what the rounds leave
+            at = code.pointer(start, LINE * first)
+            with code.loop(-(-(lines - first) // 4)) as loop:
+                self._fetch(code.pointer(at, code.index(f"mul nsw i64 {loop.i}, {4 * LINE}")), 4)
+
+    def take(self, rounds: int) -> int:
+        """The number of the first of so many rounds, which follow one another."""
+        self.taken += rounds
+        return self.taken - rounds
+
+    def fetch(self, number: int | str) -> None:
+        """Fetches the lines of one round."""
+        size = LINE * self.each
+        if isinstance(number, int):
+            self._fetch(self.code.pointer(self.start, number * size), self.each)
+        else:
+            distance = self.code.index(f"mul nsw i64 {number}, {size}")
+            self._fetch(self.code.pointer(self.start, distance), self.each)
+
+    def _fetch(self, at: str, lines: int) -> None:
+        for line in range(lines):
+            place = self.code.pointer(at, LINE * line)
+            self.code.do(f"call void @llvm.prefetch.p0(ptr {place}, i32 0, i32 {LOCAL}, i32 1)")
+
+
+LINE, MOST = 64, 8  # bytes of a line of the cache; lines that one round fetches at most
+LOCAL = 2
+
+
 class Code:
     """One function's instructions. `lanes` is the width of a number that differs between paths.
 
@@ -48,6 +89,7 @@ class Code:
         self.lanes = lanes
         self.module = module
         self.contract = False
+        self.ahead: Ahead | None = None
         self.lines: list[str] = []
         self.count = 0
         self.block = "entry"

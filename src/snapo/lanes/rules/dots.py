@@ -38,14 +38,8 @@ def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
     """
     (contract_a, contract_b), (batch_a, batch_b) = op.params["dimension_numbers"]
     a, b = op.inputs
-    free_a = [i for i in range(len(a.shape)) if i not in (*contract_a, *batch_a)]
-    free_b = [i for i in range(len(b.shape)) if i not in (*contract_b, *batch_b)]
-    sizes = [
-        _count(a, batch_a),
-        _count(a, free_a),
-        _count(b, free_b),
-        _count(a, contract_a),
-    ]
+    free_a, free_b = _free(op)
+    sizes = _sizes(op)
     if not tiles(op):
         _written_out(
             values, op, (batch_a, free_a, contract_a), (batch_b, free_b, contract_b), sizes
@@ -55,6 +49,30 @@ def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
     right = _axes(values.in_memory(b), batch_b, free_b, contract_b)
     finish = finish or _stored(values, op.outputs[0])
     tiled(values.code, left, right, op.outputs[0], sizes, finish)
+
+
+def rounds(code: Code, op: Op) -> int:
+    """How many rounds the loops of a dot product take that is done in tiles."""
+    batch, rows, columns, depth = _sizes(op)
+    if _swapped(*(v.path for v in op.inputs), rows, columns):
+        rows, columns = columns, rows
+    tiles = even_tiles(rows, _tallest(code, op.outputs[0]))
+    return batch * sum(count for _, count, _ in tiles) * columns * (depth // _unrolled(depth))
+
+
+def _free(op: Op) -> list[list[int]]:
+    """The axes of both inputs that are neither contracted nor common."""
+    return [
+        [i for i in range(len(v.shape)) if i not in (*contract, *batch)]
+        for v, contract, batch in zip(op.inputs, *op.params["dimension_numbers"])
+    ]
+
+
+def _sizes(op: Op) -> tuple[int, int, int, int]:
+    """The numbers of common, left, right and contracted elements."""
+    (contract, _), (batch, _) = op.params["dimension_numbers"]
+    (a, b), (free_a, free_b) = op.inputs, _free(op)
+    return _count(a, batch), _count(a, free_a), _count(b, free_b), _count(a, contract)
 
 
 def _stored(values: EmittedValues, out: ProgramValue) -> Finish:
@@ -96,21 +114,33 @@ def _written_out(values: EmittedValues, op: Op, left, right, sizes) -> None:
 def tiled(code: Code, left, right, out: ProgramValue, sizes, finish: Finish) -> None:
     """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows."""
     batch, rows, columns, depth = sizes
-    wide_left, wide_right = left[0].lanes > 1, right[0].lanes > 1
     order = (rows * columns, columns, 1)
-    if (wide_left and not wide_right) or (rows == 1 and columns > 1):
+    if _swapped(left[0].lanes > 1, right[0].lanes > 1, rows, columns):
         left, right, rows, columns = right, left, columns, rows
         order = (columns * rows, 1, rows)
     lanes = max(left[0].lanes, right[0].lanes)
     zero = code.constant(0, out.dtype, lanes)
-    registers = max(1, code.lanes * out.dtype.itemsize // code.module.register)
-    sums = FEW if code.module.few else ACCUMULATORS
-    for first, count, height in even_tiles(rows, max(2, sums // registers)):
+    rounds = depth // _unrolled(depth)
+    for first, count, height in even_tiles(rows, _tallest(code, out)):
+        before = code.ahead.take(batch * count * columns * rounds) if code.ahead else 0
         with counted(code, batch) as n, counted(code, count) as tile, counted(code, columns) as j:
             row = _plus(code, _times(code, tile, height), first)
-            totals = _tile(code, left, right, (n, row, j), depth, [zero] * height)
+            start = _times(code, _flat(code, (n, tile, j), (count * columns, columns, 1)), rounds)
+            start = _plus(code, start, before)
+            totals = _tile(code, left, right, (n, row, j), depth, [zero] * height, start)
             for r, total in enumerate(totals):
                 finish(_flat(code, (n, _plus(code, row, r), j), order), total)
+
+
+def _swapped(wide_left: bool, wide_right: bool, rows: int, columns: int) -> bool:
+    """Whether tiles are of the right input's rows: those that all paths share, or several."""
+    return (wide_left and not wide_right) or (rows == 1 and columns > 1)
+
+
+def _tallest(code: Code, out: ProgramValue) -> int:
+    """Rows of a tile whose sums fit in the registers."""
+    registers = max(1, code.lanes * out.dtype.itemsize // code.module.register)
+    return max(2, (FEW if code.module.few else ACCUMULATORS) // registers)
 
 
 def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
@@ -124,17 +154,21 @@ def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
     return [(0, taller, height + 1), low] if taller else [low]
 
 
-def _tile(code: Code, left, right, position, depth: int, totals: list[Ref]) -> list[Ref]:
-    """The sums of neighbouring rows, in one column."""
+def _tile(
+    code: Code, left, right, position, depth: int, totals: list[Ref], number: int | str
+) -> list[Ref]:
+    """The sums of neighbouring rows, in one column; `number` is that of its first round."""
     place_a, batch_a, free_a, depth_a = left
     place_b, batch_b, free_b, depth_b = right
     n, first, j = position
     base_a = _at(code, place_a, [(n, batch_a)])
     rows = [_at(code, base_a, [((first, r), free_a)]) for r in range(len(totals))]
     base_b = _at(code, place_b, [(n, batch_b), (j, free_b)])
-    unrolled = next(u for u in (depth if depth < 8 else 4, 4, 3, 2, 1) if depth % u == 0)
+    unrolled = _unrolled(depth)
     with code.loop(depth // unrolled, tuple(totals)) as loop:
         totals = list(loop.carried)
+        if code.ahead:
+            code.ahead.fetch(_plus(code, loop.i, number))
         start = _times(code, loop.i, unrolled)
         for u in range(unrolled):
             b = _at(code, base_b, [((start, u), depth_b)]).read(code, [])
@@ -143,6 +177,11 @@ def _tile(code: Code, left, right, position, depth: int, totals: list[Ref]) -> l
                 totals[r] = code.fma(*code.same(a, b, totals[r]))
         loop.results = totals
     return totals
+
+
+def _unrolled(depth: int) -> int:
+    """Steps of a sum that are written out in one round."""
+    return next(u for u in (depth if depth < 8 else 4, 4, 3, 2, 1) if depth % u == 0)
 
 
 def _times(code: Code, i, factor: int):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from snapo.lanes import body
-from snapo.lanes.emit.code import Code, flush_denormals
+from snapo.lanes.emit.code import LINE, Ahead, Code, flush_denormals
 from snapo.lanes.emit.storage import ArrayPlace
 from snapo.lanes.emit.values import EmittedValues
 from snapo.lanes.gradients.rows import Gradients, Rows, accumulate
@@ -19,6 +19,7 @@ from snapo.lanes.machine.pipeline import Processor
 from snapo.lanes.program import flatten
 from snapo.lanes.program.passes import optimize
 from snapo.lanes.program.program import BIG, Op, Program, ProgramValue
+from snapo.lanes.rules import dots
 from snapo.lanes.program.sweeps import SweepPlan, dependents, plan
 
 from ..rollout import Phase, Traced
@@ -125,7 +126,10 @@ def reverse(build: Build, phase: Phase, transposed: Transposed, division: SweepP
         code, function = s.code, s.function
         row = s.tape_row()
         if stepwise:
-            fetch_ahead(code, row, tape.stride)
+            # The tape's rows descend, which processors do not predict.
+            rounds = sum(dots.rounds(code, op) for op in division.reverse if op.name == "dot_general" and dots.tiles(op))
+            before = code.pointer(row, -AHEAD * tape.stride)
+            code.ahead = Ahead(code, before, tape.stride // LINE, rounds)
         slot = code.index(f"and i64 {s.relative}, {rows.steps - 1}")
         chunk_row = rows.row(code, field("chunk"), slot)
         values = s.values(program, rows.homes(chunk_row))
@@ -179,17 +183,6 @@ def _pass_back(s: KernelSweep, values: EmittedValues, transposed: Transposed) ->
             position = layouts["cotangent"].address(key, field("cotangent"))
         pairs.append((value, position))
     replace_all(values, pairs)
-
-
-def fetch_ahead(code: Code, row: str, stride: int) -> None:
-    """Prefetches the next rows of the tape: they descend, which processors do not predict."""
-    code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
-    lines = stride // 64
-    with code.loop(-(-lines // 4)) as loop:
-        at = code.pointer(row, code.index(f"mul nsw i64 {loop.i}, 256"))
-        for line in range(4):
-            ahead = code.pointer(at, 64 * line - AHEAD * stride)
-            code.do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 0, i32 2, i32 1)")
 
 
 def run(build: Build) -> None:
