@@ -36,45 +36,45 @@ class Curve:
     write: Callable[..., Ref]
 
 
-class Ahead:
-    """Lines of memory, from an address on, that loops of dot products fetch before they are needed.
+LINE = 64  # bytes of a line of the cache
 
-    Each round of a loop fetches some. All at once they would take every buffer that the processor
+
+class Ahead:
+    """Memory from an address on that loops of dot products fetch before it is needed.
+
+    Each of their rounds fetches some. All at once it would take every buffer that the processor
     has for misses of its cache, and what is needed at present would wait.
     """
 
-    def __init__(self, code: "Code", start: str, lines: int, rounds: int):
-        self.code, self.start, self.taken = code, start, 0
-        self.each = min(MOST, -(-lines // rounds)) if rounds else 0
+    MOST = 8  # lines that one round fetches
+
+    def __init__(self, code: "Code", start: str, size: int, rounds: int, written: bool):
+        """So many rounds fetch `size` bytes, which are then read or `written`. What is read and
+        more than they may fetch is fetched here."""
+        self.code, self.start, self.written, self.taken = code, start, written, 0
+        self.each = min(self.MOST * LINE, -(-size // rounds)) if rounds else 0
         code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
         first = self.each * rounds
-        if lines > first:  # what the rounds leave
-            at = code.pointer(start, LINE * first)
-            with code.loop(-(-(lines - first) // 4)) as loop:
-                self._fetch(code.pointer(at, code.index(f"mul nsw i64 {loop.i}, {4 * LINE}")), 4)
+        if first < size and not written:
+            with code.loop(-(-(size - first) // (4 * LINE))) as loop:
+                distance = code.index(f"mul nsw i64 {loop.i}, {4 * LINE}")
+                self._fetch(code.pointer(code.pointer(start, first), distance), 4)
 
     def take(self, rounds: int) -> int:
         """The number of the first of so many rounds, which follow one another."""
         self.taken += rounds
         return self.taken - rounds
 
-    def fetch(self, number: int | str) -> None:
-        """Fetches the lines of one round."""
-        size = LINE * self.each
-        if isinstance(number, int):
-            self._fetch(self.code.pointer(self.start, number * size), self.each)
-        else:
-            distance = self.code.index(f"mul nsw i64 {number}, {size}")
-            self._fetch(self.code.pointer(self.start, distance), self.each)
+    def fetch(self, number: str) -> None:
+        """Fetches what one round has to."""
+        distance = self.code.index(f"mul nsw i64 {number}, {self.each}")
+        self._fetch(self.code.pointer(self.start, distance), -(-self.each // LINE))
 
     def _fetch(self, at: str, lines: int) -> None:
         for line in range(lines):
             place = self.code.pointer(at, LINE * line)
-            self.code.do(f"call void @llvm.prefetch.p0(ptr {place}, i32 0, i32 {LOCAL}, i32 1)")
-
-
-LINE, MOST = 64, 8  # bytes of a line of the cache; lines that one round fetches at most
-LOCAL = 2
+            hints = f"i32 {int(self.written)}, i32 2, i32 1"
+            self.code.do(f"call void @llvm.prefetch.p0(ptr {place}, {hints})")
 
 
 class Code:

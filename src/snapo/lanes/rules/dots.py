@@ -52,12 +52,14 @@ def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
 
 
 def rounds(code: Code, op: Op) -> int:
-    """How many rounds the loops of a dot product take that is done in tiles."""
+    """How many rounds the loops of a dot product take; none where it is not done in tiles."""
+    if op.name != "dot_general" or not tiles(op):
+        return 0
     batch, rows, columns, depth = _sizes(op)
     if _swapped(*(v.path for v in op.inputs), rows, columns):
         rows, columns = columns, rows
-    tiles = even_tiles(rows, _tallest(code, op.outputs[0]))
-    return batch * sum(count for _, count, _ in tiles) * columns * (depth // _unrolled(depth))
+    high = even_tiles(rows, _tallest(code, op.outputs[0]))
+    return batch * sum(count for _, count, _ in high) * columns * (depth // _unrolled(depth))
 
 
 def _free(op: Op) -> list[list[int]]:
@@ -120,12 +122,12 @@ def tiled(code: Code, left, right, out: ProgramValue, sizes, finish: Finish) -> 
         order = (columns * rows, 1, rows)
     lanes = max(left[0].lanes, right[0].lanes)
     zero = code.constant(0, out.dtype, lanes)
-    rounds = depth // _unrolled(depth)
+    each = depth // _unrolled(depth)
     for first, count, height in even_tiles(rows, _tallest(code, out)):
-        before = code.ahead.take(batch * count * columns * rounds) if code.ahead else 0
+        before = code.ahead.take(batch * count * columns * each) if code.ahead else 0
         with counted(code, batch) as n, counted(code, count) as tile, counted(code, columns) as j:
             row = _plus(code, _times(code, tile, height), first)
-            start = _times(code, _flat(code, (n, tile, j), (count * columns, columns, 1)), rounds)
+            start = _times(code, _flat(code, (n, tile, j), (count * columns, columns, 1)), each)
             start = _plus(code, start, before)
             totals = _tile(code, left, right, (n, row, j), depth, [zero] * height, start)
             for r, total in enumerate(totals):
