@@ -65,8 +65,9 @@ class Ahead:
         self.taken += rounds
         return self.taken - rounds
 
-    def fetch(self, number: str) -> None:
-        """Fetches what one round has to."""
+    def fetch(self, round: str, first: int | str) -> None:
+        """Fetches what a round has to: its number counts from that of the `first` in its loop."""
+        number = self.code.index(f"add nsw i64 {round}, {first}")
         distance = self.code.index(f"mul nsw i64 {number}, {self.each}")
         self._fetch(self.code.pointer(self.start, distance), -(-self.each // LINE))
 
@@ -332,6 +333,22 @@ class Code:
         self.do(f"br i1 {more}, label %{head}, label %{exit}")
         self.lines.append(f"{exit}:")
         self.block = exit
+
+    def without_last(self, count: int, empty: Callable[[str], str]) -> str:
+        """`count` rounds less the last ones that are `empty`, by number; at least one is left."""
+        before, head, exit = self.block, self.fresh("head"), self.fresh("exit")
+        self.do(f"br label %{head}")
+        self.lines.append(f"{head}:")
+        self.block, mark, left = head, len(self.lines), "%" + self.fresh("i")
+        last = self.index(f"sub nsw i64 {left}, 1")
+        several = self.index(f"icmp sgt i64 {left}, 1")
+        again = self.index(f"and i1 {several}, {empty(last)}")
+        pairs = f"[ {count}, %{before} ], [ {last}, %{head} ]"
+        self.lines.insert(mark, f"  {left} = phi i64 {pairs}")
+        self.do(f"br i1 {again}, label %{head}, label %{exit}")
+        self.lines.append(f"{exit}:")
+        self.block = exit
+        return left
 
     @contextmanager
     def branch(self, condition: str) -> Iterator[None]:

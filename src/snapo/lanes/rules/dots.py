@@ -14,6 +14,7 @@ from ..emit.values import EmittedValues
 from ..program.program import Op, ProgramValue
 
 WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
+LONG = 64  # elements of a row that may be worth a look for zeros at its end
 ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; where there are 16 only
 
 
@@ -48,15 +49,16 @@ def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
     left = _axes(values.in_memory(a), batch_a, free_a, contract_a)
     right = _axes(values.in_memory(b), batch_b, free_b, contract_b)
     finish = finish or _stored(values, op.outputs[0])
-    tiled(values.code, left, right, op.outputs[0], sizes, finish)
+    finite = any(v in values.finite for v in (a, b))
+    tiled(values.code, left, right, op.outputs[0], sizes, finish, finite)
 
 
 def rounds(code: Code, op: Op) -> int:
     """How many rounds the loops of a dot product take; none where it is not done in tiles."""
     if op.name != "dot_general" or not tiles(op):
         return 0
-    batch, rows, columns, depth = _sizes(op)
-    if _swapped(*(v.path for v in op.inputs), rows, columns):
+    (a, b), (batch, rows, columns, depth) = op.inputs, _sizes(op)
+    if _swapped(a.path, b.path, rows, columns):
         rows, columns = columns, rows
     high = even_tiles(rows, _tallest(code, op.outputs[0]))
     return batch * sum(count for _, count, _ in high) * columns * (depth // _unrolled(depth))
@@ -113,23 +115,30 @@ def _written_out(values: EmittedValues, op: Op, left, right, sizes) -> None:
     values.set(op.outputs[0], refs.reshape(op.outputs[0].shape))
 
 
-def tiled(code: Code, left, right, out: ProgramValue, sizes, finish: Finish) -> None:
-    """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows."""
+def tiled(
+    code: Code, left, right, out: ProgramValue, sizes, finish: Finish, finite: bool = False
+) -> None:
+    """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows.
+
+    Where what differs between paths is `finite`, zeros at the end of long rows are left out.
+    """
     batch, rows, columns, depth = sizes
     order = (rows * columns, columns, 1)
     if _swapped(left[0].lanes > 1, right[0].lanes > 1, rows, columns):
         left, right, rows, columns = right, left, columns, rows
         order = (columns * rows, 1, rows)
     lanes = max(left[0].lanes, right[0].lanes)
+    short = finite and left[0].lanes < lanes and depth >= LONG and [s for _, s in left[3]] == [1]
     zero = code.constant(0, out.dtype, lanes)
     each = depth // _unrolled(depth)
     for first, count, height in even_tiles(rows, _tallest(code, out)):
         before = code.ahead.take(batch * count * columns * each) if code.ahead else 0
-        with counted(code, batch) as n, counted(code, count) as tile, counted(code, columns) as j:
-            row = _plus(code, _times(code, tile, height), first)
-            start = _times(code, _flat(code, (n, tile, j), (count * columns, columns, 1)), each)
+        with counted(code, batch) as n, counted(code, count) as i, counted(code, columns) as j:
+            row = _plus(code, _times(code, i, height), first)
+            start = _times(code, _flat(code, (n, i, j), (count * columns, columns, 1)), each)
             start = _plus(code, start, before)
-            totals = _tile(code, left, right, (n, row, j), depth, [zero] * height, start)
+            tile = (n, row, j), depth, [zero] * height, start
+            totals = _tile(code, left, right, *tile, short)
             for r, total in enumerate(totals):
                 finish(_flat(code, (n, _plus(code, row, r), j), order), total)
 
@@ -157,9 +166,12 @@ def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
 
 
 def _tile(
-    code: Code, left, right, position, depth: int, totals: list[Ref], number: int | str
+    code: Code, left, right, position, depth: int, totals: list[Ref], number: int | str, short: bool
 ) -> list[Ref]:
-    """The sums of neighbouring rows, in one column; `number` is that of its first round."""
+    """The sums of neighbouring rows, in one column; `number` is that of its first round.
+
+    `short`: rounds at the end in which all of the rows are zero are left out.
+    """
     place_a, batch_a, free_a, depth_a = left
     place_b, batch_b, free_b, depth_b = right
     n, first, j = position
@@ -167,10 +179,13 @@ def _tile(
     rows = [_at(code, base_a, [((first, r), free_a)]) for r in range(len(totals))]
     base_b = _at(code, place_b, [(n, batch_b), (j, free_b)])
     unrolled = _unrolled(depth)
-    with code.loop(depth // unrolled, tuple(totals)) as loop:
+    rounds = depth // unrolled
+    if short:
+        rounds = code.without_last(rounds, lambda k: _zero(code, rows, k, unrolled, depth_a))
+    with code.loop(rounds, tuple(totals)) as loop:
         totals = list(loop.carried)
         if code.ahead:
-            code.ahead.fetch(_plus(code, loop.i, number))
+            code.ahead.fetch(loop.i, number)
         start = _times(code, loop.i, unrolled)
         for u in range(unrolled):
             b = _at(code, base_b, [((start, u), depth_b)]).read(code, [])
@@ -179,6 +194,25 @@ def _tile(
                 totals[r] = code.fma(*code.same(a, b, totals[r]))
         loop.results = totals
     return totals
+
+
+def _zero(code: Code, rows: list[ArrayPlace], number: str, unrolled: int, axes) -> str:
+    """Whether the numbers of one round are zero in all rows."""
+    kind = f"uint{8 * rows[0].dtype.itemsize}"
+    start, bits = _times(code, number, unrolled), None
+    for row in rows:
+        place = _at(code, row, [(start, axes)])
+        at = code.pointer(place.base, place.offset)
+        x = code.load(at, kind, unrolled, align=row.dtype.itemsize)
+        bits = x if bits is None else code.op("or", bits, x)
+    assert bits is not None
+    size = code.op("shl", bits, code.constant(1, kind, unrolled))  # without the sign
+    scalar = f"i{8 * rows[0].dtype.itemsize}"
+    name = f"@llvm.vector.reduce.or.v{unrolled}{scalar}"
+    code.module.declare(f"declare {scalar} {name}({size.type})")
+    return code.index(
+        f"icmp eq {scalar} {code.raw(f'call {scalar} {name}({size.type} {size.text})')}, 0"
+    )
 
 
 def _unrolled(depth: int) -> int:
