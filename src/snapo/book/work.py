@@ -16,6 +16,7 @@ import time
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +167,8 @@ class _Decided:
     """A contract whose value is that of a policy."""
 
     def __init__(self, contract: _Contract, setup: Setup):
-        self.contract, self.order, self.setup = contract, contract.order, setup
+        self.contract, self.order = contract, contract.order
+        self.setup = setup if self.order.judged else _held_alone(setup)
         self.inputs = setup.problem.inputs_by_name
 
     def answer(self) -> OrderAnswer:
@@ -220,7 +222,7 @@ class _Decided:
         if policy is not None:
             check_held(self.setup.policy, setup.policy)
             return self._valued(setup, policy, changes, self.order.tasks.deltas == "all")
-        solution = setup.solve(bar=False)
+        solution = (setup if self.order.judged else _held_alone(setup)).solve(bar=False)
         deltas = Delta.of_table(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
         return self._point(setup, solution.totals, changes, deltas)
 
@@ -286,6 +288,12 @@ class _Decided:
         return BookPoint(
             "ok", "", result.value, result.standard_error, shares, changes, deltas, outputs
         )
+
+
+def _held_alone(setup: Setup) -> Setup:
+    """Without all that only the intervals of derivatives need: a book reports held ones."""
+    evaluation = replace(setup.evaluation, judge_paths=0, smooth_paths=0)
+    return setup._replace(evaluation=evaluation)
 
 
 def check_held(policy: Any, at_point: Any) -> None:
@@ -355,8 +363,7 @@ def _hash(text: str) -> str:
 
 def _settings(order: BookOrder) -> list[str]:
     """The settings of a case that the book decides."""
-    untested = [] if order.judged else ["evaluation.judge_paths=0"]
-    return [f"training.seed={order.seed}", f"evaluation.paths={order.tasks.paths}", *untested]
+    return [f"training.seed={order.seed}", f"evaluation.paths={order.tasks.paths}"]
 
 
 def batched(shares: np.ndarray) -> np.ndarray:

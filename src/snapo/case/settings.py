@@ -12,7 +12,9 @@ MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machin
 MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 IN_MEMORY = Range(1, MAX_PATHS, note=": more do not fit in memory")
 STEPS = Range(1, noun="a number of steps")
-EVERY = STEPS._replace(note="; by default 50, and in a short training a quarter of its steps")
+EVERY = STEPS._replace(
+    note="; by default 50, in a short training a quarter of its steps, in that of a fitted rule 10"
+)
 UP_TO_ONE = Range(0, 1, "(]")
 PathCount = Annotated[int, IN_MEMORY._replace(low=64)]
 MaxPaths = Annotated[int, Range(0, MAX_PATHS, note=": at most so many are taken, none with 0")]

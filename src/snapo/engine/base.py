@@ -186,15 +186,19 @@ class Engine(abc.ABC):
         """Converts float64 results to NumPy arrays: outside `numbers` JAX would truncate them."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
-    def bind(self, problem: Problem, *, controls: bool = True) -> "BoundEngine":
+    def bind(
+        self, problem: Problem, *, controls: bool = True, simplest: bool = True
+    ) -> "BoundEngine":
         """This engine bound to the simulator and the schedule of a problem.
 
-        `controls`: whether outputs that are only control variates are computed too.
+        `controls`: whether outputs that are only control variates are computed too. `simplest`:
+        whether a policy is replaced by its `simplest` one where it has no derivative; in training
+        all policies have one form, and so one program.
         """
         simulator = problem.simulator.on_paths()
         if not controls:
             simulator = uncontrolled(simulator, problem.objective.outputs)
-        return BoundEngine(self, simulator, problem.schedule)
+        return BoundEngine(self, simulator, problem.schedule, simplest)
 
     @abc.abstractmethod
     def values(
@@ -281,8 +285,11 @@ class BoundEngine:
     engine: Engine
     simulator: Simulator
     schedule: Schedule
+    simplest: bool = True
 
     def values(self, policy: Policy | None, draws: Draws, smooth, **options) -> Rollout:
+        if policy is not None and self.simplest:
+            policy = policy.simplest
         return self.engine.values(self.simulator, policy, self.schedule, draws, smooth, **options)
 
     def adjoint(

@@ -47,6 +47,11 @@ class Policy(eqx.Module):
         """
         return self
 
+    @property
+    def simplest(self) -> "Policy":
+        """A policy with the same decisions that takes less time, for paths that are only valued."""
+        return self
+
     def save(self, file: Path | str) -> None:
         """Writes the policy to a self-describing .npz file, for `snapo.load_policy`.
 
@@ -87,6 +92,14 @@ class Network(eqx.Module):
         for weight, bias in zip(self.weights[:-1], self.biases[:-1]):
             x = self.activation(weight @ x + bias)
         return self.weights[-1] @ x + self.biases[-1]
+
+
+def without_idle_network(policy):
+    """The policy with None in place of a `network` whose last layer is zero, as its outputs are."""
+    network = policy.network
+    if network is None or np.any(network.weights[-1]) or np.any(network.biases[-1]):
+        return policy
+    return eqx.tree_at(lambda x: x.network, policy, None)
 
 
 @compiled_sooner

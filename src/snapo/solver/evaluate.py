@@ -115,7 +115,10 @@ def totals_and_decisions(
     bound, source = engine.bind(problem), problem.sources.evaluation
     paths = source.available(paths)
     shape = problem.simulator.horizon, source.available(min(first, paths)), problem.action.size
-    decisions = np.empty(shape) if 0 < 8 * math.prod(shape) <= MAX_BYTES else None
+    decisions = None
+    if 0 < 8 * math.prod(shape) <= MAX_BYTES:
+        # Paths are the last axis in memory, as in the kernel's.
+        decisions = np.empty((shape[0], shape[2], shape[1])).swapaxes(1, 2)
     totals: dict[str, np.ndarray] = {}
     for block in chunks(source, paths, problem.simulator):
         local = block < (0 if decisions is None else shape[1])

@@ -145,8 +145,8 @@ def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engi
         problem, exploring(plan, problem.action) if progress.redrawn else plan
     )
     observed = local if perturbed is problem else remembering(perturbed, progress.policy)
-    bound = engine.bind(observed, controls=False)
-    exact = bound if observed is local else engine.bind(local, controls=False)
+    bound = engine.bind(observed, controls=False, simplest=False)
+    exact = bound if observed is local else engine.bind(local, controls=False, simplest=False)
     return TrainingLoop(observed, plan, bound, local, exact, *_updaters(plan, progress))
 
 

@@ -8,7 +8,7 @@ import snapo
 from snapo.engine import Xla
 from snapo.solver.evaluate import path_totals
 from snapo.solver.measure import selection
-from snapo.solver.measure.selection import HIGHEST, NEWEST, PLAIN, START, fresh, select
+from snapo.solver.measure.selection import HIGHEST, NEWEST, PLAIN, START, TOP, fresh, select
 from snapo.solver.statistics import mean
 
 V, W = 2.0, 1.0
@@ -94,6 +94,26 @@ def test_of_long_paths_a_candidate_that_is_plainly_below_is_valued_on_few(proble
     assert found.kind == START
     assert [paths for policy, paths in valued if policy is below] == [selection.FEWEST]
     assert max(paths for policy, paths in valued if policy is near) > selection.FEWEST
+
+
+def test_the_search_is_made_where_something_may_be_gained(problem):
+    best, searched = rule(V / (V + W)), []
+
+    def top(share: float):
+        return lambda: searched.append(share) or rule(share)
+
+    best_share = V / (V + W)
+    kept = select(problem, best, {NEWEST: rule(0.4)}, 4096, ENGINE, top(best_share))
+    assert kept.kind == START and not searched and kept.search == (0.0, 0.0)
+    # Where its gain is needed in any case, the choice is the same.
+    same = select(problem, best, {NEWEST: rule(0.4)}, 4096, ENGINE, top(best_share), search=True)
+    assert same._replace(search=kept.search) == kept and searched == [best_share]
+    gain = (0.4 - best_share) ** 2 * (V + W)
+    assert abs(same.search[0] - gain) < 4 * same.search[1]
+    for search in (False, True):
+        newest = {NEWEST: rule(0.6)}
+        found = select(problem, rule(0.4), newest, 4096, ENGINE, top(best_share), search=search)
+        assert found.kind == TOP and searched.pop() == best_share and found.search[0] > 0
 
 
 def test_the_paths_of_the_choice_are_of_no_other_use(problem):

@@ -311,13 +311,14 @@ def _blocks(array: np.ndarray, path: np.ndarray, lanes: int, axes: int) -> np.nd
 
 
 def _paths(view: np.ndarray, slots: Seats, axes: int) -> np.ndarray:
-    """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in separate memory."""
-    lead, rest = range(1, axes + 1), range(axes + 1, view.ndim - 1)
-    moved = view.transpose(*lead, 0, view.ndim - 1, *rest)
-    lanes = view.shape[0] * view.shape[-1]
-    flat = moved.reshape(*moved.shape[:axes], lanes, *moved.shape[axes + 2 :])
+    """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in separate memory whose last axis is
+    that of the paths, as in the kernel's."""
+    middle = range(1, view.ndim - 1)
+    moved = view.transpose(*middle, 0, view.ndim - 1)
+    flat = moved.reshape(*moved.shape[:-2], view.shape[0] * view.shape[-1])
     several = len(slots.edges) > 2
     local = np.flatnonzero(slots.inner) if several else slice(0, int(slots.path[-1]) + 1)
-    selected = flat[(slice(None),) * axes + (local,)]
+    selected = flat[..., local]
     # A view would keep all that the kernel wrote alive.
-    return selected.copy() if np.may_share_memory(selected, view) else selected
+    selected = selected.copy() if np.may_share_memory(selected, view) else selected
+    return np.moveaxis(selected, -1, axes)

@@ -47,7 +47,8 @@ FOLLOWING = (  # settings that may be "auto"
     "steps", "paths", "learning_rate", "decay", "exploration", "validation_every", "starts",
 )  # fmt: skip
 USUAL_STEPS = 240  # of a case
-FITTED = {"steps": 20, "learning_rate": 0.001}  # of a case whose policy begins from a fitted rule
+# Of a case whose policy begins from a fitted rule.
+FITTED = {"steps": 20, "learning_rate": 0.001, "validation_every": 10}
 EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a training, at least
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,7 +46,6 @@ from .selection import (
     NEWEST,
     PAIR,
     START,
-    TOP,
     Effort,
     Evaluation,
     Selection,
@@ -96,9 +96,8 @@ def measure(run: MeasuredRun) -> dict[str, Any]:
     problem, training, engine = run.problem, run.training, run.engines.evaluate
     objective, evaluation = problem.objective, run.evaluation
     source, controls = problem.sources.evaluation, problem.simulator.control_variates()
-    surface = _surface(run, problem) if not problem.constraints else None
     with _compiled_meanwhile(run):
-        selection = _selection(run, surface)
+        selection, surface = _selection(run)
         run = run._replace(progress=replace(run.progress, best=selection.policy))
         progress, policy = run.progress, selection.policy
         values = problem, policy, evaluation.paths, run.held_paths
@@ -106,7 +105,7 @@ def measure(run: MeasuredRun) -> dict[str, Any]:
     value = estimate(objective, exact, source, controls)
     limits = limits_found(problem, policy, exact, progress.dual, run.smooth, engine)
     within = problem.priced([abs(limit.price) for limit in limits])
-    if problem.constraints:
+    if problem.constraints and evaluation.judge_paths:
         surface = _surface(run, within)
     table, soft = _sensitivities(run, within, selection, surface, exact, decisions)
     gap, gap_error = _smoothing_gap(problem, policy, exact, soft, run.smooth, engine)
@@ -176,7 +175,7 @@ def _compiled_meanwhile(run: MeasuredRun) -> AbstractContextManager:
 
 
 def _surface(run: MeasuredRun, problem: Problem) -> Surface | None:
-    """The value around the newest policy; None where no derivative is asked for."""
+    """The value around the newest policy; None where no derivative is needed."""
     progress, effort = run.progress, run.effort
     if not effort.maximum or not np.isfinite(progress.best_value):
         return None
@@ -189,16 +188,26 @@ def _surface(run: MeasuredRun, problem: Problem) -> Surface | None:
     return surface_of(problem, around, paths, run.training.seed, run.engines.train)
 
 
-def _selection(run: MeasuredRun, surface: Surface | None) -> Selection:
-    """The reported policy; with limits the newest one, as in training."""
+def _selection(run: MeasuredRun) -> tuple[Selection, Surface | None]:
+    """The reported policy, with limits the newest one, as in training; and the value around the
+    newest policy, where the choice or the derivatives need it."""
     problem, progress, evaluation = run.problem, run.progress, run.evaluation
     paths = min(evaluation.selection_paths, max(evaluation.paths, run.training.validation_paths))
-    if problem.constraints or not paths or not np.isfinite(progress.best_value):
-        return Selection(HIGHEST, progress.best)
+    judged = evaluation.judge_paths > 0
+    if problem.constraints:
+        return Selection(HIGHEST, progress.best), None
+    surface = cache(lambda: _surface(run, problem))
+    if not paths or not np.isfinite(progress.best_value):
+        return Selection(HIGHEST, progress.best), surface() if judged else None
+
+    def top() -> Policy | None:
+        around = surface()
+        return None if around is None else around.policy
+
     candidates = {NEWEST: progress.average, HIGHEST: progress.best}
-    if surface is not None:
-        candidates[TOP] = surface.policy
-    return select(problem, run.start, candidates, paths, run.engines.evaluate)
+    engine = run.engines.evaluate
+    selection = select(problem, run.start, candidates, paths, engine, top, search=judged)
+    return selection, surface() if judged else None
 
 
 def _sensitivities(
@@ -219,7 +228,7 @@ def _sensitivities(
     if not paths:
         return None, None
     smooth = run.smooth if evaluation.smooth_paths else EXACT
-    earlier = progress.halfway if progress.step > 1 else None
+    earlier = progress.halfway if progress.step > 1 and evaluation.smooth_paths else None
     table, soft = sensitivities_and_totals(
         problem, policy, paths, smooth, evaluation.smooth_paths, earlier, engine, decisions
     )

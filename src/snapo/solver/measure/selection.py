@@ -9,7 +9,7 @@ the reported value are not used for this choice.
 The numbers of paths with which a policy is measured.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -120,7 +120,7 @@ class Effort(NamedTuple):
 
 SIGNIFICANT = 2.0  # standard errors above the starting rule
 STAGES, PLAIN = (2048, 8192), 4.0  # paths that are enough for a gain of so many standard errors,
-NOTHING = 5e-5  # and where not even this share of the value can be gained
+NOTHING = 2e-4  # and where not even this share of the value can be gained
 FINAL = 1  # of the validation's streams
 START, NEWEST, HIGHEST, TOP = "start", "newest", "highest", "top of the surface"
 
@@ -161,6 +161,8 @@ def select(
     candidates: Mapping[str, Policy],
     paths: int,
     engine: Engine,
+    top: Callable[[], Policy | None] = lambda: None,
+    search: bool = False,
 ) -> Selection:
     """The start, unless the best of the candidates is above it by two errors.
 
@@ -169,20 +171,35 @@ def select(
     uncompared.
 
     - `paths`: at most.
+    - `top`: a further candidate, `TOP`, made where the others may be above the start.
+    - `search`: whether its gain over the newest one is needed in any case.
     """
     source = fresh(problem.sources.validation)
     paths = source.available(paths)
     stages = (FEWEST, *STAGES) if problem.simulator.horizon > LONG else STAGES
-    search: tuple[float, float] = (0.0, 0.0)
     available: dict[str, Totals] = {}
+    added, gained = False, (0.0, 0.0)
     for few in (*(stage for stage in stages if 2 * stage <= paths), paths):
-        result, level, left = _selected(problem, start, candidates, source, few, engine, available)
-        search = result.search if {TOP, NEWEST} <= candidates.keys() else search
-        candidates = {name: candidates[name] for name in left}
-        plain = result.gain > PLAIN * result.error
-        if plain or result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level):
+        on = source, few, engine, available
+        result, level, left = _selected(problem, start, candidates, *on)
+        nothing, compared, highest = _nothing(result, level), result, None
+        if not added and (search or not nothing):
+            added, highest = True, top()
+        if highest is not None:
+            candidates = {**candidates, TOP: highest}
+            compared, level, of_all = _selected(problem, start, candidates, *on)
+            result, left = (result, left) if nothing else (compared, of_all)
+        if {TOP, NEWEST} <= candidates.keys():
+            gained = compared.search
+        if nothing or result.gain > PLAIN * result.error or _nothing(result, level):
             break
-    return result._replace(search=search)
+        candidates = {name: candidates[name] for name in left}
+    return result._replace(search=gained)
+
+
+def _nothing(result: Selection, level: float) -> bool:
+    """Whether there is next to nothing to gain over the start."""
+    return result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level)
 
 
 def _selected(

@@ -38,6 +38,7 @@ from ..core.contract import (
 )
 
 FREE = "free"  # the mode in which a right may be used
+BANKS = "bank", "older bank"  # units of last year, and of the year before
 
 
 class SwingContract(EnergyContract):
@@ -47,9 +48,10 @@ class SwingContract(EnergyContract):
     - `factor`, `add`, `fixing`: of an indexed strike, index []; `strike` is None then.
     - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
-    - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up this year;
-      `carry_max`, `carried`: the most that is carried forward, and the amount by which this year's
-      minimum is lower. None without that clause.
+    - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up from last year;
+      `older`: from the year before, None where units are lost after one year; `carry_max`,
+      `carried`: the most that is carried forward, and the amount by which this year's minimum is
+      lower. None without that clause.
     - `sign`: 1 where the volume is bought at the strike, -1 where it is sold.
     - `at_strike`: whether what is short is paid at the strike of the last day.
     - `firm`: whether the minimum is met on every path; `most_rights`: 0 without rights.
@@ -67,6 +69,7 @@ class SwingContract(EnergyContract):
     shortfall: CaseInput | None
     make_up_price: CaseInput | None
     made_up: CaseInput | None
+    older: CaseInput | None
     carry_max: CaseInput | None
     carried: CaseInput | None
     year_ends: Bool[np.ndarray, " T"]
@@ -94,7 +97,7 @@ class SwingContract(EnergyContract):
                 money = use(inputs, self.shortfall) * settled
             elif self.at_strike:
                 money = strike * settled
-            firm = self.firm and not (self.most_rights or self.layout.banked)
+            firm = self.firm and not (self.most_rights or self.layout.banks)
             low.append(jnp.where(self.year_ends & firm, least, 0.0))
             high.append(ceiling + zero)
             owed.append(zero if firm else least)
@@ -109,14 +112,16 @@ class SwingContract(EnergyContract):
             again.append(jnp.zeros(count, bool))
             start.append(jnp.zeros(()))
         bank = None
-        if self.layout.banked:
+        if self.layout.banks:
             bank = self._bank(inputs, strike, paid)
-            low.append(-bank.limit)
-            high.append(bank.share * bank.minimum)
-            owed.append(zero)
-            short.append(zero)
-            again.append(jnp.zeros(count, bool))
-            start.append(_number(inputs, self.made_up) - _number(inputs, self.carried))
+            newest = _number(inputs, self.made_up) - _number(inputs, self.carried)
+            for age, units in enumerate((newest, _number(inputs, self.older))[: self.layout.banks]):
+                low.append(zero if age else -bank.limit)
+                high.append(bank.share * bank.minimum)
+                owed.append(zero)
+                short.append(zero)
+                again.append(jnp.zeros(count, bool))
+                start.append(units)
 
         def by_level(rows: list) -> Array:
             return jnp.stack(rows, axis=1) if rows else jnp.zeros((count, 0))
@@ -143,7 +148,7 @@ class SwingContract(EnergyContract):
         volume of a day, times the rights left, and times the days that rests leave."""
         if not self.firm or self.annual_min is None:
             return None
-        if self.layout.banked:
+        if self.layout.banks:
             return self._carried(inputs)
         if not self.most_rights:
             return None
@@ -190,9 +195,11 @@ class SwingContract(EnergyContract):
                 raise ValueError(f'no contract begins in "{mode}"')
             keys["rights.most"] = self.most_rights - round(levels["rights"])
         if self.made_up is not None:
-            keys["make_up.units"] = max(levels["bank"], 0.0)
+            keys["make_up.units"] = max(levels[BANKS[0]], 0.0)
+        if self.older is not None:
+            keys["make_up.older_units"] = max(levels[BANKS[1]], 0.0)
         if self.carried is not None:
-            keys["carry_forward.units"] = max(-levels["bank"], 0.0)
+            keys["carry_forward.units"] = max(-levels[BANKS[0]], 0.0)
         if index is not None:
             keys["strike.fixing"] = index
         return keys
@@ -225,16 +232,16 @@ def _number(inputs: dict[str, Any], number: CaseInput | None) -> Array:
 
 
 def layout_of(
-    unit: str, limited: bool, rest: int | None, indexed: bool = False, banked: bool = False
+    unit: str, limited: bool, rest: int | None, indexed: bool = False, banks: int = 0
 ) -> ContractLayout:
     """Levels, flows and moves; `rest`: days after a right that is used, None without rights.
 
-    With a bank there are limits and no rights.
+    With balances between years, `banks`, there are limits and no rights.
     """
-    if banked:
-        take = EnergyFlow("take", f"{unit}/day", (1.0, 0.0))
-        levels = Level("taken", unit), Level("bank", unit)
-        return ContractLayout(levels, (take,), indexed=indexed, banked=True)
+    if banks:
+        take = EnergyFlow("take", f"{unit}/day", (1.0, *(0.0,) * banks))
+        levels = tuple(Level(name, unit) for name in ("taken", *BANKS[:banks]))
+        return ContractLayout(levels, (take,), indexed=indexed, banks=banks)
     levels = ([Level("taken", unit)] if limited else []) + (
         [Level("rights", "days")] if rest is not None else []
     )

@@ -47,11 +47,14 @@ class RightsTable(CaseTable):
 
 
 class MakeUpTable(CaseTable):
-    """{ years = 1, price = 0.0 }: units short of the minimum are paid, and taken a year later."""
+    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up in so many
+    years."""
 
-    years: int = Field(1, ge=1, le=1, description="1")
+    years: int = Field(1, ge=1, le=2, description="1, or 2: at most three volumes are counted")
     price: CaseInput = PAID("paid for a unit that is made up", 0.0, name="make_up_price")
-    units: CaseInput = TAKEN("to be made up this contract year", 0.0, name="make_up_units")
+    units: CaseInput = TAKEN("short in the last contract year", 0.0, name="make_up_units")
+    older_units: CaseInput | None = TAKEN("short in the year before, left to be made up", None,
+                                          name="make_up_older_units")  # fmt: skip
 
 
 class CarryTable(CaseTable):
@@ -153,8 +156,9 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
     if rights is not None and firm and minimum is not None and minimum.values[0] > 0:
         _check_promise(where, table, rights, float(minimum.values[0]), daily_max.used(), last_days)
     made_up, carried = _banked(where, table)
-    banked = made_up is not None or carried is not None
-    if banked:
+    banks = 0
+    if made_up is not None or carried is not None:
+        banks = 1 if made_up is None else made_up.years
         _check_bank(where, table, (made_up, carried), limits, strike, daily_max.used(), last_days)
     limited = limits[0] is not None or limits[1] is not None
     short = table.shortfall if isinstance(table.shortfall, CaseInput) else None
@@ -167,6 +171,7 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
         table.taken,
         short if minimum is not None else None,
         *((None, None) if made_up is None else (made_up.price, made_up.units)),
+        None if made_up is None else made_up.older_units,
         *((None, None) if carried is None else (carried.max, carried.units)),
         last_days,
         layout=layout_of(  # pyright: ignore[reportCallIssue]
@@ -174,7 +179,7 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
             limited,
             None if rights is None else rights.rest,
             index is not None,
-            banked,
+            banks,
         ),
         sign=1.0 if table.side == "call" else -1.0,
         at_strike=table.shortfall == "strike",
@@ -208,10 +213,11 @@ def _check_promise(
 def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None, CarryTable | None]:
     """Both clauses, their numbers with their units."""
     unit = table.volume_unit
-    units = {"units": unit, "max": unit, "price": f"{table.currency}/{unit}"}
+    units = {"units": unit, "older_units": unit, "max": unit, "price": f"{table.currency}/{unit}"}
     made_up, carried = None, None
     if table.make_up is not None:
-        made_up = _with_units(where.nested(MakeUpTable, table.make_up, "make_up"), units)
+        raw = ({"older_units": 0.0} if table.make_up.get("years") == 2 else {}) | table.make_up
+        made_up = _with_units(where.nested(MakeUpTable, raw, "make_up"), units)
     if table.carry_forward is not None:
         read = where.nested(CarryTable, table.carry_forward, "carry_forward")
         carried = _with_units(read, units)
@@ -235,13 +241,21 @@ def _check_bank(
             raise where.error("shortfall", table.shortfall, message)
         if table.side == "put":
             raise where.error("side", "put", 'with make_up allowed is "call"')
-        price, units[0] = float(made_up.price.values[0]), float(made_up.units.values[0])
+        price, balances = float(made_up.price.values[0]), {"units": made_up.units}
         lowest = float(strike.used().min()) if strike is not None else np.inf
         if price > lowest:
             raise where.error("make_up.price", price, f"allowed is at most the strike, {lowest:g}")
-        if units[0] > minimum:
-            message = f"allowed is at most annual.min, {minimum:g}"
-            raise where.error("make_up.units", units[0], message)
+        if made_up.older_units is not None:
+            balances["older_units"] = made_up.older_units
+            if made_up.years == 1:
+                wrong = float(made_up.older_units.values[0])
+                raise where.error("make_up.older_units", wrong, "it needs make_up.years = 2")
+        for name, number in balances.items():
+            balance = float(number.values[0])
+            units[0] += balance
+            if balance > minimum:
+                message = f"allowed is at most annual.min, {minimum:g}"
+                raise where.error(f"make_up.{name}", balance, message)
     if carried is not None:
         units[1], highest = float(carried.units.values[0]), float(carried.max.values[0])
         if units[1] > highest:

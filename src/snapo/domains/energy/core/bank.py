@@ -1,26 +1,30 @@
-"""A bank between the periods of a level: units short in one are made up in the next, and units in
-excess lower the next minimum.
+"""A bank between the periods of a level: units short in one are made up in the next ones, and units
+in excess lower the next minimum.
 
-A period ends where the counted level restarts. The balance Z of the bank is positive for volumes to
-be made up, and negative for those carried forward; both come from the last period and are lost
-after one more. With the minimum m of a period, and x+ = max(x, 0):
+A period ends where the counted level restarts. The balances Z_1 to Z_N of the bank are by age: Z_k
+comes from k periods ago. Z_1 is positive for volumes to be made up, and negative for those carried
+forward, which are lost after one period; the others are not negative, and Z_N is lost after this
+period. The oldest are made up first. With the minimum m of a period, x+ = max(x, 0), O_k the sum
+of Z_j+ over j > k, and O_0 that of all:
 
-    own minimum        m - (-Z)+
-    made up            u(Q, Z) = (Q - m)+ - (Q - m - Z+)+,   Q the volume of the period so far
-    balance after it   share x (m - (-Z)+ - Q)+ - min((Q - m - Z+)+, limit)
+    own minimum        m - (-Z_1)+
+    made up            u(Q) = (Q - m)+ - (Q - m - O_0)+,   Q the volume of the period so far
+    of age k           u_k(Q) = (Q - m - O_k)+ - (Q - m - O_k - Z_k+)+
+    balances after it  share x (m - (-Z_1)+ - Q)+ - min((Q - m - O_0)+, limit), and Z_k+ - u_k(Q)
 
-The first Z+ units above the minimum are those made up: each earns `refund` as well. All
-functions are linear between multiples of a common measure of m, Z, `limit` and the volumes.
+The first O_0 units above the minimum are those made up: each earns `refund` as well. All
+functions are linear between multiples of a common measure of m, the balances, `limit` and the
+volumes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jaxtyping import Array, Float
 
 
 class Bank(NamedTuple):
-    """The numbers of every step.
+    """The numbers of every step; balances are in the order of their age, the newest first.
 
     - `minimum`: m; `share`: of the units short that may be made up, 1 or 0.
     - `limit`: of the units carried forward; `refund`: money for each unit made up.
@@ -35,17 +39,28 @@ class Bank(NamedTuple):
         """The row of a step."""
         return Bank(*(x[t] for x in self))
 
-    def owed(self, balance: Any, positive: Callable) -> Any:
+    def owed(self, balances: Sequence[Any], positive: Callable) -> Any:
         """The own minimum of a period."""
-        return self.minimum - positive(-balance)
+        return self.minimum - positive(-balances[0])
 
-    def made_up(self, counted: Any, balance: Any, positive: Callable) -> Any:
+    def made_up(self, counted: Any, balances: Sequence[Any], positive: Callable) -> Any:
         """Units made up so far."""
         above = counted - self.minimum
-        return positive(above) - positive(above - positive(balance))
+        return positive(above) - positive(above - _units(balances, positive))
 
-    def settled(self, counted: Any, balance: Any, positive: Callable) -> Any:
-        """The balance after a period; it falls with the volume, and rises with the balance."""
-        short = positive(self.owed(balance, positive) - counted)
-        excess = positive(counted - self.minimum - positive(balance))
-        return self.share * short - (excess - positive(excess - self.limit))
+    def settled(self, counted: Any, balances: Sequence[Any], positive: Callable) -> list[Any]:
+        """The balances after a period; they fall with the volume, and rise with the balances."""
+        above = counted - self.minimum
+        short = positive(self.owed(balances, positive) - counted)
+        excess = positive(above - _units(balances, positive))
+        result = [self.share * short - (excess - positive(excess - self.limit))]
+        for k, balance in enumerate(balances[:-1]):
+            left, units = above - _units(balances[k + 1 :], positive), positive(balance)
+            result.append(units - (positive(left) - positive(left - units)))
+        return result
+
+
+def _units(balances: Sequence[Any], positive: Callable) -> Any:
+    """The units to be made up in all."""
+    parts = [positive(balance) for balance in balances]
+    return sum(parts[1:], parts[0])

@@ -68,7 +68,8 @@ class ContractLayout(NamedTuple):
     """What is fixed in a contract: compiled code depends on it.
 
     - `indexed`: whether its cash depends on an index as well as on the spot price.
-    - `banked`: whether the last of its levels is the bank of the first one, see `bank.py`.
+    - `banks`: how many of its last levels are balances of a bank of the first one, by age, see
+      `bank.py`.
     - `reported`: names of moves of which a path counts how often they are made.
     """
 
@@ -77,13 +78,13 @@ class ContractLayout(NamedTuple):
     modes: tuple[str, ...] = ("",)
     moves: tuple[ContractMove, ...] = ()
     indexed: bool = False
-    banked: bool = False
+    banks: int = 0
     reported: tuple[str, ...] = ()
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
-        return levels, flows, self.modes, moves, self.indexed, self.banked, self.reported
+        return levels, flows, self.modes, moves, self.indexed, self.banks, self.reported
 
     @classmethod
     def of_plain(cls, parts: tuple) -> "ContractLayout":

@@ -35,15 +35,15 @@ class VolumeGains(NamedTuple):
 class FlowRows(NamedTuple):
     """The rows along a flow from levels `start`, in the table of a step.
 
-    `pair`: of a move and the flow, whose `effects` on the levels are not all zero; `banked`: the
-    last level is a balance, between whose rows values are linear.
+    `pair`: of a move and the flow, whose `effects` on the levels are not all zero; `banks`: so many
+    last levels are balances, between whose rows values are linear.
     """
 
     table: UnitValues
     pair: int
     effects: tuple[float, ...]
     start: Array
-    banked: bool
+    banks: int
 
     def gains(self, forced: Array, free: Array, read: Array, unit: Array) -> VolumeGains:
         """Those of the units of a `free` volume beyond a `forced` one. `read`: the functions of
@@ -73,18 +73,23 @@ class FlowRows(NamedTuple):
             behind = jnp.where(several, off if up else -off, behind)
         length = free / units[-1]
         count = jnp.maximum(jnp.minimum(jnp.ceil(behind + length - NEAR), room + 1), 1.0)
-        share = None
-        if self.banked:
-            left, share = _between(position[-1], dims[-1])
-            begin = begin.at[-1].set(left)
+        shares = []
+        for i in range(-self.banks, 0):
+            left, share = _between(position[i], dims[i])
+            begin = begin.at[i].set(left)
+            shares.append((share, math.prod(dims[len(dims) + i + 1 :])))
         first_row = row_number(self.pair, begin, dims)
+
+        def between(at: Array, shares: list) -> Array:
+            if not shares:
+                return jnp.sum(flat[at] * read)
+            (share, further), *others = shares
+            value = between(at, others)
+            return value + share * (between(at + further, others) - value)
 
         def gain(row: Array) -> Array:
             at = first_row + (row * stride).astype(jnp.int32)
-            value = jnp.sum(flat[at] * read)
-            if share is not None:
-                value = value + share * (jnp.sum(flat[at + 1] * read) - value)
-            return unit + value
+            return unit + between(at, shares)
 
         first, last = gain(jnp.zeros_like(count)), gain(count - 1)
         gaining, above, below = jnp.zeros_like(count), first, first
@@ -111,17 +116,21 @@ class FlowRows(NamedTuple):
 
     def _slope(self, volume: Array, last: bool) -> Array:
         """The row of the unit that starts after a volume, or of the last one up to it; between the
-        rows of a bank's balance, which is the last level."""
+        rows of a bank's balances, which are the last levels."""
         dims, flat = self._table
         if not dims:
             return flat[self.pair]
         position = position_of(self.table, self._levels(volume))
         row = along(position, self.effects, not last)
-        if not self.banked:
-            return nearest_row(flat, self.pair, row, dims)
-        left, share = _between(position[-1], dims[-1])
-        sides = [nearest_row(flat, self.pair, row.at[-1].set(left + k), dims) for k in (0, 1)]
-        return sides[0] + share * (sides[1] - sides[0])
+
+        def between(row: Array, banks: int) -> Array:
+            if not banks:
+                return nearest_row(flat, self.pair, row, dims)
+            left, share = _between(position[-banks], dims[-banks])
+            sides = [between(row.at[-banks].set(left + k), banks - 1) for k in (0, 1)]
+            return sides[0] + share * (sides[1] - sides[0])
+
+        return between(row, self.banks)
 
 
 def _between(position: Array, count: int) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.policy import Network, Policy, as_observation, without_idle_network
 from snapo.problem.smooth import EXACT
 
 from .contract import ContractLayout
@@ -24,7 +24,7 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 class UnitValuePolicy(Policy):
     """The action is a share of each volume, and a weight of each move that has others."""
 
-    network: Network
+    network: Network | None
     form: tuple = eqx.field(static=True)
 
     def __init__(
@@ -66,6 +66,8 @@ class UnitValuePolicy(Policy):
 
     def corrected(self, gains: Head, seen: Array) -> tuple[list[Array], Array]:
         """Gains of the units of each volume, and the gain of each move."""
+        if self.network is None:
+            return list(gains.units), gains.base
         layout, numbers = self.layout, CORRECTION * self.network(seen)
         levels, count = numbers[: len(layout.levels)], len(layout.levels)
         bends, modes = numbers[count : 2 * count], numbers[2 * count :]
@@ -96,6 +98,11 @@ class UnitValuePolicy(Policy):
             return policy.network.weights[-1], policy.network.biases[-1]
 
         return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
+
+    @property
+    def simplest(self) -> "UnitValuePolicy":
+        """Without a network that adds nothing."""
+        return without_idle_network(self)
 
 
 def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolicy:

@@ -223,11 +223,16 @@ class EnergySimulator(PricedSimulator):
         if terms.of_levels is not None:
             cash = cash - level_money(terms.of_levels.before, state.levels, positive)
         if terms.bank is not None:
-            used = [terms.bank.made_up(x[0], x[-1], positive) for x in (state.levels, levels)]
+            indices = range(-layout.banks, 0)
+            used = [
+                terms.bank.made_up(x[0], [x[i] for i in indices], positive)
+                for x in (state.levels, levels)
+            ]
             cash = cash + terms.bank.refund * (used[1] - used[0])
-            owed = owed.at[0].set(terms.bank.owed(levels[-1], positive))
-            balance = terms.bank.settled(levels[0], levels[-1], positive)
-            settled = settled.at[-1].set(jnp.where(terms.restarts[0], balance, levels[-1]))
+            balances = [levels[i] for i in indices]
+            owed = owed.at[0].set(terms.bank.owed(balances, positive))
+            for i, balance in zip(indices, terms.bank.settled(levels[0], balances, positive)):
+                settled = settled.at[i].set(jnp.where(terms.restarts[0], balance, levels[i]))
         missed = smooth.positive_part(owed - levels, scale)
         # A promise is met: `short` is then for methods that compare values.
         short = terms.short if terms.promises is None else jnp.zeros_like(terms.short)

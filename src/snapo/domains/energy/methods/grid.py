@@ -20,7 +20,7 @@ from ..core.contract import ContractLayout
 from .corners import corners, flow_signs
 from .idle import at_rest, extremes, idle_levels, with_idle, without
 from .measure import banked_widths, measures_of, node_widths
-from .settling import Settling, balances, settling
+from .settling import Settling, ranges_of_balances, settling
 from .ways import StepWays
 
 MOST = 1200  # nodes of a level
@@ -156,15 +156,15 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     layout, terms, found = without(layout, terms, found, idle)
     count = len(layout.levels)
     measures = measures_of(layout, terms, start)
-    counted = count - layout.banked
+    counted = count - layout.banks
     visited = [_visited(layout, terms, found, start, i) for i in range(counted)]
-    if layout.banked:
-        visited.append(balances(terms, start[-1], *visited[0]))
+    if layout.banks:
+        visited += ranges_of_balances(terms, start[counted:], *visited[0])
     widest = [float(np.max(high - low)) for low, high in visited]
     coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
     least = np.zeros(count) if apart is None else apart
     coarse *= MOVED if least.any() else 1
-    if layout.banked:
+    if layout.banks:
         widths = banked_widths(visited, measures, least, LONG)
     else:
         widths = node_widths(layout, widest, measures, least, coarse)
@@ -176,12 +176,12 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     columns = []
     for i, (low, high) in enumerate(visited):
         restarts, measure = terms.restarts[:, i], measures[i]
-        if i == counted:  # a balance, which no flow moves
+        if i >= counted:  # a balance, which no flow moves
             width = measure if exact and measure is not None else widths[i]
             of_steps = _regular(low, high, width / parts, restarts, None if exact else 0.0)[0]
             columns.append((of_steps, of_steps[:-1]))
             continue
-        if layout.banked and measure is not None and widths[i] <= measure * (1 + NEAR):
+        if layout.banks and measure is not None and widths[i] <= measure * (1 + NEAR):
             columns.append(_regular(low, high, measure, restarts))
             continue
         if exact and measure is not None:

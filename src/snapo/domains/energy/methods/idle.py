@@ -16,7 +16,7 @@ def idle_levels(
     layout: ContractLayout, terms: StepTerms, intervals: Any, start: np.ndarray
 ) -> tuple[bool, ...]:
     """[levels] whether a level is idle; none is where levels have money or joint obligations."""
-    if layout.banked or terms.promises is not None or terms.of_levels is not None:
+    if layout.banks or terms.promises is not None or terms.of_levels is not None:
         return (False,) * len(layout.levels)
     numbers = layout, terms, intervals
     return tuple(_idle(*numbers, float(start[i]), i) for i in range(len(layout.levels)))

@@ -6,7 +6,7 @@ And the widths between nodes where that measure is too small.
 from collections.abc import Iterable
 from fractions import Fraction
 from functools import reduce
-from math import ceil, gcd, lcm, prod
+from math import ceil, gcd, lcm, prod, sqrt
 
 import numpy as np
 
@@ -40,8 +40,9 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
 def joined_levels(layout: ContractLayout) -> list[set[int]]:
     """The levels in groups that no flow joins."""
     groups = [{i} for i in range(len(layout.levels))]
-    if layout.banked:  # units of the first level become its balance
-        groups = [{0, len(layout.levels) - 1}, *groups[1:-1]]
+    if layout.banks:  # units of the first level become its balances
+        counted = len(layout.levels) - layout.banks
+        groups = [{0, *range(counted, len(layout.levels))}, *groups[1:counted]]
     for flow in layout.flows:
         touched = {i for i, effect in enumerate(flow.effects) if effect}
         if touched:
@@ -71,19 +72,32 @@ def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -
 
 
 def banked_widths(visited, measures, apart, nodes: float) -> list[float]:
-    """Between nodes of a counted level and of its bank, where their product is too large.
+    """Between nodes of a counted level and of its balances, where their product is too large.
 
     Flows move only the counted level, so that its nodes are multiples of the measure where it has
-    few enough. The balance changes once a period, and has as many nodes as `nodes` of all steps
-    allow. `visited`: the least and the most of both levels at all steps.
+    few enough. Balances change once a period, and have as many nodes as `nodes` of all steps
+    allow. `visited`: the least and the most of all levels at all steps.
     """
     unit = measures[0] or 0.0
     widest = [float(np.max(high - low)) for low, high in visited]
     counted = max(unit, widest[0] / COUNTED, apart[0]) or 1.0
-    (low, high), banked = visited[0], visited[1][1] > visited[1][0]
-    many = nodes / max(float(np.sum((high - low)[banked] / counted + 1)), 1.0)
-    balance = max(unit, widest[1] / (min(max(many, BALANCES[0]), BALANCES[1]) - 1), apart[1]) or 1.0
-    return [unit * ceil(x / unit - ROUND_OFF) if unit else x for x in (counted, balance)]
+    low, high = visited[0]
+    free = sum((upper > lower).astype(int) for lower, upper in visited[1:])
+    # Nodes of the counted level at all steps with one balance that is not fixed, and with two.
+    every = (high - low) / counted + 1
+    counts = [float(np.sum(every[free == k])) for k in range(1, len(visited))]
+    many = _times(counts, nodes)
+    gaps = min(max(many, BALANCES[0]), BALANCES[1]) - 1
+    balances = [max(unit, x / gaps, y) or 1.0 for x, y in zip(widest[1:], apart[1:])]
+    return [unit * ceil(x / unit - ROUND_OFF) if unit else x for x in (counted, *balances)]
+
+
+def _times(counts: list[float], nodes: float) -> float:
+    """The number n for which n counts[0] + n^2 counts[1] is `nodes`."""
+    first, second = [*counts, 0.0][:2]
+    if not second:
+        return nodes / max(first, 1.0)
+    return (sqrt(first**2 + 4 * second * nodes) - first) / (2 * second)
 
 
 def common_measure(volumes: Iterable[float]) -> float | None:

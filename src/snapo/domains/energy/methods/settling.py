@@ -17,22 +17,22 @@ class Settling(NamedTuple):
 
     - `arrive`: the number of the node of the next step for each node after; `lost`: the
       money that settling takes there.
-    - `between`: a second such node, and its weight, where balances are between nodes.
+    - `corners`: such nodes and their weights, where balances are between nodes.
     - `held`: money of the nodes before and after a step, which earns the second less the first:
       that of the levels, and of the units made up so far; None without either.
     """
 
     arrive: np.ndarray
     lost: np.ndarray
-    between: tuple[np.ndarray, np.ndarray] | None = None
+    corners: tuple[tuple[np.ndarray, np.ndarray], ...] | None = None
     held: tuple[np.ndarray, np.ndarray] | None = None
 
     def settled(self, value: np.ndarray) -> np.ndarray:
         """[modes, nodes after, …] after settling, from [modes, nodes of the next step, …]."""
-        if self.between is None:
+        if self.corners is None:
             return value[:, self.arrive]
-        other, weight = self.between[0], self.between[1][:, None]
-        return (1 - weight) * value[:, self.arrive] + weight * value[:, other]
+        parts = [weight[:, None] * value[:, nodes] for nodes, weight in self.corners]
+        return sum(parts[1:], parts[0])
 
     @property
     def money(self) -> np.ndarray | None:
@@ -59,15 +59,20 @@ def settling(
     if terms.bank is None or not terms.restarts[t, 0]:
         return Settling(numbers.reshape(shape)[np.ix_(*arrivals)].ravel(), lost, None, held)
     bank = terms.bank.at(t)
-    counted, balance = _mesh(after)
-    missed = np.ravel(positive(bank.owed(balance, positive) - counted))
-    goal = np.ravel(bank.settled(counted, balance, positive))
-    position = np.interp(goal, following[1], np.arange(len(following[1]), dtype=float))
-    left = np.floor(position + NEAR).astype(int)
-    share = np.where(position - left > NEAR, position - left, 0.0)
-    right = np.minimum(left + 1, len(following[1]) - 1)
-    between = (right, share) if share.any() else None
-    return Settling(left, missed * terms.short[t, 0], between, held)
+    counted, *balances = np.meshgrid(*after, indexing="ij")
+    missed = np.ravel(positive(bank.owed(balances, positive) - counted))
+    weight, goals = np.ones(missed.shape), bank.settled(counted, balances, positive)
+    corners = [(np.zeros(missed.shape, int), weight)]
+    for nodes, goal in zip(following[1:], goals):
+        position = np.interp(np.ravel(goal), nodes, np.arange(len(nodes), dtype=float))
+        left = np.floor(position + NEAR).astype(int)
+        share = np.where(position - left > NEAR, position - left, 0.0)
+        sides = [(left, 1 - share)]
+        if share.any():
+            sides.append((np.minimum(left + 1, len(nodes) - 1), share))
+        corners = [(n * len(nodes) + m, x * y) for n, x in corners for m, y in sides]
+    several = tuple(corners) if len(corners) > 1 else None
+    return Settling(corners[0][0], missed * terms.short[t, 0], several, held)
 
 
 def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarray] | None:
@@ -75,7 +80,8 @@ def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarr
     result = [np.zeros(1), np.zeros(1)]
     if terms.bank is not None:
         bank = terms.bank.at(t)
-        result = [bank.made_up(*_mesh(x), positive) * bank.refund for x in (before, after)]
+        meshes = (np.meshgrid(*x, indexing="ij", sparse=True) for x in (before, after))
+        result = [bank.made_up(x, balances, positive) * bank.refund for x, *balances in meshes]
     if terms.of_levels is not None:
         for k, (rates, nodes) in enumerate(zip(terms.of_levels, (before, after))):
             levels = np.meshgrid(*nodes, indexing="ij", sparse=True)
@@ -85,22 +91,18 @@ def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarr
     return np.ravel(result[0]), np.ravel(result[1])
 
 
-def balances(terms: StepTerms, start: float, low: np.ndarray, high: np.ndarray):
-    """[T + 1] the lowest and the highest balance at the start of each step.
+def ranges_of_balances(terms: StepTerms, start: np.ndarray, low: np.ndarray, high: np.ndarray):
+    """For each balance [T + 1] the lowest and the highest one at the start of each step.
 
-    `low`, `high` [T + 1]: of the counted level, at the start and after each step.
+    `start` [balances]; `low`, `high` [T + 1]: of the counted level, at the start and after each
+    step.
     """
     assert terms.bank is not None
-    lowest, highest = np.full(len(low), start), np.full(len(low), start)
+    lowest, highest = (np.tile(start, (len(low), 1)) for _ in range(2))
     for t in range(len(low) - 1):
         lowest[t + 1], highest[t + 1] = lowest[t], highest[t]
         if terms.restarts[t, 0]:
             bank = terms.bank.at(t)
             lowest[t + 1] = bank.settled(high[t + 1], lowest[t], positive)
             highest[t + 1] = bank.settled(low[t + 1], highest[t], positive)
-    return lowest, highest
-
-
-def _mesh(nodes) -> tuple[np.ndarray, np.ndarray]:
-    """The counted level and the balance at all nodes of two levels."""
-    return nodes[0][:, None], nodes[1][None, :]
+    return list(zip(lowest.T, highest.T))

@@ -67,7 +67,7 @@ class StepWays:
 def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: list[int]) -> Ways:
     """Those of the passages of a step between numbers of nodes of each level."""
     source, target = (np.arange(np.prod(x, dtype=int)).reshape(x) for x in (before, after))
-    starts, parts = [], []
+    starts, numbers, volumes, sizes, goals_of, weights_of = ([np.zeros(0, int)] for _ in range(6))
     for m, (move, of_move) in enumerate(zip(layout.every_move, passages)):
         start, goal = move.before * source.size, move.after * target.size
         for flow, volume, rows, goals, weights in of_move:
@@ -76,25 +76,29 @@ def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: lis
                 weights = np.ones(goal_nodes.shape)
             else:
                 start_nodes, goal_nodes, weights = rows, goals, weights[:, :, 0]
+            count = len(start_nodes)
             starts.append(start + start_nodes)
-            parts += [
-                (m, max(flow, 0), volume, goal + node, shares)
-                for node, shares in zip(goal_nodes.T, weights.T)
-            ]
-    start_nodes = np.concatenate([np.zeros(0, int), *starts])
-    order = np.argsort(start_nodes, kind="stable")
+            numbers.append(np.full(count, m * len(layout.flows) + max(flow, 0)))
+            volumes.append(np.full(count, float(volume)))
+            sizes.append(np.full(count, len(goal_nodes)))
+            goals_of.append(goal + goal_nodes.T.reshape(-1))
+            weights_of.append(weights.T.reshape(-1))
+    start, number, volume, size, goals, weights = map(
+        np.concatenate, (starts, numbers, volumes, sizes, goals_of, weights_of)
+    )
+    order = np.argsort(start, kind="stable")
+    first_corner = (np.cumsum(size) - size)[order]
+    corner = np.cumsum([0, *size[order]])
+    # The corners of all ways in their new order, one after the other.
+    moved = np.arange(corner[-1]) + np.repeat(first_corner - corner[:-1], size[order])
     nodes = np.arange(len(layout.modes) * source.size + 1)
-    numbers = [parts[k] for k in order]
-    move, flow = (np.array([x[i] for x in numbers], np.int64) for i in (0, 1))
-    goal_nodes, weights = ([x[i] for x in numbers] for i in (3, 4))
     return Ways(
-        np.searchsorted(start_nodes[order], nodes).astype(np.int64),
-        np.cumsum([0, *map(len, goal_nodes)]).astype(np.int64),
-        move,
-        flow,
-        np.array([x[2] for x in numbers], float),
-        np.concatenate([np.zeros(0, int), *goal_nodes]).astype(np.int64),
-        np.concatenate([np.zeros(0), *weights]),
+        np.searchsorted(start[order], nodes).astype(np.int64),
+        corner.astype(np.int64),
+        *np.divmod(number[order].astype(np.int64), max(len(layout.flows), 1)),
+        volume[order].astype(float),
+        goals[moved].astype(np.int64),
+        weights[moved].astype(float),
     )
 
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.policy import Network, Policy, as_observation, without_idle_network
 from snapo.problem.smooth import EXACT
 
 from ..prices.process import YEAR, PriceProcess
@@ -138,7 +138,7 @@ class StoragePolicy(Policy):
     """The guide's marginal value plus a network; the action is (injected, withdrawn) fraction."""
 
     head: ClassVar[int] = HEAD  # numbers of the observation that the network does not see
-    network: Network
+    network: Network | None
 
     def __init__(
         self, features: int, *, key, hidden: tuple[int, ...] = (32, 32), activation=jax.nn.tanh
@@ -158,9 +158,16 @@ class StoragePolicy(Policy):
 
         return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
 
+    @property
+    def simplest(self) -> "StoragePolicy":
+        """Without a network that adds nothing."""
+        return without_idle_network(self)
+
     def marginal_value(self, observation) -> MarginalValue:
         """The policy's value of a unit of gas at the end of the day."""
         economics = Economics(*observation[:HEAD])
+        if self.network is None:
+            return MarginalValue(*economics[:4])
         level, into, out = CORRECTION * economics.level * self.network(observation[HEAD:])
         return MarginalValue(
             economics.first_in + level,
