@@ -4,8 +4,8 @@
 
 Every figure is a median over rounds in which the engines take turns, so that a busy machine
 slows them alike. The floor is the time that the multiply-adds of a network's forward pass and its
-two transposes take when every thread does nothing else, in registers; it takes its turns too. What
-XLA takes over the floor is the most that any engine can gain, unless it leaves out zeros.
+two transposes take when every thread does nothing else, in registers; it takes its turns too. The
+time of XLA over the floor limits the ratio of any engine to it, unless that leaves out zeros.
 """
 
 import argparse
@@ -312,10 +312,10 @@ def table(quick: bool = False, python: str = sys.executable) -> Iterator[str]:
             rounds=3 if work.paths > 9000 else ROUNDS,
         )
         single = 4 / np.dtype(work.precision).itemsize  # the floor is of float32
-        least = spinning * work.multiply_adds() / spun / single
+        floor = spinning * work.multiply_adds() / spun / single
         yield (
             f"{name:34}{native:10.1f}{xla:10.1f}{xla / native:8.1f}{needed:8}"
-            f"{native / values:16.2f}{native / least:12.2f}"
+            f"{native / values:16.2f}{native / floor:12.2f}"
         )
     work = Workload(Storage(), (7, 32, 32, 3))
     args = (work.simulator, work.policy, work.schedule, work.draws, work.smooth, work.weights)

@@ -61,7 +61,7 @@ class Correlated(Simulator):
 @pytest.mark.parametrize(("part", "size"), [(72, 72), (71, 71), (68, 90)])
 def test_zeros_at_the_end_of_rows_are_left_out(part, size, monkeypatch):
     """With the same bits: they add nothing. Even numbers of normals are drawn on the tape."""
-    simulator = Correlated(part, size)
+    simulator = Correlated(part=part, noise_size=size)
     schedule, draws = simulator.prepare(None), Pseudo(1).draws(np.arange(PATHS), simulator)
     weights = {"sum": np.linspace(0.5, 1.0, PATHS)}
     given = simulator, Constant(0.0), schedule, draws, Exact()
@@ -81,7 +81,7 @@ def test_zeros_at_the_end_of_rows_are_left_out(part, size, monkeypatch):
 
 def test_a_nan_times_zero_is_nan():
     """Noise that is supplied may have one, and zeros are multiplied by it."""
-    simulator = Correlated(72, 72)
+    simulator = Correlated(part=72, noise_size=72)
     noise = np.random.default_rng(1).normal(size=(3, PATHS, 72)).astype(np.float32)
     noise[1, 5, -1] = np.nan
     draws = Stored(np.zeros((PATHS, 0)), noise)
@@ -104,7 +104,7 @@ def test_a_nan_times_zero_is_nan():
     ],
 )
 def test_every_round_of_a_dot_product_is_counted(contract, shapes, path):
-    """What the rounds fetch is divided by their number."""
+    """Memory is divided by the number of rounds that fetch it."""
     closed = jax.make_jaxpr(lambda a, b: jnp.einsum(contract, a, b))(*map(jnp.zeros, shapes))
     program = optimize(flatten(closed, path))
     module = Module(host().lanes("float32"), host().register)

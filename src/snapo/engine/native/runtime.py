@@ -61,7 +61,7 @@ class Back:
     start_cotangent: np.ndarray
 
 
-class Local(NamedTuple):
+class ThreadTable(NamedTuple):
     """One thread's table of addresses, [columns, slots], and where it is."""
 
     table: np.ndarray
@@ -107,14 +107,16 @@ class GroupRunner:
         _apart(context, "start_cotangent", inputs.blocks * self.code.strides["start_cotangent"])
         run = self.machine.functions["run"]
 
-        count, ends = len(edges) - 1, edges.tolist()
+        count, starts = len(edges) - 1, edges.tolist()
         sums = _sums(memory.where["sums"], (count, columns), calls, item) if adjoint else None
 
         # A helper may continue after an interrupt: its work keeps the memory and the code alive.
-        def one(group: int, local: Local, _held: tuple = (inputs, memory, self.machine)) -> None:
+        def one(
+            group: int, local: ThreadTable, _held: tuple = (inputs, memory, self.machine)
+        ) -> None:
             if sums is not None:
                 local.table[:, ADDED] = sums[group]
-            run(local.address, ends[group], ends[group + 1])
+            run(local.address, starts[group], starts[group + 1])
 
         mine = partial(self._own, context, inputs)
         spread(one, count, min(threads, count), memory["stop"], mine)
@@ -142,7 +144,7 @@ class GroupRunner:
         return int(min(length, max(1, TAPE // self.code.strides["tape"])))
 
     @contextmanager
-    def _own(self, context: np.ndarray, inputs: KernelInputs) -> Iterator[Local]:
+    def _own(self, context: np.ndarray, inputs: KernelInputs) -> Iterator[ThreadTable]:
         """The context with separate scratch memory."""
         sizes = self._scratch(inputs.length, inputs.columns)
         limit = max(SPARE - 2 * inputs.memory.size, 0)
@@ -155,7 +157,7 @@ class GroupRunner:
             local[:, SLOTS[name]] = position
         _apart(local, "cotangent", self.code.strides["cotangent"])
         try:
-            yield Local(local, address(local))
+            yield ThreadTable(local, address(local))
         finally:
             spare.give(self, scratch, limit)
 

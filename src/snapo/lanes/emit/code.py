@@ -43,18 +43,18 @@ class Ahead:
     """Memory from an address on that loops of dot products fetch before it is needed.
 
     Each of their rounds fetches some. All at once it would take every buffer that the processor
-    has for misses of its cache, and what is needed at present would wait.
+    has for misses of its cache, and loads of the present step would wait.
     """
 
-    MOST = 8  # lines that one round fetches
+    LIMIT = 8  # lines that one round fetches
 
     def __init__(self, code: "Code", start: str, size: int, rounds: int, written: bool):
-        """So many rounds fetch `size` bytes, which are then read or `written`. What is read and
-        more than they may fetch is fetched here."""
+        """So many rounds fetch `size` bytes, which are then read or `written`. Bytes to be read
+        that exceed the limit of the rounds are fetched here."""
         self.code, self.start, self.written, self.taken = code, start, written, 0
-        self.each = min(self.MOST * LINE, -(-size // rounds)) if rounds else 0
+        self.share = min(self.LIMIT * LINE, -(-size // rounds)) if rounds else 0
         code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
-        first = self.each * rounds
+        first = self.share * rounds
         if first < size and not written:
             with code.loop(-(-(size - first) // (4 * LINE))) as loop:
                 distance = code.index(f"mul nsw i64 {loop.i}, {4 * LINE}")
@@ -66,16 +66,16 @@ class Ahead:
         return self.taken - rounds
 
     def fetch(self, round: str, first: int | str) -> None:
-        """Fetches what a round has to: its number counts from that of the `first` in its loop."""
+        """Fetches the share of a round, by its number from that of the `first` in its loop."""
         number = self.code.index(f"add nsw i64 {round}, {first}")
-        distance = self.code.index(f"mul nsw i64 {number}, {self.each}")
-        self._fetch(self.code.pointer(self.start, distance), -(-self.each // LINE))
+        distance = self.code.index(f"mul nsw i64 {number}, {self.share}")
+        self._fetch(self.code.pointer(self.start, distance), -(-self.share // LINE))
 
     def _fetch(self, at: str, lines: int) -> None:
         for line in range(lines):
-            place = self.code.pointer(at, LINE * line)
+            pointer = self.code.pointer(at, LINE * line)
             hints = f"i32 {int(self.written)}, i32 2, i32 1"
-            self.code.do(f"call void @llvm.prefetch.p0(ptr {place}, {hints})")
+            self.code.do(f"call void @llvm.prefetch.p0(ptr {pointer}, {hints})")
 
 
 class Code:
@@ -342,10 +342,10 @@ class Code:
         self.block, mark, left = head, len(self.lines), "%" + self.fresh("i")
         last = self.index(f"sub nsw i64 {left}, 1")
         several = self.index(f"icmp sgt i64 {left}, 1")
-        again = self.index(f"and i1 {several}, {empty(last)}")
+        repeat = self.index(f"and i1 {several}, {empty(last)}")
         pairs = f"[ {count}, %{before} ], [ {last}, %{head} ]"
         self.lines.insert(mark, f"  {left} = phi i64 {pairs}")
-        self.do(f"br i1 {again}, label %{head}, label %{exit}")
+        self.do(f"br i1 {repeat}, label %{head}, label %{exit}")
         self.lines.append(f"{exit}:")
         self.block = exit
         return left

@@ -14,7 +14,7 @@ from ..emit.values import EmittedValues
 from ..program.program import Op, ProgramValue
 
 WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
-LONG = 64  # elements of a row that may be worth a look for zeros at its end
+LONG = 64  # elements of a row that is examined for zeros at its end
 ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; where there are 16 only
 
 
@@ -120,7 +120,7 @@ def tiled(
 ) -> None:
     """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows.
 
-    Where what differs between paths is `finite`, zeros at the end of long rows are left out.
+    Zeros at the end of long rows are left out where the factor of each path is `finite`.
     """
     batch, rows, columns, depth = sizes
     order = (rows * columns, columns, 1)
@@ -130,12 +130,12 @@ def tiled(
     lanes = max(left[0].lanes, right[0].lanes)
     short = finite and left[0].lanes < lanes and depth >= LONG and [s for _, s in left[3]] == [1]
     zero = code.constant(0, out.dtype, lanes)
-    each = depth // _unrolled(depth)
+    length = depth // _unrolled(depth)
     for first, count, height in even_tiles(rows, _tallest(code, out)):
-        before = code.ahead.take(batch * count * columns * each) if code.ahead else 0
+        before = code.ahead.take(batch * count * columns * length) if code.ahead else 0
         with counted(code, batch) as n, counted(code, count) as i, counted(code, columns) as j:
             row = _plus(code, _times(code, i, height), first)
-            start = _times(code, _flat(code, (n, i, j), (count * columns, columns, 1)), each)
+            start = _times(code, _flat(code, (n, i, j), (count * columns, columns, 1)), length)
             start = _plus(code, start, before)
             tile = (n, row, j), depth, [zero] * height, start
             totals = _tile(code, left, right, *tile, short)
@@ -201,9 +201,9 @@ def _zero(code: Code, rows: list[ArrayPlace], number: str, unrolled: int, axes) 
     kind = f"uint{8 * rows[0].dtype.itemsize}"
     start, bits = _times(code, number, unrolled), None
     for row in rows:
-        place = _at(code, row, [(start, axes)])
-        at = code.pointer(place.base, place.offset)
-        x = code.load(at, kind, unrolled, align=row.dtype.itemsize)
+        location = _at(code, row, [(start, axes)])
+        pointer = code.pointer(location.base, location.offset)
+        x = code.load(pointer, kind, unrolled, align=row.dtype.itemsize)
         bits = x if bits is None else code.op("or", bits, x)
     assert bits is not None
     size = code.op("shl", bits, code.constant(1, kind, unrolled))  # without the sign
