@@ -180,7 +180,7 @@ def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
     code, size = s.code, value.size // max(before, 1)
     steps = max(before, 1) if s.initial else ahead(size)
     rows = steps * size + SPARE
-    # Pairs of normals are written: an odd number would overwrite what follows its home.
+    # Pairs of normals are written: an odd number would overwrite the field after its home.
     home = values.homes.get(value) if steps == 1 and not (s.initial or size % 2) else None
     out = home or values.workspace.allocate((rows,), value.dtype, code.lanes)
     integers = values.workspace.allocate((rows,), np.uint32, code.lanes)
