@@ -186,14 +186,11 @@ class Engine(abc.ABC):
         """Converts float64 results to NumPy arrays: outside `numbers` JAX would truncate them."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
-    def bind(
-        self, problem: Problem, *, controls: bool = True, simplest: bool = True
-    ) -> "BoundEngine":
+    def bind(self, problem: Problem, *, controls=True, simplest=True) -> "BoundEngine":
         """This engine bound to the simulator and the schedule of a problem.
 
         `controls`: whether outputs that are only control variates are computed too. `simplest`:
-        whether a policy is replaced by its `simplest` one where it has no derivative; in training
-        all policies have one form, and so one program.
+        whether policies are valued as their `simplest` ones; in training all have one form.
         """
         simulator = problem.simulator.on_paths()
         if not controls:
