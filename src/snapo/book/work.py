@@ -34,10 +34,11 @@ from snapo.problem.smooth import EXACT
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.sensitivity import sensitivities
+from snapo.solver.solution import Solution
 from snapo.study import initial_policy
 from snapo.study.assign import assigned, key_as_in
 from snapo.study.chapters.profile import leaves
-from snapo.study.domain import Domain, Options, find
+from snapo.study.domain import Domain, Options, RunsCode, find
 from snapo.study.kind import with_other_numbers
 from snapo.study.positions import InputPositions
 from snapo.study.positions.files import read_files
@@ -191,7 +192,7 @@ class _Decided:
         if policy is not None:
             base = self._valued(self.setup, policy, {}, order.tasks.deltas != "none")
         else:
-            solution = self.setup.solve(bar=False)
+            solution = self._solved(self.setup)
             assert solution.policy is not None
             policy = solution.policy
             deltas = () if order.tasks.deltas == "none" else Delta.of_table(solution.sensitivities)
@@ -200,6 +201,10 @@ class _Decided:
             base = base._replace(exposure=tuple(self._exposure(policy)))
         points = (base, *self._stressed(policy))
         return OrderAnswer(points, _file(policy), *labels)
+
+    def _solved(self, setup: Setup) -> Solution:
+        """The contract trained and valued; a user's simulator is checked before."""
+        return setup.solve(bar=False, check=isinstance(self.contract.domain, RunsCode))
 
     def _adopted(self) -> Policy | None:
         """The policy with the trained numbers of a similar contract; None where there is none, or
@@ -227,7 +232,7 @@ class _Decided:
         if policy is not None:
             check_held(self.setup.policy, setup.policy)
             return self._valued(setup, policy, changes, self.order.tasks.deltas == "all")
-        solution = (setup if self.order.judged else _held_alone(setup)).solve(bar=False)
+        solution = self._solved(setup if self.order.judged else _held_alone(setup))
         deltas = Delta.of_table(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
         return self._point(setup, solution.totals, changes, deltas)
 

@@ -87,9 +87,9 @@ def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Pr
     """The problem with the unit values that its policy starts from, and with a control variate
     where its prices have no other risks than its factors'. `before`: of other inputs."""
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
-    apart, searched = np.zeros(len(layout.levels)), None
+    apart, like = np.zeros(len(layout.levels)), None
     if before is not None:
-        apart, searched = before.steps.rows.spacing.max(axis=0), before.steps.units is not None
+        apart, like = before.steps.rows.spacing.max(axis=0), before.steps
     values = _value_functions(problem, apart)
     if values is None:
         return problem
@@ -97,9 +97,9 @@ def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Pr
         other = without_trades(problem, scheduled=True)
         scheduled = _value_functions(other, apart)
         assert scheduled is not None  # its prices have the same factors
-        table = guide_tables(layout, other.schedule, *scheduled, searched).unit_values
+        table = guide_tables(layout, other.schedule, *scheduled, like).unit_values
         simulator = replace(simulator, scheduled_values=table)
-    tables = guide_tables(layout, problem.schedule, *values, searched)
+    tables = guide_tables(layout, problem.schedule, *values, like)
     simulator = replace(simulator, **tables._asdict())
     return replace(problem, simulator=simulator)
 

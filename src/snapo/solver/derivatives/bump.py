@@ -25,7 +25,7 @@ from snapo.problem.scenarios import BLOCKS
 from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
 from ..statistics import Estimate
-from .rebuilt import on_line, problems_at, rebuilt_once
+from .rebuilt import forget, on_line, problems_at, rebuilt_once
 
 MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
@@ -277,11 +277,13 @@ class _Bumper:
         at_values: Callable[[dict[str, Any]], Problem] | None = None,
         mirrored: bool = False,
         more: list[Problem] | None = None,
+        final: bool = False,
     ) -> Reaction:
         """Both bumps on the first `count` blocks.
 
         `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `on_line`.
         `more`: the problem at more of the input, where it is known; it is taken from the list.
+        `final`: no other move of the input follows, so that its memory is free.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.inputs_by_name[name].value
@@ -290,6 +292,8 @@ class _Bumper:
         high = block_means(objective, self._totals(side, count), blocks)
         side = on_line(self.problem, side, {name: value - by}, -1.0) if mirrored else None
         side = side or at_values({name: value - by})
+        if final:
+            forget(at_values)
         low = block_means(objective, self._totals(side, count), blocks)
         size = sum(map(len, blocks))
         base = {name: total[:size] for name, total in self.centre.items()}
@@ -324,7 +328,8 @@ class _Bumper:
         if not self._two_sided(reaction):
             return reaction
         gap = abs(reaction.up - reaction.down)
-        half = self._moved(name, by / 2, reaction.held / 2, len(reaction.reaction))
+        held, count = reaction.held / 2, len(reaction.reaction)
+        half = self._moved(name, by / 2, held, count, final=True)
         left = abs(half.up - half.down)
         if left <= max(CORNER * gap, SIGNIFICANT * half.side_error):
             return reaction

@@ -37,6 +37,12 @@ def problems_at(problem: Problem) -> Callable[[dict[str, Any]], Problem]:
     return _RebuiltOnce(problem)
 
 
+def forget(at_values: Callable[[dict[str, Any]], Problem]) -> None:
+    """Frees the problem that `problems_at` remembers, where no other move of its input follows."""
+    if isinstance(at_values, _RebuiltOnce):
+        at_values.last = None
+
+
 class _RebuiltOnce:
     """The last input that was moved, by how much at first, and the problem there."""
 
@@ -54,6 +60,7 @@ class _RebuiltOnce:
             between = on_line(self.problem, other, values, share) if parallel else None
             if between is not None:
                 return between
+        self.last = None  # its memory is free before that of the next one is needed
         result = self.problem.at_values(values)
         self.last = name, move, result
         return result

@@ -127,6 +127,17 @@ class ContractLayout(NamedTuple):
         return tuple(m for m, mode in enumerate(before) if before.count(mode) > 1)
 
     @property
+    def signs(self) -> tuple[int, ...]:
+        """[levels] 1, or -1 for one that flows move against the first level that they move."""
+        signs = np.ones(len(self.levels), int)
+        for flow in self.flows:
+            touched = np.flatnonzero(flow.effects)
+            if len(touched) > 1:
+                first = signs[touched[0]] * np.sign(flow.effects[touched[0]])
+                signs[touched] = first * np.sign(np.array(flow.effects)[touched])
+        return tuple(map(int, signs))
+
+    @property
     def effects(self) -> np.ndarray:
         """[flows, levels]"""
         return np.array([flow.effects for flow in self.flows])

@@ -6,6 +6,7 @@ volume ends; without volatility, 0.1 to 0.7 % of the value would be lost. Where 
 longer than a row, the last row that gains is therefore searched for.
 """
 
+import functools
 import itertools
 import math
 from typing import NamedTuple, Self
@@ -15,6 +16,7 @@ from jaxtyping import Array
 
 from .tables import NEAR, UnitValues, along, nearest_row, row_number
 
+ROUND_OFF = 1e-3  # of a whole number
 SEGMENTS = 4  # of a volume; the gain of a unit is linear within each
 
 
@@ -36,7 +38,7 @@ class FlowRows(NamedTuple):
     """The rows along a flow from levels `start`, in the table of a step.
 
     `pair`: of a move and the flow, whose `effects` on the levels are not all zero; `banks`: so many
-    last levels are balances, between whose rows values are linear.
+    last levels are balances, between whose rows values are linear; `signs`: of the layout.
     """
 
     table: UnitValues
@@ -44,12 +46,16 @@ class FlowRows(NamedTuple):
     effects: tuple[float, ...]
     start: Array
     banks: int
+    signs: tuple[int, ...]
 
     def gains(self, forced: Array, free: Array, read: Array, unit: Array) -> VolumeGains:
         """The gains of the units of a `free` volume beyond a `forced` one. `read`: the functions of
         the prices; `unit`: earnings of a unit today."""
-        if self.table.units is not None and self.table.slopes.shape[1:-1]:
-            return self._searched(self.table.units[self.pair], forced, free, read, unit)
+        if self.table.slopes.shape[1:-1]:
+            if self.table.units is not None:
+                return self._searched(self.table.units[self.pair], forced, free, read, unit)
+            if self.table.pieces is not None:
+                return self._pieced(self.table.pieces[self.pair], forced, free, read, unit)
         positions = [forced + free * j / SEGMENTS for j in range(SEGMENTS + 1)]
         rows = [self._slope(x, x is positions[-1]) for x in positions]
         return VolumeGains.even([unit + jnp.sum(row * read) for row in rows])
@@ -101,6 +107,80 @@ class FlowRows(NamedTuple):
             above, below = jnp.where(more, gained, above), jnp.where(more, below, gained)
         divisor = jnp.where(length > 0, length, 1.0)
         positions = [jnp.clip((gaining + k - behind) / divisor, 0.0, 1.0) for k in (-1, 0, 1)]
+        return VolumeGains(
+            [(first, above), (above, above), (below, below), (below, last)], positions
+        )
+
+    def _pieced(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
+        """With these segments: the pieces before the last one that gains; that piece; the next
+        one; the pieces behind it. A piece is between two rows of any levels that the flow moves.
+
+        The value is linear on simplices along the flows (`methods/corners.py`): on a piece it
+        changes as on one of the edges of the cell of rows, which all are rows of the table. Levels
+        cross their rows in the order of their distances from them.
+        """
+        dims, flat = self._table
+        position = position_of(self.table, self._levels(forced))
+        touched = [i for i, effect in enumerate(self.effects) if effect]
+        turned = self.signs[touched[0]] * self.effects[touched[0]] < 0
+        signs = [-sign if turned else sign for sign in self.signs]
+        # A level that does not move changes its row where the moving one passes its share.
+        crossing = list(range(len(dims))) if len(touched) == 1 else touched
+        whole = [jnp.floor(x * sign + NEAR) for x, sign in zip(position, signs)]
+        shares = [jnp.maximum(x * sign - y, 0.0) for x, sign, y in zip(position, signs, whole)]
+        several = [self.table.rows.spacing[i] > 0 for i in range(len(dims))]
+        nearest = functools.reduce(
+            jnp.minimum, [jnp.where(several[i], 1 - shares[i], 1.0) for i in touched]
+        )
+        passed, distances = {}, {}
+        for i in crossing:
+            distance, between = 1 - shares[i], several[i]
+            if i not in touched:
+                distance = shares[i] - shares[touched[0]]
+                passed[i] = jnp.where(distance > 0, 0.0, 1.0)
+                distance = jnp.where(distance > 0, distance, distance + 1)
+                between = between & (shares[i] > NEAR)
+            distances[i] = jnp.where(between, distance, nearest)
+            if i in passed:
+                passed[i] = jnp.where(between, passed[i], jnp.inf)
+        ranks = {
+            i: sum((distances[j] < distances[i] - NEAR) * 1.0 for j in crossing if j != i)
+            for i in crossing
+        }
+        kinds, length = len(crossing), free / units[-1]
+        crossed = [jnp.maximum(jnp.ceil(length - NEAR - distances[i]), 0.0) for i in crossing]
+        count = 1 + functools.reduce(jnp.add, crossed)
+
+        def gain(piece: Array) -> Array:
+            times = {
+                i: jnp.floor((piece + kinds - 1 - rank) / kinds + ROUND_OFF)
+                for i, rank in ranks.items()
+            }
+            row = jnp.round(position)
+            for i in crossing:
+                further = times[i]
+                if i in passed:  # its row is the next one until it is passed
+                    since = passed[i] + times[i] - times[touched[0]]
+                    further = jnp.where(since > 0, 0.0, 1.0)
+                row = row.at[i].set((whole[i] + further) * signs[i])
+            return unit + jnp.sum(nearest_row(flat, self.pair, row, dims) * read)
+
+        def begin(piece: Array) -> Array:
+            before = jnp.floor((piece - 1) / kinds + ROUND_OFF)
+            rest = piece - 1 - kinds * before + ROUND_OFF
+            parts = [jnp.where(ranks[i] <= rest, distances[i], 0.0) for i in crossing]
+            return jnp.where(piece > 0, before + functools.reduce(jnp.maximum, parts), 0.0)
+
+        first, last = gain(jnp.zeros_like(count)), gain(count - 1)
+        gaining, above, below = jnp.zeros_like(count), first, first
+        for power in reversed(range(len(units))):
+            piece = jnp.minimum(gaining + (2**power - 1), count - 1)
+            gained = gain(piece)
+            more = gained > 0
+            gaining = jnp.where(more, piece + 1, gaining)
+            above, below = jnp.where(more, gained, above), jnp.where(more, below, gained)
+        divisor = jnp.where(length > 0, length, 1.0)
+        positions = [jnp.clip(begin(gaining + k) / divisor, 0.0, 1.0) for k in (-1, 0, 1)]
         return VolumeGains(
             [(first, above), (above, above), (below, below), (below, last)], positions
         )

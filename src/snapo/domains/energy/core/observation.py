@@ -80,7 +80,9 @@ def head(
                 volume = VolumeGains.even([unit] * (SEGMENTS + 1))
                 if unit_values is not None and any(effects):
                     pair = pairs.index((i, flow))
-                    of_flow = FlowRows(unit_values, pair, effects, start, layout.banks)
+                    of_flow = FlowRows(
+                        unit_values, pair, effects, start, layout.banks, layout.signs
+                    )
                     volume = of_flow.gains(room.forced[k], free_volume, read, unit)
                 if (i, flow) in pairs:
                     units.append(jnp.stack([jnp.stack(x) for x in volume.units]) / price)

@@ -1,28 +1,17 @@
 """Nodes around levels between them, and their weights."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from ..core.contract import ContractLayout
 
-
-def flow_signs(layout: ContractLayout) -> np.ndarray:
-    """[levels] 1, or -1 for a level that flows move against the first level that they move."""
-    signs = np.ones(len(layout.levels), int)
-    for flow in layout.flows:
-        touched = np.flatnonzero(flow.effects)
-        if len(touched) > 1:
-            first = signs[touched[0]] * np.sign(flow.effects[touched[0]])
-            signs[touched] = first * np.sign(np.array(flow.effects)[touched])
-    return signs
-
-
-def corners(nodes, levels: np.ndarray, signs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def corners(nodes, levels: np.ndarray, signs: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of nodes [corners, points] around levels [points, levels], and their weights.
 
     Cells are cut into simplices along the flows, so that a function between nodes is linear along
     every flow, and the best volumes lead to nodes.
     """
-    count, sizes = len(levels), [len(x) for x in nodes]
+    ahead, count, sizes = np.array(signs), len(levels), [len(x) for x in nodes]
     if not sizes:
         return np.zeros((1, count), int), np.ones((1, count))
     lefts, shares = [], []
@@ -38,7 +27,7 @@ def corners(nodes, levels: np.ndarray, signs: np.ndarray) -> tuple[np.ndarray, n
     ends = np.concatenate([np.ones((1, count)), sorted_shares, np.zeros((1, count))])
     rows, everyone = [corner.copy()], np.arange(count)
     for axis in order:
-        corner[axis, everyone] += signs[axis]
+        corner[axis, everyone] += ahead[axis]
         rows.append(corner.copy())
     inside = [np.clip(row, 0, highest) for row in rows]
     return np.stack([np.ravel_multi_index(tuple(x), sizes) for x in inside]), -np.diff(ends, axis=0)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.contract import ContractLayout
-from .corners import corners, flow_signs
+from .corners import corners
 from .idle import at_rest, extremes, idle_levels, with_idle, without
 from .measure import banked_widths, measures_of, node_widths
 from .settling import Settling, ranges_of_balances, settling
@@ -282,7 +282,7 @@ def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndar
 
 
 def _passages(layout: ContractLayout, terms, t: int, before, after, near: float):
-    signs, result = flow_signs(layout), []
+    signs, result = layout.signs, []
     for move in layout.every_move:
         passages: list[Passage] = []
         changes = np.array(move.changes)

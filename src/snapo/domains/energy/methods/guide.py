@@ -19,6 +19,7 @@ from .fitted import backwards
 from .grid import ContractGrid, StepGrid
 
 MOST_ROWS = 401  # of the value of a level
+NEAR = 1e-6  # of a unit: rounding makes no part of it
 FURTHER = 1.5  # rows: a volume no longer than that is of one row
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
@@ -36,17 +37,18 @@ def guide_tables(
     factors: GaussianFactors,
     basis: AnyBasis,
     grid: ContractGrid,
-    searched: bool | None = None,
+    like: UnitValues | None = None,
 ) -> GuideTables:
     """The tables of the fitted value of a schedule with NumPy leaves, which has a step.
 
-    `searched`: whether a policy searches for the last row that gains, by default where best volumes
-    end on rows. Where they end between nodes, a line through the gains of a few rows is better.
+    A policy searches for the last row that gains where best volumes end on rows, and elsewhere for
+    the last piece between rows; `like`: a table with the same search, whatever the grid.
     """
+    on_rows, pieces = grid.exact, not grid.exact
+    if like is not None:
+        on_rows, pieces = like.units is not None, like.pieces is not None
     largest = np.asarray(schedule.steps.terms.most)
-    units = _UnitRows(
-        layout, basis, grid, largest if searched or (searched is None and grid.exact) else None
-    )
+    units = _UnitRows(layout, basis, grid, largest if on_rows or pieces else None, pieces)
     surprises = _SurpriseRows(layout, basis, grid) if factors.exact else None
     later = np.zeros(0)
     for t, coefficients in backwards(layout, schedule, factors, grid):
@@ -61,8 +63,11 @@ def guide_tables(
 class _UnitRows:
     """The value of a unit of each volume after each step, and of each move."""
 
-    def __init__(self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, largest):
+    def __init__(
+        self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, largest, pieces: bool
+    ):
         self.layout, self.basis, self.grid, self.largest = layout, basis, grid, largest
+        self.pieces = pieces
         self.available, self.counts = regression_of(basis), _row_counts(layout, grid)
         horizon = len(grid.steps)
         self.low, self.spacing = np.zeros((2, horizon, len(layout.levels)))
@@ -97,7 +102,9 @@ class _UnitRows:
         reading = Reading(*(x[: len(self.low)] for x in self.basis.linear()))  # pyright: ignore
         moves = self.moves if self.layout.moves else None
         rows = LevelRows(self.low, self.spacing)  # pyright: ignore
-        table = UnitValues(rows, self.slopes, moves, reading, self._units())  # pyright: ignore
+        units = self._units()
+        units = (None, units) if self.pieces else (units, None)
+        table = UnitValues(rows, self.slopes, moves, reading, *units)  # pyright: ignore
         return UnitValueTable(table)
 
     def _units(self) -> np.ndarray | None:
@@ -105,7 +112,8 @@ class _UnitRows:
         longer, or where the rows of levels that a flow joins are of different volumes."""
         if self.largest is None:
             return None
-        result, longest = np.ones((len(self.low), len(self.layout.pairs))), 0.0
+        result = np.ones((len(self.low), len(self.layout.pairs)))
+        longest, crossings = 0.0, 0
         for k, (_, f) in enumerate(self.layout.pairs):
             effects = np.abs(self.layout.flows[f].effects)
             touched = np.flatnonzero(effects)
@@ -113,11 +121,15 @@ class _UnitRows:
             smallest = np.where(rows > 0, rows, np.inf).min(axis=1, initial=np.inf)
             if np.any(rows > (1 + 1e-6) * smallest[:, None]):
                 return None
+            several = 1
+            if self.pieces:  # see `FlowRows`
+                several = len(touched) if len(touched) > 1 else len(effects)
             longest = max(longest, float(np.max(self.largest[:, f] / smallest, initial=0.0)))
+            crossings = max(crossings, several * math.ceil(longest))
             result[:, k] = np.where(np.isfinite(smallest), smallest, 1.0)
         if longest <= FURTHER:
             return None
-        searches = (math.ceil(longest) + 1).bit_length()  # a volume begins and ends within rows
+        searches = (crossings + 1).bit_length()  # a volume begins and ends within rows
         return np.repeat(result[:, :, None], searches, axis=2)
 
     def _after(self, t: int, later: np.ndarray) -> np.ndarray:
@@ -212,6 +224,9 @@ def _lattice(nodes: np.ndarray) -> tuple[float, float]:
     inner = gaps[1:-1] if len(gaps) > 2 else gaps[-1:]
     width, even = float(inner.max()), np.ptp(inner) < 1e-6 * inner[0]
     if even and np.all(gaps < (1 + 1e-6) * width):
+        inner = nodes[1] / width
+        if len(nodes) > 2 and abs(inner - round(inner)) > 1e-6:  # not multiples of the width
+            return float(nodes[1] - np.ceil(gaps[0] / width - 1e-6) * width), width
         return float(np.floor(nodes[0] / width + 1e-6) * width), width
     return float(nodes[0]), float(gaps.min())
 
@@ -252,7 +267,28 @@ def _slope(layout: ContractLayout, step: StepGrid, rows, spacing, f: int) -> spa
     share = np.minimum(share, 1.0)[:, None]
     first, last = first - share * unit * effects, last - share * unit * effects
     first, last = np.clip(first, low, high), np.clip(last, low, high)
-    return (_between(step.after, last) - _between(step.after, first)) / unit
+    # A unit that only partly lies between the limits has the slope of that part.
+    begin, end = _inside(rows, unit * effects, low, high)
+    part = end - begin
+    partial = (part > NEAR) & (part < 1 - NEAR)
+    if partial.any():
+        ends = (rows[partial] + x[partial, None] * unit * effects for x in (begin, end))
+        first[partial], last[partial] = (np.clip(x, low, high) for x in ends)
+    slopes = (_between(step.after, last) - _between(step.after, first)) / unit
+    if not partial.any():
+        return slopes
+    return sparse.csr_array(sparse.diags_array(1 / np.where(partial, part, 1.0)) @ slopes)
+
+
+def _inside(rows: np.ndarray, change: np.ndarray, low, high) -> tuple[np.ndarray, np.ndarray]:
+    """[n] the first and the last share of a change of the levels from these rows that lies between
+    the limits; the last is below the first where none does."""
+    begin, end = np.zeros(len(rows)), np.ones(len(rows))
+    for x, step, least, most in zip(rows.T, change, low, high):
+        if step:
+            sides = np.sort([(least - x) / step, (most - x) / step], axis=0)
+            begin, end = np.maximum(begin, sides[0]), np.minimum(end, sides[1])
+    return begin, end
 
 
 def _between(nodes, points: np.ndarray) -> sparse.csr_array:

@@ -18,7 +18,7 @@ from ..core.contract import StepPrices
 from ..core.intraday import GAIN
 from ..core.simulator import simulator_of
 from ..setup import fitted_value, price_schedule
-from .corners import corners, flow_signs
+from .corners import corners
 from .grid import arrived, best, grid_of
 
 BLOCK = 128  # paths at once
@@ -76,7 +76,7 @@ class EnergyRelaxation:
         for nodes, table, moved, level, now in zip(
             self.grid.nodes, self.fitted.coefficients, innovations, levels, mode
         ):
-            rows, weights = corners(nodes, level, flow_signs(self.layout))
+            rows, weights = corners(nodes, level, self.layout.signs)
             for row, weight in zip(rows, weights):
                 total += weight * np.einsum("pk,kp->p", table[now, row], moved)
         return total
