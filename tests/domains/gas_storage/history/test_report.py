@@ -94,12 +94,14 @@ def test_months_add_up(whole):
     )
 
 
+@pytest.mark.prove
 def test_an_improbable_history_and_a_better_classical_method_are_named():
     text = texts(result_of(share=0.999, rolling=500.0))
     assert "✗ outside the range of 95 % of drawn histories" in text
     assert "✗ rolling intrinsic brought EUR 110.000 more" in text
 
 
+@pytest.mark.prove
 def test_without_curves_and_hedges_nothing_is_empty():
     result = result_of(rolling=None, hedges=(), hedge_days=(), positions=())
     plain = result_of(count=1, rolling=None, hedges=(), hedge_days=(), positions=(),
