@@ -95,10 +95,10 @@ class Network(eqx.Module):
         return self.weights[-1] @ x + self.biases[-1]
 
 
-AnyPolicy = TypeVar("AnyPolicy", bound=Policy)
+NetworkPolicy = TypeVar("NetworkPolicy", bound=Policy)
 
 
-def with_idle_network(policy: AnyPolicy) -> AnyPolicy:
+def with_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
     """The policy whose `network` adds nothing: its last layer is zero."""
 
     def last(policy: Any):
@@ -107,7 +107,7 @@ def with_idle_network(policy: AnyPolicy) -> AnyPolicy:
     return eqx.tree_at(last, policy, tuple(jnp.zeros_like(item) for item in last(policy)))
 
 
-def without_idle_network(policy: AnyPolicy) -> AnyPolicy:
+def without_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
     """The policy with None in place of a `network` whose last layer is zero, as its outputs are."""
     network = getattr(policy, "network")  # noqa: B009, of kinds of policies that have one
     if network is None or np.any(network.weights[-1]) or np.any(network.biases[-1]):
