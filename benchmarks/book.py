@@ -164,10 +164,10 @@ def shapes() -> list[str]:
 
 def idle(order: bytes, seconds: float = 0.25) -> bytes:
     """Works so long, and answers with an answer's size."""
-    ended, begun = time.perf_counter() + seconds, time.perf_counter()
+    ended, started = time.perf_counter() + seconds, time.perf_counter()
     while time.perf_counter() < ended:
         pass
-    return json.dumps([begun, time.perf_counter(), os.getpid()]).encode() + b" " * 100_000
+    return json.dumps([started, time.perf_counter(), os.getpid()]).encode() + b" " * 100_000
 
 
 def overhead(count: int = 200) -> list[str]:

@@ -24,7 +24,7 @@ print("took", time.perf_counter() - started, used.ru_utime + used.ru_stime)
 """
 
 
-def begun(root: Path, folder: str) -> subprocess.Popen[str]:
+def started(root: Path, folder: str) -> subprocess.Popen[str]:
     """The case made in an empty folder, and its solution on the way."""
     environment = os.environ | {"PYTHONPATH": str(root / "src"), "XDG_CACHE_HOME": folder}
     child = [sys.executable, "-c", CHILD]
@@ -49,7 +49,7 @@ def main() -> None:
     ratios = []
     for _ in range(times):
         with TemporaryDirectory() as here, TemporaryDirectory() as there:
-            ours, theirs = map(ended, [begun(HERE, here), begun(other, there)])
+            ours, theirs = map(ended, [started(HERE, here), started(other, there)])
         ratios.append((ours[0] / theirs[0], ours[1] / theirs[1]))
         print(f"here {ours[0]:.1f} s (processor {ours[1]:.1f}), there {theirs[0]:.1f} "
               f"({theirs[1]:.1f}): {ratios[-1][0]:.3f} ({ratios[-1][1]:.3f})")  # fmt: skip

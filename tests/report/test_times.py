@@ -12,7 +12,7 @@ from tests.domains.energy.energy_cases import battery
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.explain.runs import ValuedRun
 from snapo.live.open import AboutRun
-from snapo.report.drawing import clock_of, times_of
+from snapo.report.drawing import local_times_of, times_of
 from snapo.report.evidence import check_marks
 from snapo.report.folder import RunFiles, RunResult
 from snapo.report.page import Chart, Mark
@@ -34,18 +34,18 @@ def hours(first, count):
 def test_local_times_over_a_change_of_the_clocks(first, pieces):
     """A week with 23 or 25 hours in a day: the labels of the curve themselves, from two numbers."""
     labels = hours(first, 168)
-    clock = clock_of(labels, 24)
-    assert len(clock) == pieces
-    assert [f"{x:%Y-%m-%dT%H:%M}" for x in times_of(clock, 24, 168)] == labels
-    assert len(times_of(clock, 24, 169)) == 169 and len(times_of(clock, 24, 5)) == 5
+    marks = local_times_of(labels, 24)
+    assert len(marks) == pieces
+    assert [f"{x:%Y-%m-%dT%H:%M}" for x in times_of(marks, 24, 168)] == labels
+    assert len(times_of(marks, 24, 169)) == 169 and len(times_of(marks, 24, 5)) == 5
 
 
 def test_days():
     days = [f"2026-02-{n:02}" for n in range(20, 29)]
-    clock = clock_of(days, 1)
-    assert clock == [(0, "2026-02-20")]
-    assert [f"{x:%Y-%m-%d}" for x in times_of(clock, 1, 10)] == [*days, "2026-03-01"]
-    about = AboutRun(step="hour", clock=[(0, "2026-05-04T22:00")], horizon=3)
+    marks = local_times_of(days, 1)
+    assert marks == [(0, "2026-02-20")]
+    assert [f"{x:%Y-%m-%d}" for x in times_of(marks, 1, 10)] == [*days, "2026-03-01"]
+    about = AboutRun(step="hour", local_times=[(0, "2026-05-04T22:00")], horizon=3)
     assert about.times == ["2026-05-04 22:00", "2026-05-04 23:00", "2026-05-05 00:00"]
 
 
@@ -56,7 +56,11 @@ def test_a_chart_by_the_hour_has_dates(count, expected):
     """Its axis counted hours from 0."""
     rng = np.random.default_rng(1)
     series = BandSeries("charge", "outputs", "MWh", **bands(rng.normal(size=(count, 50))))
-    details = {"clock": [(0, "2026-05-04T00:00")], "step": "hour", "names": {"charge": "Charge"}}
+    details = {
+        "local_times": [(0, "2026-05-04T00:00")],
+        "step": "hour",
+        "names": {"charge": "Charge"},
+    }
     run = RunFiles(RunResult(), details, {}, (), {}, {})
     chart, *_ = show(run, BandProfile((series,), 50))
     assert isinstance(chart, Chart)
@@ -78,8 +82,8 @@ def test_failed_checks_are_named():
 def test_the_times_of_a_battery_are_those_of_its_curve():
     case = battery()
     labels = case.market.forward_curve.labels
-    clock = clock_of(labels, 24)
-    assert [f"{x:%Y-%m-%dT%H:%M}" for x in times_of(clock, 24, len(labels))] == list(labels)
+    marks = local_times_of(labels, 24)
+    assert [f"{x:%Y-%m-%dT%H:%M}" for x in times_of(marks, 24, len(labels))] == list(labels)
 
 
 def test_an_auction_is_not_of_days():

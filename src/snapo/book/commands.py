@@ -262,7 +262,7 @@ def _check_stresses(contract: OrderContract, stresses: Sequence[BookStress]) -> 
 
 
 def _locate(error: CaseError, book: Book, contract: BookContract, folder: str) -> None:
-    """Names the file of the user with the mistake in place of the worker's copy of it."""
+    """Names the file of the user with the mistake instead of the worker's copy of it."""
     origin, key = contract.origin, error.where
     if origin is None or error.file in {stress.file for stress in book.stresses}:
         return

@@ -30,16 +30,16 @@ class AboutRun(NamedTuple):
     days: list[str] | None = None
     step: Any = None
     headline: str = ""
-    clock: Sequence[tuple[int, str]] = ()
+    local_times: Sequence[tuple[int, str]] = ()
     horizon: int = 0
 
     @property
     def times(self) -> list[str] | None:
         """The days of the steps, or the hours; None where they have only numbers."""
-        if not self.clock:
+        if not self.local_times:
             return self.days
         hourly = self.step == "hour"
-        times = times_of(self.clock, 24 if hourly else 1, self.horizon)
+        times = times_of(self.local_times, 24 if hourly else 1, self.horizon)
         return [f"{x:%Y-%m-%d %H:%M}" if hourly else f"{x:%Y-%m-%d}" for x in times]
 
 

@@ -80,7 +80,7 @@ def days(values: Sequence[str]) -> np.ndarray:
     return np.array([mdates.date2num(datetime.date.fromisoformat(day)) for day in values])
 
 
-def clock_of(labels: Sequence[str], steps_a_day: int) -> list[tuple[int, str]]:
+def local_times_of(labels: Sequence[str], steps_a_day: int) -> list[tuple[int, str]]:
     """(number, local time) of the steps, ISO 8601, whose time does not follow from the step before:
     the first, and those after a change of the clocks."""
     times = np.array(labels, "datetime64[h]").astype(np.int64)
@@ -89,11 +89,11 @@ def clock_of(labels: Sequence[str], steps_a_day: int) -> list[tuple[int, str]]:
 
 
 def times_of(
-    clock: Sequence[tuple[int, str]], steps_a_day: int, count: int
+    local_times: Sequence[tuple[int, str]], steps_a_day: int, count: int
 ) -> list[datetime.datetime]:
-    """The local times of `count` steps; `clock`: see `clock_of`."""
+    """The local times of `count` steps; `local_times`: see `local_times_of`."""
     step, times = datetime.timedelta(days=1) / steps_a_day, list[datetime.datetime]()
-    for (first, text), (after, _) in zip(clock, [*clock[1:], (count, "")]):
+    for (first, text), (after, _) in zip(local_times, [*local_times[1:], (count, "")]):
         start = datetime.datetime.fromisoformat(text)
         times += [start + n * step for n in range(min(after, count) - first)]
     return times

@@ -61,10 +61,10 @@ class RunOrigin(NamedTuple):
 
 
 class StepTimes(NamedTuple):
-    """The times of the steps in `about`: `clock` as of `clock_of`, and the `step`, "day" or "hour";
+    """The times of the steps in `about`: `local_times` as of `local_times_of`, and the `step`, "day" or "hour";
     empty where steps have only numbers."""
 
-    clock: Sequence[tuple[int, str]] = ()
+    local_times: Sequence[tuple[int, str]] = ()
     step: str = ""
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.problem import Problem
-from snapo.report.drawing import clock_of
+from snapo.report.drawing import local_times_of
 from snapo.report.quantity import readable
 from snapo.study.chapters.bound import BOUND
 from snapo.study.chapters.certificate import CERTIFICATE
@@ -101,7 +101,7 @@ def _about(case: EnergyCase) -> dict[str, Any]:
         "valuation_date": case.valuation_date.isoformat(),
         "start": case.days[0].isoformat(),
         "step": "hour" if hourly else "day",
-        "clock": clock_of(times, 24 if hourly else 1),
+        "local_times": local_times_of(times, 24 if hourly else 1),
         "horizon": len(case.days),
         "model": case.model.describe(),
         "objective": f"{case.objective.kind} of the discounted cash flow",

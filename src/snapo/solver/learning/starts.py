@@ -87,8 +87,8 @@ def imitate(
 ) -> Imitation:
     """Trains a policy to imitate `rule` in the states that the rule visits.
 
-        begun = snapo.imitate(problem, snapo.BaseStock(12.0))
-        solution = snapo.solve(problem, policy=begun.policy)
+        imitated = snapo.imitate(problem, snapo.BaseStock(12.0))
+        solution = snapo.solve(problem, policy=imitated.policy)
 
     **Arguments:**
 

@@ -195,9 +195,9 @@ def _fan(run: RunFiles, anchor: str, series: BandSeries, step: str, paths: str) 
     if "mean" not in lines:
         return Text(f"{name} is finite on no path.", caveat=True)
     when, times, dates = np.arange(float(len(lines["mean"]))), run.step_times, ""
-    if times.clock and (times.step == "day" or times.step == "hour"):
+    if times.local_times and (times.step == "day" or times.step == "hour"):
         steps_a_day, dates = 24 if times.step == "hour" else 1, times.step
-        when = date_numbers(times_of(times.clock, steps_a_day, len(when)))
+        when = date_numbers(times_of(times.local_times, steps_a_day, len(when)))
     alt = f"{name} over {len(when)} {step}s: mean, median and bands of quantiles of {paths} paths."
     label = with_unit(name, series.unit)
     svg = draw(

@@ -295,9 +295,9 @@ class EnergySimulator(PricedSimulator):
         result = {}
         for i, level in enumerate(self.layout.levels):
             low, high = now.intervals.next_low[i], now.intervals.next_high[i]
-            kept = jnp.where(now.terms.restarts[i], 0.0, 1.0)
-            result[f"least {level.name}"] = jnp.where(kept > 0, state.levels[i] - low, 0.0)
-            result[f"most {level.name}"] = jnp.where(kept > 0, high - state.levels[i], 0.0)
+            share = jnp.where(now.terms.restarts[i], 0.0, 1.0)
+            result[f"least {level.name}"] = jnp.where(share > 0, state.levels[i] - low, 0.0)
+            result[f"most {level.name}"] = jnp.where(share > 0, high - state.levels[i], 0.0)
         if now.terms.promises is not None:
             promises, restarts = now.terms.promises, jnp.any(now.terms.restarts)
             minimum = promises.minimum @ state.mode

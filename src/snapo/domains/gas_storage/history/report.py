@@ -353,12 +353,12 @@ def _estimates(result: StoreBacktest) -> Section:
         Column("95 % interval", "interval"),
         Column("Why the model before was kept", "reason"),
     ]
-    kept = [x for x in result.estimates if x.reason and not x.parameters]
+    unchanged = [x for x in result.estimates if x.reason and not x.parameters]
     blocks: list[Block] = []
     if rows:
         caption = "The model, estimated again from the prices until each date"
         blocks.append(table(rows, columns, caption, by_row=True, folded=_folded(len(rows))))
-    blocks += [Text(f"{_day(x.date)}: the model before is kept: {x.reason}.") for x in kept]
+    blocks += [Text(f"{_day(x.date)}: the model before is kept: {x.reason}.") for x in unchanged]
     return Section("estimates", "Estimates of the model", "Model", blocks)
 
 
