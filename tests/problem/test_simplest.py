@@ -31,7 +31,9 @@ def test_the_bits_of_paths_are_those_with_the_network(kind, tmp_path):
     draws = problem.sources.evaluation.draws(np.arange(64), problem.simulator)
     for smooth in (Exact(), Smooth(0.01)):
         one, other = (
-            engine.bind(problem, simplest=simplest).values(policy, draws, smooth, record=("action",))
+            engine.bind(problem, simplest=simplest).values(
+                policy, draws, smooth, record=("action",)
+            )
             for simplest in (True, False)
         )
         for name, total in one.totals.items():
