@@ -5,6 +5,7 @@ are valued with them. They are rebuilt at one move of each input; at other moves
 they are on the line through both, if they lie on it.
 """
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -97,7 +98,7 @@ def _on_line(x: np.ndarray, y: np.ndarray, share: float) -> np.ndarray:
     if not x.ndim:
         return np.asarray(result + share * y)
     edges = np.linspace(0, len(x), PARTS + 1).astype(int)
-    for first, last in zip(edges[:-1], edges[1:]):
+    for first, last in itertools.pairwise(edges):
         result[first:last] += share * y[first:last]
     return result
 
