@@ -124,7 +124,10 @@ def test_stresses_and_tables_are_read(tmp_path):
 
 WRONG = {
     "no stress of this kind": ('[[stress]]\nname = "x"\n', "scale, shift or set"),
-    "two of a name": ('[[stress]]\nname = "x"\nscale = { "a.b" = 2 }\n' * 2, "two have this name"),
+    "two of a name": (
+        '[[stress]]\nname = "x"\nscale = { "a.b" = 2 }\n' * 2,
+        "two stresses have this name",
+    ),
     "a period": (
         '[[stress]]\nname = "x"\nscale = { "a.b" = 2 }\nwhen = "2025"\n',
         "two months or days",
@@ -135,7 +138,10 @@ WRONG = {
     ),
     "no such key": ("[tasks]\npolicy = 3\n", "tasks.policy"),
     "no such table": ('[[stress]]\ntable = "none.csv"\n', "none.csv"),
-    "base": ('[[stress]]\nname = "base"\nscale = { "a.b" = 2 }\n', "two have this name"),
+    "base": (
+        '[[stress]]\nname = "base"\nscale = { "a.b" = 2 }\n',
+        "this is the name of the unstressed",
+    ),
 }
 
 

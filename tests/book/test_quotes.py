@@ -10,9 +10,9 @@ from tests.book.books import SHORT
 from tests.domains.energy.energy_cases import HOME, tables_at
 from tests.miniatures import thirty_days
 
-from snapo.book.file import StressMove, read_book
+from snapo.book.file import read_book
 from snapo.book.order import BookOrder, OrderAnswer, opened
-from snapo.book.stress import moved_numbers
+from snapo.book.stress import StressMove, moved_numbers
 from snapo.book.work import answer
 from snapo.case.error import CaseError
 from snapo.case.load import load

@@ -275,6 +275,30 @@ def test_nothing_is_cut_at_any_width(page, width, scheme):
     assert re.findall(test_looks.RAW, page.inner_text("main")) == []
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_state_of_the_page_can_be_read(page, scheme):
+    """Numbers to first order, a mistake in a field, a revalued change, and a saved scenario; texts that are
+    dimmed have a contrast of 4.5 too."""
+    page.emulate_media(color_scheme=scheme)
+    page.locator("[data-input=forward_curve] .handle").first.focus()
+    page.keyboard.press("PageUp")
+    for width in (1440, 390):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate(test_looks.PALE) == []
+    settled(page)
+    assert page.evaluate(test_looks.PALE) == []
+    page.locator("details.group", has=page.locator("[data-input=inventory]")).evaluate(
+        "each => (each.open = true)"
+    )
+    field = page.locator("[data-input=inventory] input[type=text]")
+    field.fill("many")
+    field.press("Enter")
+    assert page.evaluate(test_looks.PALE) == []
+    page.set_viewport_size({"width": 1440, "height": 900})
+    assert page.evaluate(test_looks.PALE) == []
+    home(page)
+
+
 def test_texts_between_numbers_stand_to_the_left(page):
     page.locator("#today-more summary").click()
     cell = page.locator("#today-table td.text").first

@@ -101,7 +101,7 @@ def dimmed(page):
     for card in found.all():
         assert card.locator(".reason").inner_text().startswith(REASON)
         pale = card.locator(":scope > :not(.reason):not(dl)").first
-        assert float(pale.evaluate("each => getComputedStyle(each).opacity")) < 0.5
+        assert pale.evaluate("each => getComputedStyle(each).filter") == "grayscale(1)"
     return {card.get_attribute("id") or card.locator("h2").inner_text() for card in found.all()}
 
 

@@ -4,11 +4,11 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from tests.miniatures import MINIATURES
 
 from snapo.engine import Native
 from snapo.problem.smooth import Exact, Smooth
 from snapo.study.domain import Options, load
-from tests.miniatures import MINIATURES
 
 KINDS = (
     "gas-storage",

@@ -33,7 +33,8 @@ def test_a_domain_is_found_by_its_kind(fake):
 
 def test_an_unknown_kind_names_the_nearest(fake):
     expected = (
-        "case.toml, kind: got 'fakes'; allowed is one of \"fake\"; the nearest known kind is "
+        'case.toml, kind: got \'fakes\'; allowed is one of "fake", or "book" in a file for '
+        "snapo book; the nearest known kind is "
     )
     assert message("fakes", "case.toml").startswith(expected + "fake")
     assert 'this key is missing; it is one of "fake"' in message(None, "case.toml")
@@ -62,4 +63,4 @@ def test_two_packages_with_the_same_kind(monkeypatch):
     twice = [EntryPoint("fake", value, domains.GROUP) for value in ("one:A", "two:B")]
     monkeypatch.setattr(domains, "entry_points", lambda group: twice)
     domains.installed.cache_clear()
-    assert "two packages bring this kind: one:A and two:B" in message("fake", "case.toml")
+    assert "two packages provide this kind: one:A and two:B" in message("fake", "case.toml")

@@ -1,14 +1,15 @@
 """The commands of a book: value it, check it, report it, query it."""
 
-import json
 import math
 import re
+import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from snapo.case.csv import Row
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.case.table import parse
@@ -22,20 +23,21 @@ from snapo.study.study import ProgressCallback
 from .axes import RANGE, read_design
 from .executors import worker_pools
 from .file import (
+    SHARED,
     Book,
     BookContract,
-    BookStress,
     RunTable,
-    StressMove,
     TasksTable,
     along,
     contents,
     read_book,
 )
-from .folder import POINTS, REPORT, RESULT, BookFolder
+from .folder import POINTS, REPORT, BookFolder
 from .parquet import query as query
 from .plan import BookPlan
 from .run import Shard, run_book
+from .stress import BookStress, StressMove
+from .work import OrderContract, valuation
 
 # Processor seconds of the gas storage template (AMD EPYC, AVX-512): `python -m benchmarks.book
 # shapes`. A new shape costs so much more than a further contract.
@@ -193,9 +195,14 @@ def _read_at(
 
 
 def check(path: Path) -> list[str]:
-    """A book in a few lines: contracts, orders, shapes, and expected processor time."""
+    """A book in a few lines: contracts, orders, shapes, and expected processor time.
+
+    **Raises:** `CaseError` for every mistake in the book, in its contracts, and in its stresses of
+    the first contract of each template and market.
+    """
     book = read_book(path)
     plan = BookPlan(book)
+    _check_contracts(plan)
     stresses, distinct = len(book.stresses), sum(map(len, plan.similar.values()))
     judged, shapes = len(plan.judged), len(plan.similar)
     trainings = 1 + stresses if book.tasks.policy == "stress" else 1
@@ -218,6 +225,67 @@ def check(path: Path) -> list[str]:
     ]
 
 
+MAX_MISTAKES = 10  # that are named in one message
+
+
+def _check_contracts(plan: BookPlan) -> None:
+    """Reads every contract as a worker does."""
+    mistakes, stressed = dict[tuple[str, str], CaseError](), set[Any]()
+    for contract, order in plan.distinct:
+        with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
+            origin = contract.origin
+            try:
+                read = OrderContract(order, Path(folder))
+                if plan.book.stresses and (key := origin and (origin.case, origin.market)):
+                    if key not in stressed:
+                        _check_stresses(read, plan.book.stresses)
+                    stressed.add(key)
+            except CaseError as error:
+                for item in (error, *error.others):
+                    _locate(item, plan.book, contract, folder)
+                    mistakes.setdefault((item.file, item.where), item)
+        if len(mistakes) >= MAX_MISTAKES:
+            break
+    if mistakes:
+        first, *others = mistakes.values()
+        raise CaseError(first.file, first.where, first.value, first.allowed, others)
+
+
+def _check_stresses(contract: OrderContract, stresses: Sequence[BookStress]) -> None:
+    inputs = valuation(contract).inputs
+    for stress in stresses:
+        try:
+            contract.under(stress.moves, inputs)
+        except CaseError as error:
+            where = ", ".join(part for part in (stress.where, error.where) if part)
+            raise CaseError(stress.file, where, error.value, error.allowed) from None
+
+
+def _locate(error: CaseError, book: Book, contract: BookContract, folder: str) -> None:
+    """Names the file of the user with the mistake in place of the worker's copy of it."""
+    origin, key = contract.origin, error.where
+    if origin is None or error.file in {stress.file for stress in book.stresses}:
+        return
+    market = origin.market
+    if error.file != str(Path(folder) / "case.toml"):  # a file that the case names
+        shared = market is not None and (market.parent / error.file).exists()
+        home = market.parent if market is not None and shared else origin.case.parent
+        error.file = str(home / error.file)
+    elif key in {axis.key for axis in book.axes}:
+        error.file, error.where = str(book.file), f"axis {key}"
+    elif origin.row is not None and (column := _column(origin.row, key)):
+        error.file, error.where = origin.row.file, f"line {origin.row.line}, column {column}"
+    else:
+        shared = market is not None and key.split(".")[0] in SHARED
+        error.file = str(market if shared else origin.case)
+
+
+def _column(row: Row, key: str) -> str:
+    """The column of a row that has a value for a key; "" where there is none."""
+    columns = (column for column, text in row.cells.items() if text)
+    return next((column for column in columns if column.casefold() == key.casefold()), "")
+
+
 def _duration(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:,.0f} s"
@@ -232,19 +300,7 @@ def report(path: Path) -> Path:
 
     folder = BookFolder(path)
     record = folder.record()
-    try:
-        result = json.loads((path / RESULT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        message = "this book has no results yet: snapo book BOOK --resume computes the rest"
-        raise CaseError(str(path / RESULT), "", None, message) from None
-    try:
-        chapters = page(result, record)
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
-        message = (
-            "this file was changed since it was written: snapo book BOOK --resume makes it again"
-        )
-        raise CaseError(str(path / RESULT), "", None, message) from None
-    write_text(path / REPORT, render(chapters))
+    write_text(path / REPORT, render(page(folder.result(), record)))
     return path / REPORT
 
 

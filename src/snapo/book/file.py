@@ -4,30 +4,30 @@ A contract is a case: a template with other values in a row of a table, or a fil
 the book has markets, they replace the tables `[market]` and `[model]` of their contracts.
 """
 
-import datetime
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
-from snapo.case.error import CaseError
+from snapo.case.error import CaseError, Unquoted
 from snapo.case.load import load
 from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
-from snapo.case.toml import one_value
-from snapo.study.assign import assigned
+from snapo.study.assign import assigned, key_as_in
 from snapo.study.domain import find
 from snapo.study.run_folder import case_files
 
-from .axes import MAX_POINTS, Axis, CaseKey, Design, read_design
+from .axes import MAX_POINTS, Axis, Design, read_design
+from .stress import BookStress, read_stresses
 
 BASE = "base"  # the name of the unstressed point
 NAME = re.compile(r"[^\x00-\x1f/\\]{1,80}")
-PERIOD = re.compile(r"(\d{4}-\d{2}(?:-\d{2})?)/(\d{4}-\d{2}(?:-\d{2})?)", re.ASCII)
 SHARED = ("market", "model")  # tables of a case that its market gives
+ROW_COLUMNS = ("name", "market", "quantity")
 RESERVED = (
     "case",
     "stress",
@@ -59,21 +59,6 @@ class BookMarketTable(CaseTable):
     """`[markets.NAME]`"""
 
     file: str = Field(description="a TOML file with [market], and [model] where it has one")
-
-
-class BookStressTable(CaseTable):
-    """`[[stress]]`"""
-
-    name: str = Field("", description="a name")
-    scale: dict[CaseKey, float] = Field(
-        {}, description='factors, { "market.forward_curve" = 1.10 }'
-    )
-    shift: dict[CaseKey, float] = Field({}, description='amounts, { "market.forward_curve" = 2.0 }')
-    set: dict[CaseKey, Any] = Field(
-        {}, description='other values of keys, { "contract.injection_cost" = 0.05 }'
-    )
-    when: str = Field("", description='months or days, the last included: "2026-12/2027-02"')
-    table: str = Field("", description="a file with a stress in each row")
 
 
 class TasksTable(CaseTable):
@@ -117,30 +102,13 @@ class BookTable(CaseTable):
     run: dict[str, Any] = Field({}, description="a table")
 
 
-@dataclass(frozen=True)
-class StressMove:
-    """One input under a stress: `value * scale + shift`, on the dates of `when`; or a key of the
-    case with another value.
+class Origin(NamedTuple):
+    """Where the numbers of a contract are: the file of its case, the row of the table that changes
+    it, and the file of its market; None where it has none."""
 
-    - `key`: of the case, "market.forward_curve".
-    - `when`: first and last day; None: everywhere.
-    - `value`: as TOML writes it; "": that of the case.
-    """
-
-    key: str
-    scale: float = 1.0
-    shift: float = 0.0
-    when: tuple[datetime.date, datetime.date] | None = None
-    value: str = ""
-
-
-@dataclass(frozen=True)
-class BookStress:
-    """Other numbers for some inputs; `labels`: {label of an axis: the text of its value}."""
-
-    name: str
-    moves: tuple[StressMove, ...]
-    labels: Mapping[str, str] = field(default_factory=dict)
+    case: Path
+    row: Row | None = None
+    market: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -150,6 +118,7 @@ class BookContract:
     - `quantity`: how many of it the book has; negative: sold.
     - `tables`: of the case as they count; `files`: {name: content} of the files that they name.
     - `labels`: {column: text} of its row.
+    - `origin`: its files; None of a case without a book.
     """
 
     name: str
@@ -158,6 +127,7 @@ class BookContract:
     tables: Mapping[str, Any]
     files: Mapping[str, bytes]
     labels: Mapping[str, str]
+    origin: Origin | None = None
 
 
 @dataclass(frozen=True)
@@ -198,9 +168,13 @@ def read_book(path: Path) -> Book:
         raise CaseError(str(file), "axis", None, f"{message}; allowed are {MAX_POINTS:,} together")
     if design.axes:
         contracts = tuple(along(design, contracts))
-    _unique_names(file, "cases", [contract.name for contract in contracts])
-    stresses = tuple(_stresses(file, table.stress))
-    _unique_names(file, "stress", [BASE, *(stress.name for stress in stresses)])
+    _check_names((_position(file, x), x.name, "contracts") for x in contracts)
+    stresses = tuple(read_stresses(file, table.stress))
+    for stress in stresses:
+        if stress.name == BASE:
+            message = "this is the name of the unstressed point; give the stress another one"
+            raise CaseError(stress.file, f"{stress.where}, name", BASE, message)
+    _check_names(((x.file, x.where), x.name, "stresses") for x in stresses)
     for column in cases.by:
         if column not in contracts[0].labels:
             names = ", ".join(contracts[0].labels) or "none"
@@ -209,15 +183,29 @@ def read_book(path: Path) -> Book:
     return Book(file, table.title, contracts, stresses, by, tasks, run, design.axes)
 
 
-def _unique_names(file: Path, where: str, names: Sequence[str]) -> None:
-    visited: set[str] = set()
-    for name in names:
-        if name in visited:
-            raise CaseError(str(file), f"{where}.name", name, "two have this name")
-        visited.add(name)
+def _position(file: Path, contract: BookContract) -> tuple[str, str]:
+    """The file of a contract's name, and where it is."""
+    row = None if contract.origin is None else contract.origin.row
+    return (str(file), "cases") if row is None else (row.file, f"line {row.line}")
 
 
-MarketFiles = tuple[Mapping[str, Any], Mapping[str, bytes]]
+def _check_names(entries: Iterable[tuple[tuple[str, str], str, str]]) -> None:
+    """**Raises:** `CaseError` for a name that two have; `entries`: position, name, and the noun."""
+    first = dict[str, tuple[str, str]]()
+    for position, name, noun in entries:
+        if name in first:
+            at = ", ".join(first[name])
+            message = f"two {noun} have this name; the first is in {at}"
+            raise CaseError(position[0], f"{position[1]}, name", name, message)
+        first[name] = position
+
+
+class MarketFiles(NamedTuple):
+    """A market: its file, the tables in it, and {name: content} of the files next to it."""
+
+    path: Path
+    tables: Mapping[str, Any]
+    contents: Mapping[str, bytes]
 
 
 def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
@@ -229,7 +217,7 @@ def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
         raise CaseError(str(path), sorted(other)[0], None, "a market has [market] and [model] only")
     if not tables:
         raise CaseError(str(path), "market", None, "this table is missing")
-    return tables, contents(path.parent)
+    return MarketFiles(path, tables, contents(path.parent))
 
 
 def _in_folder(file: Path, where: str, name: str) -> Path:
@@ -258,37 +246,75 @@ def _contracts(
             name = (
                 str(path.parent.relative_to(file.parent)) if path.name == "case.toml" else path.stem
             )
-            yield _contract(context, name, tables, contents(path.parent), "", markets, 1.0, {})
+            origin = Origin(path)
+            yield _contract(
+                context, name, tables, contents(path.parent), "", markets, 1.0, {}, origin
+            )
         return
-    _, tables = load(_in_folder(file, "cases.template", cases.template))
-    files = contents(_in_folder(file, "cases.template", cases.template))
+    path, tables = load(_in_folder(file, "cases.template", cases.template))
+    files, origin = contents(path.parent), Origin(path)
     if not cases.table:
-        yield _contract(context, cases.template, tables, files, "", markets, 1.0, {})
+        yield _contract(context, cases.template, tables, files, "", markets, 1.0, {}, origin)
         return
-    for row in read_rows(FileReference(context, "table", cases.table), ("name",)):
-        yield _of_row(context, row, tables, files, markets)
+    reference = FileReference(context, "table", cases.table)
+    rows = read_rows(reference, ("name",), with_keys=True)
+    _check_columns(cases.table, rows)
+    for row in rows:
+        yield _of_row(context, row, tables, files, markets, origin._replace(row=row))
 
 
-def _of_row(context, row: Row, tables, contents, markets) -> BookContract:
+def _check_columns(name: str, rows: Sequence[Row]) -> None:
+    """**Raises:** `CaseError` for a column that is almost called like one with a meaning, which
+    would count as a label, or that has cells without a name."""
+    for column in rows[0].cells:
+        close = get_close_matches(column, ROW_COLUMNS, n=1, cutoff=0.8)
+        unnamed = not column and any(row.cells[column] for row in rows)
+        if unnamed or (close and column not in ROW_COLUMNS):
+            message = "columns are name, market, quantity, keys such as contract.max_inventory, and"
+            meant = f"; the nearest known column is {close[0]}" if close else ""
+            got = column or Unquoted("a column without a name")
+            raise CaseError(name, "header", got, f"{message} labels{meant}")
+
+
+def _of_row(context, row: Row, tables, contents, markets, origin: Origin) -> BookContract:
     """The template with the values of a row: columns with a point are keys."""
     labels = {column: text for column, text in row.cells.items() if column not in ("name", "")}
     keys = [column for column in labels if "." in column and labels[column] != ""]
     try:
-        row_tables, _ = assigned(tables, [f"{key}={labels[key]}" for key in keys])
+        settings = [f"{key_as_in(tables, key)}={labels[key]}" for key in keys]
+        row_tables, _ = assigned(tables, settings)
     except CaseError as error:
-        raise row.error(keys[0], str(error.allowed)) from None
+        at = {str(x).casefold() for x in (error.where, error.value)}
+        key = next((key for key in keys if key.casefold() in at), keys[0])
+        raise row.error(key, error.allowed.partition("; in a shell")[0]) from None
     quantity = row.number("quantity") if "quantity" in labels else 1.0
     name = row.label("name")
     if not NAME.fullmatch(name):
         raise row.error("name", "a name of 1 to 80 characters without / and \\")
     labels = {column: text for column, text in labels.items() if "." not in column}
     return _contract(
-        context, name, row_tables, contents, labels.get("market", ""), markets, quantity, labels
+        context,
+        name,
+        row_tables,
+        contents,
+        labels.get("market", ""),
+        markets,
+        quantity,
+        labels,
+        origin,
     )
 
 
 def _contract(
-    context, name, tables, contents, market, markets: Mapping[str, MarketFiles], quantity, labels
+    context,
+    name,
+    tables,
+    contents,
+    market,
+    markets: Mapping[str, MarketFiles],
+    quantity,
+    labels,
+    origin: Origin,
 ) -> BookContract:
     if markets:
         if not market and len(markets) == 1:
@@ -296,15 +322,15 @@ def _contract(
         if market not in markets:
             allowed = f"the market of {name}; allowed is one of {', '.join(markets)}"
             raise context.error("table", market or None, allowed)
-        of_market, files = markets[market]
-        tables = {**tables, **of_market}
-        for file, content in files.items():
+        shared = markets[market]
+        tables, origin = {**tables, **shared.tables}, origin._replace(market=shared.path)
+        for file, content in shared.contents.items():
             if contents.get(file, content) != content:
                 message = f"the case and the market {market} have different files of this name"
                 raise CaseError(str(context.file), f"markets.{market}.file", file, message)
-        contents = {**contents, **files}
-    find(tables.get("kind"), str(context.file))
-    return BookContract(name, market, quantity, tables, contents, labels)
+        contents = {**contents, **shared.contents}
+    find(tables.get("kind"), str(origin.case))
+    return BookContract(name, market, quantity, tables, contents, labels, origin)
 
 
 def along(design: Design, contracts: Sequence[BookContract]) -> Iterator[BookContract]:
@@ -319,80 +345,3 @@ def along(design: Design, contracts: Sequence[BookContract]) -> Iterator[BookCon
                 tables=assigned(contract.tables, settings)[0],
                 labels={**contract.labels, **labels},
             )
-
-
-def _stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[BookStress]:
-    for i, entry in enumerate(entries):
-        where = f"stress[{i + 1}]"
-        table = parse(BookStressTable, entry, str(file), where)
-        if table.table:
-            yield from _of_table(TableContext(file, where, []), table.table)
-            continue
-        if not table.name or not (table.scale or table.shift or table.set):
-            message = "a stress has a name, and scale, shift or set; or a table"
-            raise CaseError(str(file), where, table.name or None, message)
-        when = _period(str(file), f"{where}.when", table.when)
-        keys = dict.fromkeys([*table.scale, *table.shift])
-        if twice := [key for key in keys if key in table.set]:
-            message = "this key is set to a value; it cannot be scaled or shifted as well"
-            raise CaseError(str(file), f"{where}.set", twice[0], message)
-        yield BookStress(
-            table.name,
-            (
-                *(StressMove(key, value=one_value(value)) for key, value in table.set.items()),
-                *(
-                    StressMove(key, table.scale.get(key, 1.0), table.shift.get(key, 0.0), when)
-                    for key in keys
-                ),
-            ),
-        )
-
-
-def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
-    """A stress in each row: `name`, and columns `scale KEY`, `shift KEY`, or `scale KEY@PERIOD`;
-    `set KEY` has a value as `--set` takes it."""
-    for row in read_rows(FileReference(context, "table", name), ("name",)):
-        moves = []
-        for column in row.cells:
-            kind, _, rest = column.partition(" ")
-            if kind not in ("scale", "shift", "set") or not rest or not row.cells[column]:
-                continue
-            key, _, text = rest.strip().partition("@")
-            if kind == "set":
-                moves.append(StressMove(rest.strip(), value=row.label(column)))
-                continue
-            when = _period(row.file, f"line {row.line}, column {column}", text)
-            number, move = row.number(column), StressMove(key, when=when)
-            moves.append(
-                replace(move, scale=number) if kind == "scale" else replace(move, shift=number)
-            )
-        if not moves:
-            raise row.error(
-                "name", "a row with at least one of the columns scale KEY, shift KEY, set KEY"
-            )
-        yield BookStress(row.label("name"), tuple(moves))
-
-
-def _period(file: str, where: str, text: str) -> tuple[datetime.date, datetime.date] | None:
-    """First and last day of "2026-12/2027-02"."""
-    if not text:
-        return None
-    match = PERIOD.fullmatch(text)
-    try:
-        first, last = (_day(part, end) for part, end in zip(match.groups(), (False, True)))  # pyright: ignore
-    except (AttributeError, ValueError):
-        allowed = 'two months or days with a slash, the last one included: "2026-12/2027-02"'
-        raise CaseError(file, where, text, allowed) from None
-    if last < first:
-        raise CaseError(file, where, text, "the first day is after the last")
-    return first, last
-
-
-def _day(text: str, end: bool) -> datetime.date:
-    if len(text) == 10:
-        return datetime.date.fromisoformat(text)
-    first = datetime.date.fromisoformat(f"{text}-01")
-    if not end:
-        return first
-    next_month = (first.replace(day=28) + datetime.timedelta(days=4)).replace(day=1)
-    return next_month - datetime.timedelta(days=1)

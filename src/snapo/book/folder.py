@@ -15,9 +15,12 @@ import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from snapo.case.error import CaseError
+from snapo.case.table import not_utf8
 from snapo.report.record import EMPTY
 from snapo.solver.tables import write_text
 
@@ -58,6 +61,137 @@ class StressSum(NamedTuple):
     unexplained: float | None = None
 
 
+class JsonTable(BaseModel):
+    """A table of a file that the report reads; further keys are ignored."""
+
+    model_config = ConfigDict(strict=True)
+
+
+class SumForm(JsonTable):
+    """A row of `sums` in result.json."""
+
+    stress: str
+    value: float | None
+    standard_error: float | None
+    change: float | None = None
+    change_error: float | None = None
+    explained: float | None = None
+    unexplained: float | None = None
+
+
+class RiskForm(JsonTable):
+    """A row of `risk`."""
+
+    level: float
+    var: float
+    var_error: float | None
+    shortfall: float
+    shortfall_error: float | None
+
+
+class OutputForm(JsonTable):
+    """An output of a point of the axes."""
+
+    name: str
+    unit: str
+    value: float | None
+    standard_error: float | None
+    nominal: float | None
+
+
+class PointForm(JsonTable):
+    """A row of `points`."""
+
+    at: dict[str, str]
+    value: float | None
+    standard_error: float | None
+    change: float | None
+    change_error: float | None
+    outputs: list[OutputForm]
+    note: str
+
+
+class ExposureForm(JsonTable):
+    """A row of `exposure`."""
+
+    output: str
+    market: str
+    unit: str
+    by: str
+    label: str
+    days: list[str]
+    value: list[float]
+
+
+class DeltaForm(JsonTable):
+    """A row of `deltas`."""
+
+    market: str
+    input: str
+    label: str
+    held: float
+    held_error: float | None
+
+
+class LossForm(JsonTable):
+    """A test of a shared policy."""
+
+    case: str
+    value: float
+    loss: float
+    loss_error: float | None
+
+
+class SharedPolicyForm(JsonTable):
+    """A row of `shared_policies`."""
+
+    leader: str
+    contracts: int
+    is_shared: bool
+    losses: list[LossForm]
+
+
+class ResultForm(JsonTable):
+    """What the report needs of result.json."""
+
+    title: str
+    cases: dict[Literal["ok", "failed"], int]
+    sums: Annotated[list[SumForm], Field(min_length=1)]
+    by: dict[str, dict[str, list[SumForm]]]
+    risk: list[RiskForm]
+    deltas: list[DeltaForm]
+    exposure: list[ExposureForm] = []
+    points: list[PointForm] = []
+    notes: list[str]
+    failures: list[dict[Literal["case", "stress", "status", "note"], str]]
+    shared_policies: list[SharedPolicyForm]
+    orders: dict[str, int]
+    seconds: dict[str, float]
+    workers: int
+    cpu_seconds: float
+    peak_mb: float
+    shapes: int
+
+
+class TasksForm(JsonTable):
+    """`tasks` in book.json."""
+
+    policy: str
+    paths: int
+
+
+class RecordForm(JsonTable):
+    """What the report needs of book.json."""
+
+    cases: list[Any]
+    stresses: list[Any]
+    tasks: TasksForm
+    axes: list[dict[Literal["key", "label"], str]] = []
+
+
+AGAIN = "snapo book BOOK --resume makes it again from the answers"
+
+
 class BookFolder:
     """The folder of a book, written by one driver, or by the drivers of its shards."""
 
@@ -82,14 +216,61 @@ class BookFolder:
         write_text(self.path / BOOK, json.dumps(table, indent=1, default=str))
 
     def record(self) -> dict[str, Any]:
-        """The content of book.json. **Raises:** `CaseError` where there is none."""
-        try:
-            table = json.loads((self.path / BOOK).read_text(encoding="utf-8"))
-            if table["layout"] != LAYOUT:
-                raise KeyError(LAYOUT)
-        except (OSError, ValueError, KeyError, TypeError):
-            raise CaseError(str(self.path), "", None, "this is not the folder of a book") from None
+        """The content of book.json.
+
+        **Raises:** `CaseError` where there is none, or it is damaged, or of another version.
+        """
+        table = self._json(BOOK, "this is not the folder of a book")
+        layout = table.get("layout") if isinstance(table, dict) else None
+        if layout != LAYOUT:
+            message = f"allowed is {LAYOUT}; this file is damaged, or of another version: {AGAIN}"
+            raise CaseError(str(self.path / BOOK), "layout", layout, message)
+        return self._checked(BOOK, table, RecordForm)
+
+    def result(self) -> dict[str, Any]:
+        """The content of result.json.
+
+        **Raises:** `CaseError` where there is none, or it is damaged, with the key.
+        """
+        message = "this book has no results yet: snapo book BOOK --resume computes the rest"
+        table = self._checked(RESULT, self._json(RESULT, message), ResultForm)
+        if not any(row["stress"] == "base" for row in table["sums"]):
+            message = f"one row must be that of the stress base: {AGAIN}"
+            raise CaseError(str(self.path / RESULT), "sums", None, message)
         return table
+
+    def _checked(self, name: str, table: Any, form: type[JsonTable]) -> dict[str, Any]:
+        """The content of a file, where it has the keys of `form`."""
+        try:
+            form.model_validate(table)
+            return table
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = "".join(f"[{x}]" if isinstance(x, int) else f".{x}" for x in first["loc"])
+            missing = first["type"] == "missing"
+            text = "this key is missing" if missing else first["msg"].lower()
+            text = "a table is expected" if first["type"] == "model_type" else text
+            value = None if missing else first["input"]
+            message = f"{text}; this file was changed since it was written: {AGAIN}"
+            raise CaseError(str(self.path / name), where[1:], value, message) from None
+
+    def _json(self, name: str, missing: str) -> Any:
+        """The content of a file of JSON; `missing`: the message where it is not there."""
+        file = str(self.path / name)
+        try:
+            return json.loads((self.path / name).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise CaseError(file, "", None, missing) from None
+        except OSError as error:
+            raise CaseError(file, "", None, f"it cannot be read ({error.strerror})") from None
+        except UnicodeDecodeError as error:
+            raise CaseError(
+                file, "", None, f"{not_utf8(error)}, or make it again: {AGAIN}"
+            ) from None
+        except (ValueError, RecursionError) as error:
+            line = f"line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
+            message = f"this is not JSON, as of a file that was cut or changed: {AGAIN}"
+            raise CaseError(file, line, None, message) from None
 
     def _answer(self, name: str) -> Path:
         return self.path / ANSWERS / name[:2] / name

@@ -24,7 +24,8 @@ from snapo.solver.derivatives.interval import HELD
 from snapo.solver.provenance import versions
 from snapo.solver.sensitivity import Sensitivities
 
-from .file import BookContract, StressMove, TasksTable
+from .file import BookContract, TasksTable
+from .stress import StressMove
 
 STRESSES = 25  # of one order
 BATCHES = 512  # of paths, whose shares are kept
@@ -61,7 +62,7 @@ class BookOrder:
 
     @classmethod
     def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookOrder":
-        """Of a contract, without stresses where `more`, the other fields, has none."""
+        """The order of a contract, without stresses where `more`, the other fields, has none."""
         fields = {"stresses": (), **more}
         report = contract.tables.get("report", {})
         numbers = {key: value for key, value in report.items() if key not in TEXTS}

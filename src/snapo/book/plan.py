@@ -38,7 +38,7 @@ def _days(start: Any, end: Any) -> Any:
 
 
 def kinds_of(table: Any) -> Any:
-    """The tables of a case with the kinds of its numbers in place of these."""
+    """The tables of a case with each number replaced by its type."""
     if isinstance(table, Mapping):
         return {key: kinds_of(value) for key, value in table.items() if key != "title"}
     if isinstance(table, list):
@@ -63,6 +63,13 @@ class BookPlan:
             case = name_of(self._base(contract, False).pack())
             table[contract.name] = first.setdefault(case, contract)
         return table
+
+    @property
+    def distinct(self) -> Iterator[tuple[BookContract, BookOrder]]:
+        """The contracts with different cases, each with an order of it."""
+        for contract in self.book.contracts:
+            if self.first_of_case[contract.name] is contract:
+                yield contract, self._base(contract, False)
 
     @cached_property
     def similar(self) -> dict[str, list[BookContract]]:
@@ -159,7 +166,7 @@ class BookPlan:
         return self._shared[kind]
 
     def shared_policies(self, read: AnswerReader) -> Iterator[SharedPolicy]:
-        """Those whose answers are complete, of all similar contracts that share one."""
+        """The shared policies of similar contracts whose answers are complete."""
         for kind in self.tested:
             if (result := self.shared_policy(kind, read)) is not None:
                 yield result
@@ -173,7 +180,7 @@ class BookPlan:
                 yield test_order(self._first_base(contract), answer.policy)
 
     def _first_base(self, contract: BookContract) -> BookOrder:
-        """That of a contract which waits for no other."""
+        """The first order of a contract that waits for no other."""
         return self._base(contract, contract.name in self.judged)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""One trained policy for similar contracts, `policy = "shape"`, and the loss that it means.
+"""One trained policy for similar contracts, `policy = "shape"`, and the loss that this causes.
 
 The first of similar contracts trains its policy, and so do the next three, which are valued on the
 same paths with the trained numbers of the first one too. Where the first one's numbers lose at most

@@ -80,7 +80,7 @@ class BookTotal:
 
 
 def _sum(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Of shares of different batches, those of the batches that both can be joined to."""
+    """The sum of shares; where their batches differ, of larger batches that both can form."""
     count = math.gcd(len(x), len(y))
     return x.reshape(count, -1).mean(1) + y.reshape(count, -1).mean(1)
 

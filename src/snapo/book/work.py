@@ -34,17 +34,17 @@ from snapo.problem.smooth import EXACT
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.sensitivity import sensitivities
+from snapo.solver.solution import Solution
 from snapo.study import initial_policy
-from snapo.study.assign import assigned
+from snapo.study.assign import assigned, key_as_in
 from snapo.study.chapters.profile import leaves
-from snapo.study.domain import Domain, Options, find
+from snapo.study.domain import Domain, Options, RunsCode, find
 from snapo.study.kind import with_other_numbers
 from snapo.study.positions import InputPositions
 from snapo.study.positions.files import read_files
 from snapo.study.prepare import use_every_core
 from snapo.study.study import Recalculated, Setup, Study
 
-from .file import StressMove
 from .order import (
     BATCHES,
     BookOrder,
@@ -57,7 +57,7 @@ from .order import (
     enclosed,
 )
 from .plan import kinds_of
-from .stress import moved_numbers
+from .stress import StressMove, moved_numbers
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
@@ -72,7 +72,7 @@ def answer(data: bytes) -> bytes:
     use_every_core()
     with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
         try:
-            result = _answer(_Contract(order, Path(folder)))
+            result = valuation(OrderContract(order, Path(folder))).answer()
         except (CaseError, ValueError, ArithmeticError) as error:
             failed = BookPoint.without_value("failed", _sentence(error, folder))
             result = OrderAnswer((failed,) * (len(order.stresses) + order.base))
@@ -113,8 +113,11 @@ def _sentence(error: Exception, folder: str) -> str:
     return f"{type(error).__name__}: {error}".replace(folder, "").strip()[:500]
 
 
-class _Contract:
-    """The contract of an order: its case, and that under a stress."""
+class OrderContract:
+    """The contract of an order: its case, and that under a stress; `folder`: for its files.
+
+    **Raises:** `CaseError` for a case that cannot be read.
+    """
 
     def __init__(self, order: BookOrder, folder: Path):
         self.order = order
@@ -130,7 +133,7 @@ class _Contract:
 
     def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
         """The case under a stress; `inputs`: of the unstressed one."""
-        settings = [f"{move.key}={move.value}" for move in moves if move.value]
+        settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
         tables, case = self.tables, self.case
         if settings:
             tables, _ = assigned(tables, settings)
@@ -151,13 +154,16 @@ class _Contract:
                 yield BookPoint.without_value("failed", _sentence(error, str(self.file.parent)))
 
 
-def _answer(contract: _Contract) -> OrderAnswer:
-    """The points of an order, and the policy where it was trained."""
+def valuation(contract: OrderContract) -> "_Decided | _Calculated":
+    """What values a contract; its `inputs` are those that a stress may move.
+
+    **Raises:** `ValueError` for a kind of case that a book does not value.
+    """
     study = contract.study
     if study.setup is not None and study.setup_at is not None:
-        return _Decided(contract, study.setup()).answer()
+        return _Decided(contract, study.setup())
     if study.recalculated is not None:
-        return _Calculated(contract, study.recalculated()).answer()
+        return _Calculated(contract, study.recalculated())
     raise ValueError(
         f'a case of kind "{study.kind}" has neither a policy nor a process that a book values'
     )
@@ -166,7 +172,7 @@ def _answer(contract: _Contract) -> OrderAnswer:
 class _Decided:
     """A contract whose value is that of a policy."""
 
-    def __init__(self, contract: _Contract, setup: Setup):
+    def __init__(self, contract: OrderContract, setup: Setup):
         self.contract, self.order = contract, contract.order
         self.setup = setup if self.order.judged else _held_alone(setup)
         self.inputs = setup.problem.inputs_by_name
@@ -186,7 +192,7 @@ class _Decided:
         if policy is not None:
             base = self._valued(self.setup, policy, {}, order.tasks.deltas != "none")
         else:
-            solution = self.setup.solve(bar=False)
+            solution = self._solved(self.setup)
             assert solution.policy is not None
             policy = solution.policy
             deltas = () if order.tasks.deltas == "none" else Delta.of_table(solution.sensitivities)
@@ -195,6 +201,10 @@ class _Decided:
             base = base._replace(exposure=tuple(self._exposure(policy)))
         points = (base, *self._stressed(policy))
         return OrderAnswer(points, _file(policy), *labels)
+
+    def _solved(self, setup: Setup) -> Solution:
+        """The contract trained and valued; a user's simulator is checked before."""
+        return setup.solve(bar=False, check=isinstance(self.contract.domain, RunsCode))
 
     def _adopted(self) -> Policy | None:
         """The policy with the trained numbers of a similar contract; None where there is none, or
@@ -222,7 +232,7 @@ class _Decided:
         if policy is not None:
             check_held(self.setup.policy, setup.policy)
             return self._valued(setup, policy, changes, self.order.tasks.deltas == "all")
-        solution = (setup if self.order.judged else _held_alone(setup)).solve(bar=False)
+        solution = self._solved(setup if self.order.judged else _held_alone(setup))
         deltas = Delta.of_table(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
         return self._point(setup, solution.totals, changes, deltas)
 
@@ -310,7 +320,7 @@ def check_held(policy: Any, at_point: Any) -> None:
 class _Calculated:
     """A process without a policy: the share of batches within all limits, and its attributes."""
 
-    def __init__(self, contract: _Contract, calculation: Recalculated):
+    def __init__(self, contract: OrderContract, calculation: Recalculated):
         self.contract, self.calculation = contract, calculation
         self.inputs = calculation.inputs_by_name
 
@@ -367,7 +377,8 @@ def _settings(order: BookOrder) -> list[str]:
 
 
 def batched(shares: np.ndarray) -> np.ndarray:
-    """[B] means of equal batches of shares [groups] in order: of the most batches up to 512."""
+    """[B] means of consecutive batches of equal size of the shares [groups]: as many batches as
+    possible, at most 512."""
     count = next(n for n in range(min(BATCHES, len(shares)), 0, -1) if len(shares) % n == 0)
     return shares.reshape(count, -1).mean(1)
 

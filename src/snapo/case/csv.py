@@ -233,14 +233,18 @@ def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
 
 
 def read_rows(
-    reference: FileReference, columns: Sequence[str], optional: Sequence[str] | None = None
+    reference: FileReference,
+    columns: Sequence[str],
+    optional: Sequence[str] | None = None,
+    with_keys: bool = False,
 ) -> list[Row]:
     """Reads the CSV that a case names; every row has all `columns`, with blanks stripped.
 
     A Parquet file in its place is read as the CSV of the same table.
 
     Other columns are those of `optional`: a misspelt one must not count as left out. None allows
-    any.
+    any. Names of columns are in lower case; `with_keys`: but those with a point, which are keys of
+    a case.
     """
     path = file_in_folder(reference, (".csv", ".parquet"))
     name = reference.name
@@ -252,7 +256,7 @@ def read_rows(
         message = f"the file is empty; its first line is {','.join(columns)}"
         raise CaseError(name, "", None, message)
     (line, cells), *records = result
-    names = _header(name, line, cells, columns)
+    names = _header(name, line, cells, columns, with_keys)
     available = names if optional is None else (*columns, *optional)
     for column in names:
         if column not in available:
@@ -315,8 +319,10 @@ def _records(name: str, text: str, separated_by: str) -> Iterator[tuple[int, lis
         raise CaseError(name, f"line {reader.line_num}", None, f"not a CSV line: {error}") from None
 
 
-def _header(name: str, line: int, cells: list[str], columns: Sequence[str]) -> list[str]:
-    names = [cell.lower() for cell in cells]
+def _header(
+    name: str, line: int, cells: list[str], columns: Sequence[str], with_keys: bool
+) -> list[str]:
+    names = [cell if with_keys and "." in cell else cell.lower() for cell in cells]
     requested = ",".join(columns)
     for column in columns:
         if column in names:

@@ -47,8 +47,8 @@ class QuantityKey(NamedTuple):
 class KeyedUnit(NamedTuple):
     """The position of a number whose unit is under keys of its own.
 
-    - `path`: the keys that lead to it. `units`: such paths of the keys of its unit, and their
-      values for a number in the unit of the input; they hold for all its numbers.
+    - `path`: the keys that lead to it. `units`: the paths of the keys of its unit, and their
+      values for a number in the unit of the input. They apply to all of its numbers.
     """
 
     path: tuple[str | int, ...]

@@ -73,27 +73,27 @@ def _check_svg(content: bytes) -> None:
     """**Raises:** `ValueError` where a drawing has scripts, or would load something."""
     before = content.partition(b"<svg")[0]
     if b"<!ENTITY" in content or (b"<!DOCTYPE" in before and b"[" in before):
-        raise ValueError("an SVG file with entities is not taken")
+        raise ValueError("an SVG file with entities is not accepted")
     try:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise ValueError(f"this is no SVG file ({error})") from None
+        raise ValueError(f"this is not an SVG file ({error})") from None
     if _local(root.tag) != "svg":
-        raise ValueError("this is no SVG file")
+        raise ValueError("this is not an SVG file")
     for element in root.iter():
         tag = _local(element.tag)
         if tag in ACTIVE or "xhtml" in str(element.tag):
-            raise ValueError(f"an SVG file with <{tag}> is not taken")
+            raise ValueError(f"an SVG file with <{tag}> is not accepted")
         texts = [element.text or ""] if tag == "style" else []
         for key, value in element.attrib.items():
             if _local(key).startswith("on"):
-                raise ValueError(f"an SVG file with {_local(key)}= is not taken")
+                raise ValueError(f"an SVG file with {_local(key)}= is not accepted")
             if _local(key) in ("href", "src") and not value.startswith(("#", "data:image/")):
-                raise ValueError(f"an SVG file that loads {value[:60]} is not taken")
+                raise ValueError(f"an SVG file that loads {value[:60]} is not accepted")
             texts += [value] if _local(key) not in ("href", "src") else []
         joined = " ".join(texts).lower()
         if "url(" in joined.replace("url(#", "") or any(word in joined for word in FORBIDDEN):
-            raise ValueError("an SVG file that loads other files is not taken")
+            raise ValueError("an SVG file that loads other files is not accepted")
 
 
 def _local(tag: Any) -> str:

@@ -74,7 +74,8 @@ class EvaluationTable(CaseTable):
 
     `judge_paths`: of the bumps that the derivatives are tested by; `search_paths`: of the search
     around the policy, which gives every interval the policy's part; `selection_paths`: of the final
-    choice between the trained policies and the starting rule. All three "at most", 0 to do without.
+    choice between the trained policies and the starting rule. Each is a maximum; 0 omits the
+    measurement.
     """
 
     paths: PathCount = 65536

@@ -54,7 +54,7 @@ def first_mistakes(problem: Problem, policy: Policy) -> Findings:
 
 
 def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
-    """Those of a simulator and its inputs."""
+    """The mistakes of a simulator and its inputs."""
 
     def look(notes: Notes) -> None:
         declared(notes, simulator, inputs)

@@ -36,9 +36,9 @@ def _guess(message: str, simulator: Any, method: str) -> str:
     """The likely cause of an index that JAX refuses; empty where there is none."""
     size = {"initial": "initial_noise_size", "step": "noise_size"}.get(method, "")
     if "out of bounds for axis 0 with size 0" in message and getattr(simulator, size, None) == 0:
-        return f"Where this is its noise: {size} is 0; make it the number of normals that it reads."
+        return f"If this is the noise: {size} is 0; set it to the number of normals that are read."
     if "string indexing" in message and isinstance(getattr(simulator, "action", None), Product):
-        return "Where this is an action: self.action.parts(action) holds its parts by name."
+        return "If this is an action: self.action.parts(action) has its parts by name."
     return ""
 
 

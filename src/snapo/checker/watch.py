@@ -307,7 +307,7 @@ def moments(
 
 
 def _tainted(made: Method, schedule: Any) -> dict[str, list[bool]]:
-    """Of the leaves of `constants` and `now`, whether inputs move them."""
+    """For the leaves of `constants` and `now`, whether inputs move them."""
     result = iter(tainted_by(made.function, *made.arguments.values()))
     parts = (("constants", schedule.constants), ("now", schedule.steps))
     return {name: [next(result) for _ in jax.tree.leaves(tree)] for name, tree in parts}

@@ -157,7 +157,7 @@ def _solve(options: argparse.Namespace) -> Answer:
 
 
 def _workers(options: argparse.Namespace) -> "AbstractContextManager[Workers | None]":
-    """Those of `--on` or `--workers`; nothing is imported without them."""
+    """The workers of `--on` or `--workers`; nothing is imported without them."""
     if not (options.on or options.workers):
         return nullcontext()
     from snapo.book.executors import worker_pools

@@ -324,7 +324,7 @@ def _add_runs(commands) -> None:
         metavar="RUN",
         nargs="+",
         default=[],
-        help="runs to remove: names, or how they end",
+        help="runs to remove: their names, or the last four letters of these",
     )
     runs.add_argument(
         "--keep", metavar="N", type=whole_number, help="remove all but the last N, and the latest"

@@ -130,12 +130,12 @@ class Clip:
 
 
 def factor_of(norm, limit: Float[Array, " 2"]):
-    """The factor on an adjoint of this norm: the share kept, or less where the bound applies."""
+    """The factor for an adjoint of this norm: the share kept, or less where the bound applies."""
     return jnp.minimum(limit[1], limit[0] / norm)
 
 
 def clipped(packed, packing, simulator: Simulator, constants, limit):
-    """The identity on a path's packed state, whose cotangent is bounded and shrunk."""
+    """The identity function of a path's packed state; its cotangent is bounded and reduced."""
     scale = simulator.state_scale(constants)
     ones = tuple(jnp.ones_like(vector) for vector in packed)
     scales = ones if scale is None else packing.pack(scale)
@@ -186,18 +186,14 @@ class Engine(abc.ABC):
         """Converts float64 results to NumPy arrays: outside `numbers` JAX would truncate them."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
-    def bind(
-        self, problem: Problem, *, controls: bool = True, simplest: bool = True
-    ) -> "BoundEngine":
+    def bind(self, problem: Problem, *, controls=True, simplest=True) -> "BoundEngine":
         """This engine bound to the simulator and the schedule of a problem.
 
-        `controls`: whether outputs that are only control variates are computed too. `simplest`:
-        whether a policy is replaced by its `simplest` one where it has no derivative; in training
-        all policies have one form, and so one program.
+        `controls`: whether outputs that are only control variates are computed too; `simplest`:
+        whether policies are valued as their `simplest` ones: in training all have one form.
         """
-        simulator = problem.simulator.on_paths()
-        if not controls:
-            simulator = uncontrolled(simulator, problem.objective.outputs)
+        simulator, outputs = problem.simulator.on_paths(), problem.objective.outputs
+        simulator = simulator if controls else uncontrolled(simulator, outputs)
         return BoundEngine(self, simulator, problem.schedule, simplest)
 
     @abc.abstractmethod
@@ -288,9 +284,8 @@ class BoundEngine:
     simplest: bool = True
 
     def values(self, policy: Policy | None, draws: Draws, smooth, **options) -> Rollout:
-        if policy is not None and self.simplest:
-            policy = policy.simplest
-        return self.engine.values(self.simulator, policy, self.schedule, draws, smooth, **options)
+        valued = policy.simplest if policy is not None and self.simplest else policy
+        return self.engine.values(self.simulator, valued, self.schedule, draws, smooth, **options)
 
     def adjoint(
         self,

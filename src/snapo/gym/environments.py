@@ -114,7 +114,8 @@ class GymDynamics:
         return tuple(name for name in last if name not in outputs)
 
     def _seen(self, t: Array, state: PyTree) -> Array:
-        """The observation; after the last step nothing is decided, and the last schedule holds."""
+        """The observation; after the last step nothing is decided, and the schedule of the last
+        step is used."""
         now = at(self.schedule.steps, jnp.minimum(t, self.horizon - 1))
         return jnp.asarray(self.simulator.observe(self.schedule.constants, now, state), jnp.float32)
 

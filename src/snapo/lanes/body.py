@@ -128,6 +128,7 @@ def join(order: list[Region], readers, values: set[ProgramValue]) -> None:
             region.ops.remove(op)
 
 
+REARRANGED = {"slice", "split", "reshape", "squeeze", "transpose"}  # finite where inputs are
 INTERLEAVED = 4  # vector registers of neighbouring elements that a loop works on at once
 
 
@@ -154,6 +155,8 @@ def write(
             reason = f"{op.name}: {type(error).__name__}: {error}, at {op.where}"
             raise Unsupported(reason) from error
         for op in region.ops:
+            if op.name in REARRANGED and values.finite.issuperset(op.inputs):
+                values.finite.update(op.outputs)
             for value in op.outputs:
                 values.settle(value)
 

@@ -322,7 +322,7 @@ class Recalculation(WhatIf):
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """Those of the domain, the value with its change against the run."""
+        """The stages of the domain: the value with its change against the run."""
         if self._base is None and (values or selected):
             next(self.stages({}))
         changed, case = self.changed(values), self.case_at(values, selected).case

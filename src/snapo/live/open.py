@@ -4,13 +4,14 @@ import asyncio
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from snapo.case.error import CaseError
+from snapo.report.drawing import times_of
 from snapo.report.record import RunRecord, entries_of
 from snapo.study import run_folder
 from snapo.study.commands import domain_of_run
@@ -29,6 +30,17 @@ class AboutRun(NamedTuple):
     days: list[str] | None = None
     step: Any = None
     headline: str = ""
+    clock: Sequence[tuple[int, str]] = ()
+    horizon: int = 0
+
+    @property
+    def times(self) -> list[str] | None:
+        """The days of the steps, or the hours; None where they have only numbers."""
+        if not self.clock:
+            return self.days
+        hourly = self.step == "hour"
+        times = times_of(self.clock, 24 if hourly else 1, self.horizon)
+        return [f"{x:%Y-%m-%d %H:%M}" if hourly else f"{x:%Y-%m-%d}" for x in times]
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
@@ -49,7 +61,7 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
     return {
         "title": run.name if about.title is None else about.title,
         "kind": record["kind"],
-        "days": about.days,
+        "days": about.times,
         "step": about.step if isinstance(about.step, str) else "step",
         "trains": trains,
         # A value that is shown as another number follows with the calculation.

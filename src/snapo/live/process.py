@@ -1,4 +1,5 @@
-"""The worker as the server sees it: started, spoken to, and started again when it dies."""
+"""The server's side of a worker: starts it, exchanges messages with it, and starts it again when it
+ends."""
 
 import asyncio
 import json
@@ -45,7 +46,7 @@ class WorkerProcess:
                 self.process.kill()
 
     async def ask(self, order: dict[str, Any]) -> None:
-        """Hands an order over, now or when the worker is there."""
+        """Passes an order to the worker, now or as soon as it is ready."""
         if order["do"] == "move":
             self._waiting[order["page"]] = order
         if self.state["stage"] == "ready":

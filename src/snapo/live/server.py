@@ -325,7 +325,7 @@ class Server:
         return label
 
     async def _keep(self, page: str, n: int, name: str) -> None:
-        """A scenario as it was valued, with its case; every page learns of it."""
+        """A scenario as it was valued, with its case; all pages are notified."""
         result = self._last.get((page, n))
         if result is None or "value" not in result:
             raise Refused("these numbers are not valued yet")

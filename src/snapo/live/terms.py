@@ -141,7 +141,8 @@ def derivatives(
 ) -> list[dict[str, Any]]:
     """A row for each input: the effect of its move, and of one unit more at every handle.
 
-    `sources`: numbers from which inputs are made, whose derivatives follow from those of these.
+    `sources`: numbers from which inputs are made; their derivatives follow from those of the
+    inputs.
     """
     return [_derivative(name, deltas, inputs[name], sources.get(name)) for name in inputs]
 

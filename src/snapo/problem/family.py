@@ -60,7 +60,9 @@ class Family:
                 raise ValueError(f"Family: the range of {name} is {endpoints!r}; give (low, high).")
             low, high = endpoints
             if not np.all(np.asarray(low) < np.asarray(high)):
-                raise ValueError(f"Family: the range of {name} is ({low}, {high}); low is less.")
+                raise ValueError(
+                    f"Family: the range of {name} is ({low}, {high}); low must be less."
+                )
 
     @cached_property
     def training(self) -> Problem:

@@ -34,7 +34,7 @@ class Use(eqx.Module):
 
     @classmethod
     def of(cls, name: str, size: int, index: Int[np.ndarray, "..."]) -> "Use":
-        """Of the input `name` with this number of entries, used at `index`."""
+        """The use of the input `name` with this number of entries, used at `index`."""
         plain = size <= 1 or np.array_equal(index, np.arange(size))
         return cls(name, size, index.shape, None if plain else index)
 

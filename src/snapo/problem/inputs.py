@@ -65,7 +65,7 @@ class Input(eqx.Module):
     def __check_init__(self):
         if self.labels and len(self.labels) != self.value.size:
             raise ValueError(
-                f"Input: {len(self.labels)} labels for {self.value.size} numbers; give each one."
+                f"Input: {len(self.labels)} labels for {self.value.size} numbers; each needs one."
             )
         if not np.all(np.isfinite(self.value)):
             raise ValueError("Input: a value is NaN or infinite; it must be a finite number.")

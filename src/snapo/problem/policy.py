@@ -11,6 +11,7 @@ the policy for a simulator's actions and features; `snapo.solve` does so with th
 import abc
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -94,9 +95,21 @@ class Network(eqx.Module):
         return self.weights[-1] @ x + self.biases[-1]
 
 
-def without_idle_network(policy):
+NetworkPolicy = TypeVar("NetworkPolicy", bound=Policy)
+
+
+def with_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
+    """The policy whose `network` adds nothing: its last layer is zero."""
+
+    def last(policy: Any):
+        return policy.network.weights[-1], policy.network.biases[-1]
+
+    return eqx.tree_at(last, policy, tuple(jnp.zeros_like(item) for item in last(policy)))
+
+
+def without_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
     """The policy with None in place of a `network` whose last layer is zero, as its outputs are."""
-    network = policy.network
+    network = getattr(policy, "network")  # noqa: B009, of kinds of policies that have one
     if network is None or np.any(network.weights[-1]) or np.any(network.biases[-1]):
         return policy
     return eqx.tree_at(lambda x: x.network, policy, None)

@@ -195,7 +195,7 @@ class FactorPrice(Process):
         return Schedule(FactorConstants(shock[0], size), steps)
 
     def covariance(self, p: Factors) -> Float[Array, "T F F"]:
-        """Of the factors at each time."""
+        """The covariance of the factors at each time."""
         pair = p.mean_reversion[:, None] + p.mean_reversion[None, :]
         return p.correlation * integral(pair, jnp.asarray(self.times)[:, None, None])
 

@@ -2,18 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .drawing import LIGHT, WIDTH, legend_above, number_axis, unit_above
+from .drawing import DARKEST, LIGHT, WIDTH, date_axis, legend_above, number_axis, unit_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LETTER, LINE = 5.4, 11.5  # points: a letter and a line of text of 9 points
 GAP = 0.015  # between a bar and its number, as a share of the longest bar
-DARKEST = 0.6  # of the main colour in a cell: ink stays readable on it
 
 
 def quantile_fan(
@@ -23,11 +22,12 @@ def quantile_fan(
     unit: str,
     level: float | None,
     across: str = "Year",
+    dates: Literal["", "day", "hour"] = "",
 ) -> None:
     """Bands of quantiles over years: 1-99, 5-95 and 25-75 %, the median and the mean.
 
     `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value to draw a line at; `across`: the name of
-    the horizontal axis where it does not count years.
+    the horizontal axis where it does not count years; `dates`: the steps of a date axis.
     """
     for low, high, alpha, name in (
         ("p01", "p99", 0.14, "1–99 %"),
@@ -42,9 +42,12 @@ def quantile_fan(
     axes.plot(years, fan["mean"], label="Mean", **style)
     if level is not None:
         axes.axhline(level, color=LIGHT["limit"], linewidth=1.1, linestyle=(0, (1, 1.5)))
-    axes.set_xlim(years[0], years[-1])
-    axes.set_xlabel(across)
-    number_axis(axes.xaxis, 10)
+    if dates:
+        date_axis(axes, years[0], years[-1], dates == "hour")
+    else:
+        axes.set_xlim(years[0], years[-1])
+        axes.set_xlabel(across)
+        number_axis(axes.xaxis, 10)
     number_axis(axes.yaxis)
     unit_above(axes, unit)
     legend_above(axes)
@@ -225,9 +228,9 @@ def scatter(axes: "Axes", points: Sequence[tuple[str, float, float, bool]], unit
 
 
 def _beside(axes: "Axes", points) -> list[tuple[float, float]]:
-    """Offsets of the names in points: the nearest place that no name or point is at yet.
+    """Offsets of the names in points: the nearest position that is still free of names and points.
 
-    The names are given their places from the top down.
+    The names are placed from top to bottom.
     """
     width, height = axes.get_window_extent().size
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()

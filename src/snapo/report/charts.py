@@ -8,7 +8,7 @@ import numpy as np
 
 from snapo.solver.statistics import critical
 
-from .drawing import LIGHT, date_axis, legend_above, number_axis, unit_above
+from .drawing import DARKEST, LIGHT, date_axis, legend_above, number_axis, unit_above
 from .quantity import decimals, number
 
 if TYPE_CHECKING:
@@ -360,7 +360,7 @@ def swept_points(
 
 
 def _depth(values: Iterable[float | None]) -> Callable[[float], float]:
-    """How deep the colour of a value is, 0.08 for the least and 0.62 for the largest one."""
+    """How deep the colour of a value is, from 0.08 to that of `DARKEST` for the largest one."""
     finite = [value for value in values if value is not None]
     low, high = min(finite), max(finite)
-    return lambda value: 0.08 + 0.54 * (value - low) / ((high - low) or 1.0)
+    return lambda value: 0.08 + (DARKEST - 0.08) * (value - low) / ((high - low) or 1.0)

@@ -31,7 +31,7 @@ def written_since(folder: Path, before: Stamps, apart: tuple[str, ...]) -> dict[
 
 
 def changed_files(folder: Path, files: Any) -> list[str]:
-    """Those of {name: checksum} that are missing or were changed."""
+    """The files of {name: checksum} that are missing or were changed."""
     available = files if isinstance(files, Mapping) else {}
     return [
         name for name, requested in available.items() if not _same(folder / str(name), requested)

@@ -58,6 +58,9 @@ DARK = {
 }
 
 
+DARKEST = 0.52  # of the main colour in a cell: ink on it has a contrast of 4.5 in both themes
+
+
 def variables(colours: dict[str, str]) -> str:
     """CSS custom properties, `--ink: #17212b; …`."""
     return " ".join(f"--{name}: {colour};" for name, colour in colours.items())
@@ -77,8 +80,35 @@ def days(values: Sequence[str]) -> np.ndarray:
     return np.array([mdates.date2num(datetime.date.fromisoformat(day)) for day in values])
 
 
-def date_axis(axes: "Axes", first: float, last: float) -> None:
-    """Ticks at month starts, the year under each January and the first; at days when short."""
+def clock_of(labels: Sequence[str], steps_a_day: int) -> list[tuple[int, str]]:
+    """(number, local time) of the steps, ISO 8601, whose time does not follow from the step before:
+    the first, and those after a change of the clocks."""
+    times = np.array(labels, "datetime64[h]").astype(np.int64)
+    changes = np.flatnonzero(np.diff(times) != 24 // steps_a_day) + 1
+    return [(n, labels[n]) for n in [0, *changes.tolist()]]
+
+
+def times_of(
+    clock: Sequence[tuple[int, str]], steps_a_day: int, count: int
+) -> list[datetime.datetime]:
+    """The local times of `count` steps; `clock`: see `clock_of`."""
+    step, times = datetime.timedelta(days=1) / steps_a_day, list[datetime.datetime]()
+    for (first, text), (after, _) in zip(clock, [*clock[1:], (count, "")]):
+        start = datetime.datetime.fromisoformat(text)
+        times += [start + n * step for n in range(min(after, count) - first)]
+    return times
+
+
+def date_numbers(times: Sequence[datetime.datetime]) -> np.ndarray:
+    """Times [T] as numbers of a date axis [T]."""
+    from matplotlib import dates as mdates
+
+    return np.array(mdates.date2num(times))
+
+
+def date_axis(axes: "Axes", first: float, last: float, hours: bool = False) -> None:
+    """Ticks at month starts, the year under each January and the first; at days when short, and at
+    `hours` too where there are only two days or three."""
     from matplotlib import dates as mdates
 
     axes.set_xlim(first, max(last, first + 1))
@@ -93,8 +123,14 @@ def date_axis(axes: "Axes", first: float, last: float) -> None:
         texts = [_month_text(tick, i == 0) for i, tick in enumerate(ticks)]
     else:
         every = max(1, round(span / 12))
-        ticks = [mdates.num2date(day) for day in np.arange(first, last + 0.5, every)]
-        texts = [_day_text(item, i == 0) for i, item in enumerate(ticks)]
+        if hours and span <= 3:
+            every = 0.25 if span > 1 else 0.125
+        start = np.ceil(first / every) * every
+        ticks = [mdates.num2date(day) for day in np.arange(start, last + every / 2, every)]
+        texts = [
+            _day_text(x, i == 0) if x.hour == 0 or i == 0 else x.strftime("%H:%M")
+            for i, x in enumerate(ticks)
+        ]
     axes.set_xticks([float(mdates.date2num(entry)) for entry in ticks], texts)
 
 

@@ -1,6 +1,7 @@
 """The evidence of a run: its training, its checks, its making, and the spread between its seeds."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +27,23 @@ BELOW = (
 )
 RESTLESS = 2.0  # times its noise: a gradient that is not that of a policy at rest
 BETTER = " does better"  # in a sentence on two rules, of which one should be taken
+NAMED = 3  # checks that fail, on the first screen
 TOTAL = "of all parts, before this page"
+
+
+def check_marks(verdicts: Sequence[tuple[str, bool]], noun: str = "checks") -> list[Mark]:
+    """The verdict on all checks, with the names of those that fail; none where there are none.
+
+    `verdicts`: (name, whether it holds); `noun`: for the reader.
+    """
+    failed = [name for name, holds in verdicts if not holds]
+    if failed:
+        more = f" and {len(failed) - NAMED} more" if len(failed) > NAMED else ""
+        names = ", ".join(failed[:NAMED]) + more
+        return [Mark(False, f"{len(failed)} of {len(verdicts)} {noun} fail: {names}")]
+    if len(verdicts) == 1:
+        return [Mark(True, f"the {noun.removesuffix('s')} holds")]
+    return [Mark(True, f"all {len(verdicts)} {noun} hold")] if verdicts else []
 
 
 def training_history(run: RunFiles, unit: str) -> Section:

@@ -11,7 +11,7 @@ import numpy as np
 
 from .checksums import changed_files
 from .quantity import array, finite, money, plus_minus, readable
-from .record import PartState, RunRecord, entries_of
+from .record import PartState, RunRecord, StepTimes, entries_of
 
 RESULT = "result.json"
 NUMBERS = (
@@ -94,7 +94,7 @@ class RunResult:
 
     @classmethod
     def read(cls, folder: Path) -> "RunResult":
-        """Of the run in `folder`; an empty one where there is none, or it is damaged."""
+        """The result of the run in `folder`; an empty one where there is none, or it is damaged."""
         return cls.of(read_table(folder / RESULT) or {})
 
 
@@ -157,6 +157,11 @@ class RunFiles:
             columns("history.csv"),
             columns("adjoints.csv"),
         )
+
+    @property
+    def step_times(self) -> StepTimes:
+        """The times of the steps, where the run has any."""
+        return entries_of(StepTimes, self.details)
 
     def get(self, path: str, default: Any = None) -> Any:
         """The entry "today.spot" of the parts' tables, or `default` where it is missing or null."""

@@ -32,7 +32,8 @@ def finite(value: Any) -> float | None:
 
 
 def decimals(values: Iterable[Any], significant: int = 5) -> int:
-    """The decimals for this many significant digits of the largest of `values`, at least 0.
+    """The number of decimals that gives the largest of `values` so many significant digits, at
+    least 0.
 
     One count for a whole column, so that its decimal points are aligned.
     """

@@ -60,6 +60,14 @@ class RunOrigin(NamedTuple):
     previous: dict[str, Any] | None = None
 
 
+class StepTimes(NamedTuple):
+    """The times of the steps in `about`: `clock` as of `clock_of`, and the `step`, "day" or "hour";
+    empty where steps have only numbers."""
+
+    clock: Sequence[tuple[int, str]] = ()
+    step: str = ""
+
+
 class PageTexts(NamedTuple):
     """`[report]` of a case: texts of the page, and the name of a picture."""
 

@@ -25,7 +25,7 @@ class Column(NamedTuple):
     """A column of a table of records.
 
     - `of`: the name of an attribute, or a function of the record; `unit`: in the header.
-    - `digits`: significant ones of the largest number; `sign`: whether a plus is written.
+    - `digits`: significant digits of the largest number; `sign`: whether a plus is written.
     - `decimal_places`: decimals, those that `digits` ask for where it is None.
     """
 

@@ -99,7 +99,7 @@ class Bound:
             return ""
         summary = f"a gap of {rounded(gap, 3)} {plus_minus(error)}"
         share = f" ({gap / value:.2%} of the value)" if value else ""
-        few = ", which a few paths that gain much by foresight decide" if self.few else ""
+        few = ", most of it on a few paths that gain much by foresight" if self.few else ""
         return f"says little: {summary}{share}{few}"
 
     def above(self, value: float, error: float, objective: Objective) -> "Bound":

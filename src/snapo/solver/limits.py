@@ -116,8 +116,8 @@ def updated_prices(
 
 
 def _deviation(objective: Objective, totals: Totals) -> float:
-    """Of one path's share in an objective; at least a tenth of the largest share, since all paths
-    may be equal."""
+    """The deviation of one path's share in an objective; at least a tenth of the largest share,
+    since all paths may be equal."""
     shares = objective.influence(totals)
     return max(float(shares.std()), 0.1 * float(np.abs(shares).max()), MINIMUM)
 

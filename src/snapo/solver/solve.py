@@ -239,7 +239,7 @@ def _of_simulator(problem: Problem | Simulator, inputs: PyTree) -> Findings:
 
 
 def _refused(findings: Findings) -> tuple[str, ...]:
-    """Raises where there are errors; the warnings, as notes."""
+    """Raises an error for errors; returns the warnings, as notes."""
     if findings.errors:
         lines = "\n".join(map(str, findings.errors))
         raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")

@@ -166,7 +166,7 @@ def _native(value: Any) -> Any:
 
 
 def _format(largest: float) -> str:
-    """Of a column, by its largest number."""
+    """The format of a column, by its largest number."""
     if largest >= 1e4:
         return "#,##0"
     if largest >= 10:

@@ -138,7 +138,7 @@ def train(
 
 
 def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> TrainingLoop:
-    """That of a training in its present state: one that did nothing draws a part of its
+    """The loop of a training in its present state. A training that stalled draws a part of its
     decisions."""
     local = remembering(problem, progress.policy)
     perturbed = perturbed_problem(

@@ -72,6 +72,19 @@ def value_at(data: Mapping[str, Any], path: str) -> Any:
     return position
 
 
+def key_as_in(data: Mapping[str, Any], key: str) -> str:
+    """A key of a case as its tables write it, where `key` differs from that in capital letters
+    only; else in lower case where its table has no such key, as names of columns are."""
+    parts, position = list[str](), data
+    for part in key.split("."):
+        names = [name for name in position if name.casefold() == part.casefold()]
+        name = part if part in position or len(names) > 1 else (names or [part.lower()])[0]
+        parts.append(name)
+        inner = position.get(name)
+        position = inner if isinstance(inner, Mapping) else {}
+    return ".".join(parts)
+
+
 def _index(position: dict | list, key: str, path: str) -> Any:
     """The key of a table; of an array the number of the element that `key` means."""
     if isinstance(position, dict):

@@ -222,7 +222,7 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
 
 
 def _words(error: Exception) -> str:
-    """An exception in one line; a disk's with its file."""
+    """An exception in one line; an error of the disk with its file."""
     if isinstance(error, OSError) and error.strerror:
         return f"could not write: {error.filename or ''}: {error.strerror}"
     text = (str(error).strip().splitlines() or [""])[0]
@@ -230,7 +230,7 @@ def _words(error: Exception) -> str:
 
 
 def _guarded(run: StudyRun, write) -> None:
-    """Writes; a disk that refuses is a status, not a lost run."""
+    """Writes; an error of the disk is noted in the status, and the run is not lost."""
     try:
         write()
     except OSError as error:
@@ -285,7 +285,7 @@ def _keep(run: StudyRun, record: dict[str, Any]) -> dict[str, Any]:
 def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
     """The content of result.json: the study's result, and the state of its parts.
 
-    "notes" ends with those on the case, which were known before any work.
+    The last entries of "notes" are those on the case itself, which were known before the run.
 
     "seconds" has those of every part and of preparing the case, whose sum is the "total"; those of
     writing reports, which no page can know of itself; and the stages of the training, which are

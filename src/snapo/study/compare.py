@@ -190,7 +190,8 @@ class Comparisons(NamedTuple):
                 yield f"  {name}: {', '.join(map(in_words, values))}"
 
     def _sensitivities(self) -> Iterator[str]:
-        """Those that differ most in any of the runs; what no pair has differs in none."""
+        """The sensitivities that differ most in any of the runs; what no pair has differs in
+        none."""
         table: dict[tuple[str, str], dict[int, DerivativePair]] = {}
         for position, pair in enumerate(self.pairs):
             for item in pair.sensitivities:

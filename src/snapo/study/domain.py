@@ -7,12 +7,13 @@ nothing heavy, so that `snapo new` answers at once.
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
-from snapo.case.error import CaseError, Unquoted, nearest
+from snapo.case.error import CaseError, Unquoted
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from .study import ProgressCallback, Study
 
 GROUP = "snapo.domains"
+BOOK = "book"  # the kind of a file with many cases, which is no domain
 GOOD = ("ok", "trained", "stopped early")  # statuses of a run whose numbers are in order
 
 
@@ -147,7 +149,7 @@ def installed() -> dict[str, EntryPoint]:
     for entry_point in entry_points(group=GROUP):
         if entry_point.name in table and entry_point.value != table[entry_point.name].value:
             message = (
-                f"two packages bring this kind: {table[entry_point.name].value} "
+                f"two packages provide this kind: {table[entry_point.name].value} "
                 f"and {entry_point.value}"
             )
             raise CaseError("kind", "", entry_point.name, message)
@@ -162,11 +164,7 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
         message = "no kind of case is installed: install snapo with pip"
         raise CaseError(file, where, kind, message)
     if not isinstance(kind, str) or kind not in available:
-        kinds = ", ".join(f'"{item}"' for item in available)
-        if kind is None:
-            raise CaseError(file, where, None, f"this key is missing; it is one of {kinds}")
-        close = f"; {nearest(kind, available, 'kind')}" if isinstance(kind, str) else ""
-        raise CaseError(file, where, kind, f"allowed is one of {kinds}{close}")
+        raise _no_such_kind(kind, available, file, where)
     try:
         domain = available[kind].load()
     except (ImportError, AttributeError) as error:
@@ -177,6 +175,21 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
         message = f"{available[kind].value} is not a domain: it has no {', '.join(missing)}"
         raise CaseError(file, where, kind, message)
     return domain
+
+
+def _no_such_kind(kind: Any, available: Collection[str], file: str, where: str) -> CaseError:
+    """The mistake in a kind; that of a file may be "book" as well, for other commands."""
+    if where and kind == BOOK:
+        message = "this is a book of contracts: snapo book values it, snapo check reads it"
+        return CaseError(file, where, kind, message)
+    names = [*available, BOOK] if where else list(available)
+    kinds = ", ".join(f'"{item}"' for item in available)
+    kinds += f', or "{BOOK}" in a file for snapo book' if where else ""
+    if kind is None:
+        return CaseError(file, where, None, f"this key is missing; it is one of {kinds}")
+    close = get_close_matches(kind, names, n=1) if isinstance(kind, str) else []
+    suggestion = f"; the nearest known kind is {close[0]}" if close else ""
+    return CaseError(file, where, kind, f"allowed is one of {kinds}{suggestion}")
 
 
 _MEMBERS = ("kind", "description", "templates", "read", "check", "study", "report", "bench")

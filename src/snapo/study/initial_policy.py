@@ -58,7 +58,7 @@ class SuppliedPolicy:
 
     @property
     def checksum(self) -> str:
-        """Of the file: a resumed run must begin with the same."""
+        """The checksum of the file: a resumed run must begin with the same."""
         return f"sha256 {hashlib.sha256(self.content).hexdigest()[:16]}"
 
     def adopted_by(self, local: Policy) -> Policy:
@@ -124,7 +124,7 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
 
 
 def _of_run(run: Path, kind: str) -> float | None:
-    """The value of a run whose policy is whole."""
+    """The value of a run whose policy is undamaged."""
     record = run_folder.read(run)
     if record["kind"] != kind:
         message = f'this run is of kind "{record["kind"]}", and the case is of kind "{kind}"'

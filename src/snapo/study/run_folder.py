@@ -208,7 +208,7 @@ def _check_record(record: Mapping[str, Any]) -> None:
         raise ValueError("its tables are of other kinds")
     for state in states.values():
         if not isinstance(state["state"], str) or not isinstance(state["note"], str):
-            raise ValueError("the state of a part is no text")
+            raise ValueError("the state of a part is not a text")
         float(state["seconds"])
     if not is_sealed(record):
         raise ValueError("it was changed or damaged")

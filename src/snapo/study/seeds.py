@@ -352,5 +352,5 @@ def _cells(row: SeedRow) -> Iterator[Any]:
 
 
 def _spent(comparison: SeedComparison) -> float:
-    """The seconds of the seeds that are not the best one, whose own are in its run."""
+    """The seconds of all seeds but the best one, whose seconds are in its own run."""
     return sum(row.seconds for row in comparison.rows if row.seed != comparison.best)

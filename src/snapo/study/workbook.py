@@ -56,7 +56,7 @@ def write_run(run: Path) -> Path:
 
 
 def _name(path: Sequence[str], taken: Mapping[str, Any]) -> str:
-    """A name for a sheet that is not taken, as much of the way as there is room for."""
+    """An unused name for a sheet: as much of the path as there is room for."""
     complete = re.sub(r"[\[\]:*?/\\']", " ", " ".join(path)).strip() or "table"
     used = {item.lower() for item in (*taken, "contents")}
     short = complete[:MAX_NAME].strip()

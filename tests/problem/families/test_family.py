@@ -112,7 +112,7 @@ def test_refused():
         snapo.Family(PROBLEM, {"speed": (0, 1)})
     with pytest.raises(ValueError, match=r"range of effort is 0.3; give \(low, high\)"):
         snapo.Family(PROBLEM, {"effort": 0.3})  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match="low is less"):
+    with pytest.raises(ValueError, match="low must be less"):
         snapo.Family(PROBLEM, {"effort": (2.0, 1.0)})
     with pytest.raises(ValueError, match="outside its range"):
         FAMILY.at({"effort": 5.0})

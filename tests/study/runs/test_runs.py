@@ -113,7 +113,7 @@ def test_a_folder_that_is_no_run_is_not_touched(case, capsys):
     (case / "run").mkdir()
     (case / "run" / "notes.txt").write_text("mine")
     assert main(["solve", str(case)]) == 2
-    assert "this is no run" in capsys.readouterr().err
+    assert "this is not a run" in capsys.readouterr().err
     assert [file.name for file in (case / "run").iterdir()] == ["notes.txt"]
     assert not (case / "runs").exists()
     (case / "run" / "notes.txt").unlink()
@@ -209,6 +209,6 @@ def test_compare_takes_any_number(case, capsys):
 def test_a_link_of_a_user_stays(case, tmp_path):
     (tmp_path / "disk").mkdir()
     (case / "run").symlink_to(tmp_path / "disk")
-    with pytest.raises(CaseError, match="this is no run"):
+    with pytest.raises(CaseError, match="this is not a run"):
         commands.solve(CaseRequest(case), quiet)
     assert (case / "run").resolve() == tmp_path / "disk"

@@ -41,7 +41,7 @@ PositiveOrNone = Annotated[float, Field(gt=0)] | None
 
 
 def _whole_number(low: int, high: int, note: str) -> Any:
-    """A key for a whole number from `low` to `high`, or none; with its description."""
+    """An optional key for a whole number from `low` to `high`, with its description."""
     return Field(None, ge=low, le=high, description=f"a whole number from {low} to {high:,}{note}")
 
 
@@ -134,7 +134,7 @@ class UniformStart(CaseTable):
 
 
 class NormalStart(CaseTable):
-    """An initial state that is normal, its numbers independent."""
+    """A normally distributed initial state with independent components."""
 
     mean: float | list[float] = Field(description="a number, or a list of them")
     deviation: float | list[float] = Field(description="a number above 0, or a list of them")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.problem import Problem
+from snapo.report.drawing import clock_of
 from snapo.report.quantity import readable
 from snapo.study.chapters.bound import BOUND
 from snapo.study.chapters.certificate import CERTIFICATE
@@ -86,6 +87,9 @@ def _about(case: EnergyCase) -> dict[str, Any]:
     units = {flow.name: flow.unit for flow in layout.flows}
     units |= dict.fromkeys(layout.reported, "1")
     units |= {} if case.scheduled is None else {TRADED: case.volume_unit}
+    hourly = KINDS[case.kind].hourly
+    days = [day.isoformat() for day in case.days]
+    times = case.market.forward_curve.labels if hourly else days
     return {
         "title": case.title,
         "unit": unit,
@@ -96,7 +100,8 @@ def _about(case: EnergyCase) -> dict[str, Any]:
         "units": units | {"cash_flow": money, "shortfall": money, "levels": case.volume_unit},
         "valuation_date": case.valuation_date.isoformat(),
         "start": case.days[0].isoformat(),
-        "step": "hour" if KINDS[case.kind].hourly else "day",
+        "step": "hour" if hourly else "day",
+        "clock": clock_of(times, 24 if hourly else 1),
         "horizon": len(case.days),
         "model": case.model.describe(),
         "objective": f"{case.objective.kind} of the discounted cash flow",

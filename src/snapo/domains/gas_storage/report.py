@@ -6,9 +6,9 @@ import numpy as np
 
 from snapo.report import charts
 from snapo.report.drawing import LIGHT, draw_alone
-from snapo.report.evidence import making, notes
+from snapo.report.evidence import check_marks, making, notes
 from snapo.report.missing import why_missing
-from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
+from snapo.report.page import Block, Facts, Headline, Missing, Section
 from snapo.report.quantity import (
     PLUS_MINUS,
     decimals,
@@ -59,7 +59,7 @@ def headline(run: StorageRun) -> Section:
         sentence=_sentence(run, now) if now.action else "",
         tone=TONES.get(now.action, "main"),
         when=_when(run, now),
-        marks=_marks(run),
+        marks=check_marks(checks(run)),
     )
     blocks: list[Block] = [block, *notes(run)]
     if not now.action:
@@ -67,16 +67,6 @@ def headline(run: StorageRun) -> Section:
     if facts := _facts(run, value, digits, position.cycles, now):
         blocks.append(Facts(facts))
     return Section("headline", "Value and decision", "", blocks)
-
-
-def _marks(run: StorageRun) -> list[Mark]:
-    result = checks(run)
-    failed = [name for name, passed in result if not passed]
-    if not result:
-        return []
-    if failed:
-        return [Mark(False, f"{len(failed)} of {len(result)} checks fail; see the certificate")]
-    return [Mark(True, f"all {len(result)} checks of the certificate hold")]
 
 
 def _when(run: StorageRun, now: FirstDecision) -> str:

@@ -96,7 +96,7 @@ def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
 
 
 def _innovations(problem: Problem, fit: FittedValue | None) -> Innovations | None:
-    """Those of the fitted value, where prices have no other risks than its factors'."""
+    """The innovations of the fitted value, where prices have no other risks than its factors'."""
     result = factors(problem)
     if fit is None or result is None or not result.exact or len(fit.basis.selected) > MAX_FACTORS:
         return None

@@ -44,5 +44,5 @@ class OwnCase:
 
     @property
     def constraints(self) -> tuple[Limit, ...]:
-        """Those that the simulator's class holds."""
+        """Limits that the simulator's class holds."""
         return tuple(getattr(self.simulator, "constraints", ()))

@@ -5,7 +5,7 @@ import numpy as np
 from snapo.problem.objective import CRRA
 from snapo.report import evidence
 from snapo.report.missing import unless_left_out
-from snapo.report.page import Facts, Headline, Mark, Missing, Section, Text
+from snapo.report.page import Facts, Headline, Missing, Section, Text
 from snapo.report.quantity import PLUS_MINUS, finite, long_date, number, plus_minus
 from snapo.study.chapters.bound import BOUND, value_bounds
 from snapo.study.chapters.certificate import checks as certified
@@ -67,7 +67,7 @@ def headline(run: PensionRun) -> Section:
         action=action,
         sentence=sentence,
         when="Today's decision",
-        marks=_marks(run),
+        marks=evidence.check_marks(checks(run)),
     )
     return Section("headline", "Result", "", [block, *_facts(run)])
 
@@ -92,15 +92,6 @@ def checks(run: PensionRun) -> list[tuple[str, bool]]:
     tests += [(test.name, test.ok) for test in CONSISTENCY.of(run) or ()]
     verdicts = [(name.replace("_", " "), ok) for name, ok in tests if ok is not None]
     return [*verdicts, *certified(run)]
-
-
-def _marks(run: PensionRun) -> list[Mark]:
-    verdicts = checks(run)
-    failed = [name for name, passed in verdicts if not passed]
-    if failed:
-        text = f"{len(failed)} of {len(verdicts)} checks fail: {', '.join(failed[:3])}"
-        return [Mark(False, text)]
-    return [Mark(True, f"all {len(verdicts)} checks hold")] if verdicts else []
 
 
 def _trades(run: PensionRun) -> tuple[str, str]:

@@ -50,7 +50,7 @@ _compiled: dict[Form, Process] = {}
 
 def process_of(case: PharmaCase) -> Process:
     """The process of a case, with the functions that were compiled for an earlier one of its
-    form, if any: the same numbers to the bits."""
+    form, if any: the results are equal bit for bit."""
     case = with_steps(case)
     form = _form(case)
     if form not in _compiled:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ TAPE = 256 * 2**20  # bytes of tape per thread; longer horizons are done in segm
 SUMS = 256 * 2**20  # bytes of gradients of all groups together
 SLOTS = {name: i for i, name in enumerate(CONTEXT)}
 SPARE = 2**30  # bytes of scratch memory that kernels keep between calls, next to inputs
+ADDED = slice(SLOTS["call_sums"], SLOTS["step_sums"] + 1)  # neighbours in the table
 GROUPS = 32  # independent partial sums: fixed, so that threads do not change the answer
 
 
@@ -59,6 +61,13 @@ class Back:
     start_cotangent: np.ndarray
 
 
+class ThreadTable(NamedTuple):
+    """One thread's table of addresses, [columns, slots], and where it is."""
+
+    table: np.ndarray
+    address: int
+
+
 class GroupRunner:
     """The code of a kernel, with scratch memory that is used again from call to call.
 
@@ -82,7 +91,7 @@ class GroupRunner:
         context = _context(inputs.memory.where | numbers, inputs.columns)
         _apart(context, "weights", inputs.blocks * self.code.strides["weights"])
         with self._own(context, inputs) as local:
-            self.machine.functions["prepare"](address(local))
+            self.machine.functions["prepare"](local.address)
         return context
 
     def groups(
@@ -98,15 +107,17 @@ class GroupRunner:
         _apart(context, "start_cotangent", inputs.blocks * self.code.strides["start_cotangent"])
         run = self.machine.functions["run"]
 
+        count, starts = len(edges) - 1, edges.tolist()
+        sums = _sums(memory.where["sums"], (count, columns), calls, item) if adjoint else None
+
         # A helper may continue after an interrupt: its work keeps the memory and the code alive.
         def one(
-            group: int, context: np.ndarray, _held: tuple = (inputs, memory, self.machine)
+            group: int, local: ThreadTable, _held: tuple = (inputs, memory, self.machine)
         ) -> None:
-            if adjoint:
-                _add_up_in(context, memory.where["sums"] + group * columns * item, calls, item)
-            run(address(context), int(edges[group]), int(edges[group + 1]))
+            if sums is not None:
+                local.table[:, ADDED] = sums[group]
+            run(local.address, starts[group], starts[group + 1])
 
-        count = len(edges) - 1
         mine = partial(self._own, context, inputs)
         spread(one, count, min(threads, count), memory["stop"], mine)
         return memory
@@ -133,7 +144,7 @@ class GroupRunner:
         return int(min(length, max(1, TAPE // self.code.strides["tape"])))
 
     @contextmanager
-    def _own(self, context: np.ndarray, inputs: KernelInputs) -> Iterator[np.ndarray]:
+    def _own(self, context: np.ndarray, inputs: KernelInputs) -> Iterator[ThreadTable]:
         """The context with separate scratch memory."""
         sizes = self._scratch(inputs.length, inputs.columns)
         limit = max(SPARE - 4 * inputs.memory.size, 0)
@@ -146,7 +157,7 @@ class GroupRunner:
             local[:, SLOTS[name]] = position
         _apart(local, "cotangent", self.code.strides["cotangent"])
         try:
-            yield local
+            yield ThreadTable(local, address(local))
         finally:
             spare.give(self, scratch, limit)
 
@@ -202,11 +213,12 @@ class Runner(GroupRunner):
             rows, where = total["total"], total.where["total"]
             np.sum(groups, axis=0, out=rows.view(np.float64))
         rows = rows.reshape(-1, columns, stride)
+        sums = _sums(where, (len(rows), columns), calls, stride)
         with self._own(context, inputs) as local:
-            for part in range(len(rows)):
-                _add_up_in(local, where + part * columns * stride, calls, stride)
-                for column in local:
-                    self.machine.functions["finish"](address(column))
+            for part in sums:
+                local.table[:, ADDED] = part
+                for column in range(columns):
+                    self.machine.functions["finish"](local.address + 8 * len(CONTEXT) * column)
         rows = rows[0] if inputs.edges is None else rows
         left = memory["start_cotangent"].reshape(columns, -1)
         return [Back(rows[..., k, :calls], rows[..., k, calls:], left[k]) for k in range(columns)]
@@ -284,10 +296,11 @@ def _apart(context: np.ndarray, name: str, size: int) -> None:
     context[:, SLOTS[name]] += size * np.arange(len(context))
 
 
-def _add_up_in(context: np.ndarray, position: int, calls: int, stride: int) -> None:
-    """By column, sums of the call from here on, then of the steps: `stride` bytes together."""
-    positions = position + stride * np.arange(len(context))
-    context[:, SLOTS["call_sums"]], context[:, SLOTS["step_sums"]] = positions, positions + calls
+def _sums(position: int, shape: tuple[int, int], calls: int, stride: int) -> np.ndarray:
+    """[*shape, 2]: the addresses of the sums of the call and, `calls` bytes on, of its steps, both
+    together `stride` bytes: for every part and column, one after the other from `position` on."""
+    first = position + stride * np.arange(shape[0] * shape[1]).reshape(shape)
+    return np.stack([first, first + calls], axis=-1)
 
 
 def _groups(blocks: int, size: int) -> int:

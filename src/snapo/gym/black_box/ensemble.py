@@ -213,7 +213,7 @@ def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, n
 
 
 def _in_units(raw, scales: _Scales):
-    """The same networks between numbers in the environment's units."""
+    """The same networks, with inputs and outputs in the units of the environment."""
     (first, bias), *rest = [tuple(np.asarray(a, np.float64) for a in item) for item in raw]
     shift, scale = scales.x
     layers = [(first / scale, bias - (first / scale) @ shift), *rest]

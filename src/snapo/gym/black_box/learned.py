@@ -92,7 +92,7 @@ class Learned:
 
     @property
     def standard_error(self) -> float:
-        """Of `value`."""
+        """The standard error of `value`."""
         return self.comparison.real_error
 
     @property
@@ -130,7 +130,7 @@ class Learned:
         return str(self)
 
     def __str__(self) -> str:
-        """Of the rounds the real values are from the starts that all have played."""
+        """The text; in the rounds, the real values are from the starts that all have played."""
         result = self.comparison
         titles = ("round", "steps", "fitted to", "worst error", "real", "gap")
         lines = [

@@ -190,7 +190,8 @@ def _limit(environment: Any, values: int | None) -> int:
 
 
 def _of_wrapper(environment: Any) -> int | None:
-    """That of a `TimeLimit` around an environment that is not registered, and so has no spec."""
+    """The limit of steps of a `TimeLimit` around an environment that is not registered, and so has
+    no spec."""
     while isinstance(environment, gymnasium.Wrapper):
         if isinstance(environment, gymnasium.wrappers.TimeLimit):
             return environment._max_episode_steps

@@ -280,7 +280,7 @@ def run(
 
 
 def _explored(real: Real, plan: LearningPlan) -> Known:
-    """Episodes of random actions, and the units that they give."""
+    """Plays episodes of random actions, and estimates the units of all numbers from them."""
     available = Known.of(real, plan.seed)
     while not available.episodes or available.room(EXPLORE * plan.steps):
         available.play(random_actions(real, available.rng))

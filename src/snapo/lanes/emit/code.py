@@ -36,6 +36,48 @@ class Curve:
     write: Callable[..., Ref]
 
 
+LINE = 64  # bytes of a line of the cache
+
+
+class Ahead:
+    """Memory from an address on that loops of dot products fetch before it is needed.
+
+    Each of their rounds fetches some. All at once it would take every buffer that the processor
+    has for misses of its cache, and loads of the present step would wait.
+    """
+
+    LIMIT = 8  # lines that one round fetches
+
+    def __init__(self, code: "Code", start: str, size: int, rounds: int, written: bool):
+        """So many rounds fetch `size` bytes, which are then read or `written`. Bytes to be read
+        that exceed the limit of the rounds are fetched here."""
+        self.code, self.start, self.written, self.taken = code, start, written, 0
+        self.share = min(self.LIMIT * LINE, -(-size // rounds)) if rounds else 0
+        code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
+        first = self.share * rounds
+        if first < size and not written:
+            with code.loop(-(-(size - first) // (4 * LINE))) as loop:
+                distance = code.index(f"mul nsw i64 {loop.i}, {4 * LINE}")
+                self._fetch(code.pointer(code.pointer(start, first), distance), 4)
+
+    def take(self, rounds: int) -> int:
+        """The number of the first of so many rounds, which follow one another."""
+        self.taken += rounds
+        return self.taken - rounds
+
+    def fetch(self, round: str, first: int | str) -> None:
+        """Fetches the share of a round, by its number from that of the `first` in its loop."""
+        number = self.code.index(f"add nsw i64 {round}, {first}")
+        distance = self.code.index(f"mul nsw i64 {number}, {self.share}")
+        self._fetch(self.code.pointer(self.start, distance), -(-self.share // LINE))
+
+    def _fetch(self, at: str, lines: int) -> None:
+        for line in range(lines):
+            pointer = self.code.pointer(at, LINE * line)
+            hints = f"i32 {int(self.written)}, i32 2, i32 1"
+            self.code.do(f"call void @llvm.prefetch.p0(ptr {pointer}, {hints})")
+
+
 class Code:
     """One function's instructions. `lanes` is the width of a number that differs between paths.
 
@@ -48,6 +90,7 @@ class Code:
         self.lanes = lanes
         self.module = module
         self.contract = False
+        self.ahead: Ahead | None = None
         self.lines: list[str] = []
         self.count = 0
         self.block = "entry"
@@ -290,6 +333,22 @@ class Code:
         self.do(f"br i1 {more}, label %{head}, label %{exit}")
         self.lines.append(f"{exit}:")
         self.block = exit
+
+    def without_last(self, count: int, empty: Callable[[str], str]) -> str:
+        """`count` rounds less the last ones that are `empty`, by number; at least one is left."""
+        before, head, exit = self.block, self.fresh("head"), self.fresh("exit")
+        self.do(f"br label %{head}")
+        self.lines.append(f"{head}:")
+        self.block, mark, left = head, len(self.lines), "%" + self.fresh("i")
+        last = self.index(f"sub nsw i64 {left}, 1")
+        several = self.index(f"icmp sgt i64 {left}, 1")
+        repeat = self.index(f"and i1 {several}, {empty(last)}")
+        pairs = f"[ {count}, %{before} ], [ {last}, %{head} ]"
+        self.lines.insert(mark, f"  {left} = phi i64 {pairs}")
+        self.do(f"br i1 {repeat}, label %{head}, label %{exit}")
+        self.lines.append(f"{exit}:")
+        self.block = exit
+        return left
 
     @contextmanager
     def branch(self, condition: str) -> Iterator[None]:

@@ -55,7 +55,7 @@ class Module:
         self.declared[text] = None
 
     def first(self, name: str) -> bool:
-        """Whether a function is asked for the first time; its text follows then."""
+        """Whether a function is requested for the first time; its text is then written."""
         new = name not in self.instances
         self.instances[name] = None
         return new

@@ -97,6 +97,7 @@ class EmittedValues:
         self.workspace = workspace
         self.homes = homes or {}
         self.loose: Container[ProgramValue] = ()
+        self.finite: set[ProgramValue] = set()  # those known to have no infinity and no NaN
         self._where: dict[ProgramValue, Small | ArrayPlace] = {}
 
     def bind(self, value: ProgramValue, available: Small | ArrayPlace) -> None:

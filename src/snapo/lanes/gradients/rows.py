@@ -79,7 +79,7 @@ class GradientRule:
 
 @dataclass(eq=False)
 class Gradients:
-    """Those summed over the whole call's steps, and those of a step's numbers."""
+    """Gradients summed over the whole call's steps, and those of a step's numbers."""
 
     items: list[GradientRule]
 

@@ -160,7 +160,7 @@ def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
 
 
 def differentiated(closed, count: int) -> set[int]:
-    """Those of the first `count` inputs with respect to which derivatives may exist."""
+    """The inputs among the first `count` inputs with respect to which derivatives may exist."""
     jaxpr, used = closed.jaxpr, set()
     for eqn in jaxpr.eqns:
         if eqn.primitive.name != STILL:

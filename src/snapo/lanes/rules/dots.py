@@ -14,6 +14,7 @@ from ..emit.values import EmittedValues
 from ..program.program import Op, ProgramValue
 
 WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
+LONG = 64  # elements of a row that is examined for zeros at its end
 ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; where there are 16 only
 
 
@@ -38,14 +39,8 @@ def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
     """
     (contract_a, contract_b), (batch_a, batch_b) = op.params["dimension_numbers"]
     a, b = op.inputs
-    free_a = [i for i in range(len(a.shape)) if i not in (*contract_a, *batch_a)]
-    free_b = [i for i in range(len(b.shape)) if i not in (*contract_b, *batch_b)]
-    sizes = [
-        _count(a, batch_a),
-        _count(a, free_a),
-        _count(b, free_b),
-        _count(a, contract_a),
-    ]
+    free_a, free_b = _free(op)
+    sizes = _sizes(op)
     if not tiles(op):
         _written_out(
             values, op, (batch_a, free_a, contract_a), (batch_b, free_b, contract_b), sizes
@@ -54,7 +49,34 @@ def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
     left = _axes(values.in_memory(a), batch_a, free_a, contract_a)
     right = _axes(values.in_memory(b), batch_b, free_b, contract_b)
     finish = finish or _stored(values, op.outputs[0])
-    tiled(values.code, left, right, op.outputs[0], sizes, finish)
+    finite = any(v in values.finite for v in (a, b))
+    tiled(values.code, left, right, op.outputs[0], sizes, finish, finite)
+
+
+def rounds(code: Code, op: Op) -> int:
+    """How many rounds the loops of a dot product take; none where it is not done in tiles."""
+    if op.name != "dot_general" or not tiles(op):
+        return 0
+    (a, b), (batch, rows, columns, depth) = op.inputs, _sizes(op)
+    if _swapped(a.path, b.path, rows, columns):
+        rows, columns = columns, rows
+    high = even_tiles(rows, _tallest(code, op.outputs[0]))
+    return batch * sum(count for _, count, _ in high) * columns * (depth // _unrolled(depth))
+
+
+def _free(op: Op) -> list[list[int]]:
+    """The axes of both inputs that are neither contracted nor common."""
+    return [
+        [i for i in range(len(v.shape)) if i not in (*contract, *batch)]
+        for v, contract, batch in zip(op.inputs, *op.params["dimension_numbers"])
+    ]
+
+
+def _sizes(op: Op) -> tuple[int, int, int, int]:
+    """The numbers of common, left, right and contracted elements."""
+    (contract, _), (batch, _) = op.params["dimension_numbers"]
+    (a, b), (free_a, free_b) = op.inputs, _free(op)
+    return _count(a, batch), _count(a, free_a), _count(b, free_b), _count(a, contract)
 
 
 def _stored(values: EmittedValues, out: ProgramValue) -> Finish:
@@ -93,24 +115,43 @@ def _written_out(values: EmittedValues, op: Op, left, right, sizes) -> None:
     values.set(op.outputs[0], refs.reshape(op.outputs[0].shape))
 
 
-def tiled(code: Code, left, right, out: ProgramValue, sizes, finish: Finish) -> None:
-    """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows."""
+def tiled(
+    code: Code, left, right, out: ProgramValue, sizes, finish: Finish, finite: bool = False
+) -> None:
+    """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows.
+
+    Zeros at the end of long rows are left out where the factor of each path is `finite`.
+    """
     batch, rows, columns, depth = sizes
-    wide_left, wide_right = left[0].lanes > 1, right[0].lanes > 1
     order = (rows * columns, columns, 1)
-    if (wide_left and not wide_right) or (rows == 1 and columns > 1):
+    if _swapped(left[0].lanes > 1, right[0].lanes > 1, rows, columns):
         left, right, rows, columns = right, left, columns, rows
         order = (columns * rows, 1, rows)
     lanes = max(left[0].lanes, right[0].lanes)
+    short = finite and left[0].lanes < lanes and depth >= LONG and [s for _, s in left[3]] == [1]
     zero = code.constant(0, out.dtype, lanes)
-    registers = max(1, code.lanes * out.dtype.itemsize // code.module.register)
-    sums = FEW if code.module.few else ACCUMULATORS
-    for first, count, height in even_tiles(rows, max(2, sums // registers)):
-        with counted(code, batch) as n, counted(code, count) as tile, counted(code, columns) as j:
-            row = _plus(code, _times(code, tile, height), first)
-            totals = _tile(code, left, right, (n, row, j), depth, [zero] * height)
+    length = depth // _unrolled(depth)
+    for first, count, height in even_tiles(rows, _tallest(code, out)):
+        before = code.ahead.take(batch * count * columns * length) if code.ahead else 0
+        with counted(code, batch) as n, counted(code, count) as i, counted(code, columns) as j:
+            row = _plus(code, _times(code, i, height), first)
+            start = _times(code, _flat(code, (n, i, j), (count * columns, columns, 1)), length)
+            start = _plus(code, start, before)
+            tile = (n, row, j), depth, [zero] * height, start
+            totals = _tile(code, left, right, *tile, short)
             for r, total in enumerate(totals):
                 finish(_flat(code, (n, _plus(code, row, r), j), order), total)
+
+
+def _swapped(wide_left: bool, wide_right: bool, rows: int, columns: int) -> bool:
+    """Whether tiles are of the right input's rows: those that all paths share, or several."""
+    return (wide_left and not wide_right) or (rows == 1 and columns > 1)
+
+
+def _tallest(code: Code, out: ProgramValue) -> int:
+    """Rows of a tile whose sums fit in the registers."""
+    registers = max(1, code.lanes * out.dtype.itemsize // code.module.register)
+    return max(2, (FEW if code.module.few else ACCUMULATORS) // registers)
 
 
 def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
@@ -124,17 +165,27 @@ def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
     return [(0, taller, height + 1), low] if taller else [low]
 
 
-def _tile(code: Code, left, right, position, depth: int, totals: list[Ref]) -> list[Ref]:
-    """The sums of neighbouring rows, in one column."""
+def _tile(
+    code: Code, left, right, position, depth: int, totals: list[Ref], number: int | str, short: bool
+) -> list[Ref]:
+    """The sums of neighbouring rows, in one column; `number` is that of its first round.
+
+    `short`: rounds at the end in which all of the rows are zero are left out.
+    """
     place_a, batch_a, free_a, depth_a = left
     place_b, batch_b, free_b, depth_b = right
     n, first, j = position
     base_a = _at(code, place_a, [(n, batch_a)])
     rows = [_at(code, base_a, [((first, r), free_a)]) for r in range(len(totals))]
     base_b = _at(code, place_b, [(n, batch_b), (j, free_b)])
-    unrolled = next(u for u in (depth if depth < 8 else 4, 4, 3, 2, 1) if depth % u == 0)
-    with code.loop(depth // unrolled, tuple(totals)) as loop:
+    unrolled = _unrolled(depth)
+    rounds = depth // unrolled
+    if short:
+        rounds = code.without_last(rounds, lambda k: _zero(code, rows, k, unrolled, depth_a))
+    with code.loop(rounds, tuple(totals)) as loop:
         totals = list(loop.carried)
+        if code.ahead:
+            code.ahead.fetch(loop.i, number)
         start = _times(code, loop.i, unrolled)
         for u in range(unrolled):
             b = _at(code, base_b, [((start, u), depth_b)]).read(code, [])
@@ -143,6 +194,30 @@ def _tile(code: Code, left, right, position, depth: int, totals: list[Ref]) -> l
                 totals[r] = code.fma(*code.same(a, b, totals[r]))
         loop.results = totals
     return totals
+
+
+def _zero(code: Code, rows: list[ArrayPlace], number: str, unrolled: int, axes) -> str:
+    """Whether the numbers of one round are zero in all rows."""
+    kind = f"uint{8 * rows[0].dtype.itemsize}"
+    start, bits = _times(code, number, unrolled), None
+    for row in rows:
+        location = _at(code, row, [(start, axes)])
+        pointer = code.pointer(location.base, location.offset)
+        x = code.load(pointer, kind, unrolled, align=row.dtype.itemsize)
+        bits = x if bits is None else code.op("or", bits, x)
+    assert bits is not None
+    size = code.op("shl", bits, code.constant(1, kind, unrolled))  # without the sign
+    scalar = f"i{8 * rows[0].dtype.itemsize}"
+    name = f"@llvm.vector.reduce.or.v{unrolled}{scalar}"
+    code.module.declare(f"declare {scalar} {name}({size.type})")
+    return code.index(
+        f"icmp eq {scalar} {code.raw(f'call {scalar} {name}({size.type} {size.text})')}, 0"
+    )
+
+
+def _unrolled(depth: int) -> int:
+    """Steps of a sum that are written out in one round."""
+    return next(u for u in (depth if depth < 8 else 4, 4, 3, 2, 1) if depth % u == 0)
 
 
 def _times(code: Code, i, factor: int):

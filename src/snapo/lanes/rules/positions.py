@@ -93,7 +93,7 @@ def _clamp(code: Code, x: Ref, last: int) -> Start:
 
 
 def limit(op: Op, moved: ProgramValue) -> None:
-    """Refuses to move more elements than can be written out."""
+    """**Raises:** `Unsupported` for more elements than can be written out."""
     if moved.size > LARGEST:
         raise Unsupported(f"{op.name}: of {moved.size} elements (at most {LARGEST}), at {op.where}")
 

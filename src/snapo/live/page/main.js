@@ -186,9 +186,9 @@ const isCompiled = () => !Object.keys(chosen()).length || compiled.has(JSON.stri
 function reason() {
   if (refusal) return "for the previous inputs: these are refused";
   if (!page.ready) return "for the previous inputs: the calculation is starting";
-  if (page.valued === page.n) return "for the previous inputs: this follows";
+  if (page.valued === page.n) return "for the previous inputs: these numbers are next";
   const time = seconds() >= LONG ? `, ${seconds()} s` : "";
-  return isCompiled() ? `for the previous inputs: being valued${time}` : `for the previous inputs: this choice is compiled, once${time}`;
+  return isCompiled() ? `for the previous inputs: being valued${time}` : `for the previous inputs: code for this choice is being compiled, once${time}`;
 }
 
 // Every stale number is dimmed; the value is shown to first order, where that is known.

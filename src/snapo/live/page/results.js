@@ -77,8 +77,8 @@ const quotient = (top, per) => (per === "1" ? top : per.startsWith(`${top}/`) ? 
 
 // Where the derivative of an input comes from, unless it is that with the decisions held.
 const reported = (input) => ({
-  "through the policy": " With the decisions held it was refuted by a bump: the run's is the bump, elsewhere it changes as the held one does.",
-  "range": " More and less of this input differ at the run's inputs: the interval holds both.",
+  "through the policy": " A bump refuted the derivative with the decisions held: at the run's inputs the number is that of the bump, and it changes as the held one does.",
+  "range": " At the run's inputs an increase and a decrease of this input have different effects: the interval contains both.",
   "not known": " The derivative with respect to this input is not known.",
 })[input.source] ?? "";
 

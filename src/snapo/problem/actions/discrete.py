@@ -1,6 +1,6 @@
 """One of several options (`Choice`), and rights to be used once each (`Stop`).
 
-When to stop: a right, or several, to be used once each.
+When to stop: one right or several, each of which can be used once.
 """
 
 import equinox as eqx

@@ -289,7 +289,7 @@ def save(policy: eqx.Module, file: Path | str, features: int | None, code: bool 
 
     Of a policy with user code the arrays are written if `code`, for a reader who has the code.
 
-    **Raises:** `PolicyFileError` for such a policy otherwise.
+    **Raises:** `PolicyFileError` for a policy with user code, unless `code`.
     """
     arrays: list[Any] = []
     try:

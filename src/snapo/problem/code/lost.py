@@ -26,8 +26,8 @@ COMPARING = ("lt", "gt", "le", "ge", "eq", "ne")
 
 
 class Reach(NamedTuple):
-    """Of a number: the inputs that move it and those it has a slope in, as sets of bits, and
-    whether it differs by path."""
+    """The reach of a number: the inputs that move it and those it has a slope in, as sets of bits,
+    and whether it differs by path."""
 
     bumped: int = 0
     slope: int = 0
@@ -67,7 +67,8 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
 def _reach(
     simulator: Simulator, inputs: PyTree, values: list, smooth: Any, cuts: list[tuple[Any, int]]
 ) -> Reach:
-    """What all outputs of a path depend on; `cuts` takes the equations that end a slope."""
+    """The numbers on which all outputs of a path depend; `cuts` collects the equations at which
+    derivatives end."""
 
     def first(values, noise):
         schedule = simulator.prepare(inputs_.replace(inputs, values))
@@ -142,7 +143,7 @@ def _through(eqn: Any, reaches: list[Reach]) -> list[Reach]:
 
 
 def _rounds(params: Any, reaches: list[Reach]) -> list[Reach]:
-    """Of a scan: its body, repeated until the carry depends on no further input."""
+    """The rounds of a scan: its body, repeated until the carry depends on no further input."""
     fixed, carried = jax_private.arguments_of_scan(params)
     while True:
         made = _results(params["jaxpr"].jaxpr, reaches)

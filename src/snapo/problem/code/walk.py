@@ -1,4 +1,5 @@
-"""Everything a user's code reads, from the classes and functions in a tree to what they name.
+"""Everything a user's code reads, from the classes and functions in a tree to the objects to which
+they refer.
 
 Functions are read by their code, constants by value, mutable objects by their present content.
 Functions of libraries are taken unchanged.

@@ -95,7 +95,7 @@ def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTre
     requested = size(noises)
     if normals.shape != (requested,):
         raise ValueError(
-            f"noise: these noises take {requested} normals a step, and {normals.shape} came; set "
+            f"noise: these noises take {requested} normals a step, and got {normals.shape}; set "
             f"noise_size = {requested}."
         )
     values, first = [], 0

@@ -49,7 +49,7 @@ class Markov(Noise):
             raise ValueError("Markov: transition has a probability below 0, or a row without any.")
 
     def probabilities(self, regime: Int[Array, ""]) -> Float[Array, " k"]:
-        """Of the next regime."""
+        """The probabilities of the next regime."""
         p = jnp.asarray(self.transition)
         # Rows are read by selection: the table is small.
         row = (jnp.arange(p.shape[0]) == regime).astype(p.dtype) @ p

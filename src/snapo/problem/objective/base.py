@@ -247,7 +247,7 @@ class Weighted(Objective):
 
 
 def _sided(terms: Any) -> Iterator[tuple[float, Objective]]:
-    """The terms without sums among them, measures of costs where the factor is negative."""
+    """The terms of all sums in it; a term with a negative factor is a measure of costs."""
     for factor, term in terms:
         if isinstance(term, Weighted):
             yield from _sided((factor * local, item) for local, item in term.terms)

@@ -68,8 +68,8 @@ class PassResult(NamedTuple):
 
     @property
     def of_others(self) -> Callable[[Problem], dict[str, Estimate]] | None:
-        """Those with respect to the inputs of another problem with this schedule; None where they
-        would keep more than `LARGE` bytes."""
+        """Derivatives with respect to the inputs of another problem with this schedule; None where
+        they would keep more than `LARGE` bytes."""
         return self.schedule.of_inputs if self.schedule.bytes <= LARGE else None
 
 
@@ -231,7 +231,7 @@ class DerivativePass(NamedTuple):
         return draws, None, {"actions": actions, "wrt": ("schedule",)}
 
     def _pulled(self, result: Adjoint, invalid: int, count: int) -> list[Pulled]:
-        """The derivatives of each of a number of columns."""
+        """The derivatives of each of `count` columns of weights."""
         leaves = [] if self.held else jax.tree.leaves(trainable(result.policy)[0])
         schedule, leaves = jax.tree.map(np.asarray, (result.schedule, leaves))
         if count == 1:
@@ -279,7 +279,7 @@ def _split(totals: Totals, sizes: list[int]) -> list[Totals]:
 
 
 def _joined_totals(passes: list[Pulled]) -> Totals | None:
-    """Those of all passes, where all are known."""
+    """The totals of all passes, where all are known."""
     available = [item.totals for item in passes if item.totals is not None]
     if len(available) < len(passes):
         return None

@@ -43,7 +43,7 @@ class BlockPlan(NamedTuple):
     def estimate(self, sums: np.ndarray, further: np.ndarray) -> np.ndarray:
         """[B, *shape]: numbers whose mean is the derivative and whose spread is its error.
 
-        From the blocks' sums of w_i dX_i [B, *shape], and those of the pieces [K, *shape].
+        `sums`: of w_i dX_i by block [B, *shape]; `further`: those of the pieces [K, *shape].
         """
         blocks, shape = len(sums), (len(sums), *(1,) * (sums.ndim - 1))
         value = sums.sum(0)

@@ -43,7 +43,8 @@ class Interval(NamedTuple):
 
 
 class Curvature(NamedTuple):
-    """The value around the policy as a quadratic surface in n coordinates, at its top.
+    """A quadratic surface in n coordinates that approximates the value around the policy, at its
+    maximum.
 
     - `inverse`: [n, n], of minus the second derivatives; `covariance`: [n, n], of the place of the
       top; `gap`: by how much the best policy may be above this one.

@@ -54,8 +54,8 @@ def _pairs(surface: Surface) -> int:
 def margin_of(
     problem: Problem, policy: Policy, surface: Surface, paths: int, seed: int, engine: Engine
 ) -> Margin:
-    """Of the held derivatives, near the reported policy, on the first `paths` of those of
-    the surface."""
+    """The margin of the held derivatives, near the reported policy, on the first `paths` of those
+    of the surface."""
     on = _Derivatives(problem, surface, engine, paths)
     half, pairs = (len(surface.points) - 1) // 2, _pairs(surface)
     selected = [0, *range(1, 1 + pairs), *range(1 + half, 1 + half + pairs)]
@@ -154,7 +154,8 @@ def _random(
         direction = surface.coordinates._replace(policy=policy).random(rng)
 
         def loss(length: float, along: np.ndarray = direction) -> float:
-            """Of both sides together: where the policy is not at the top, one of them gains."""
+            """The loss of both sides together: where the policy is not at the top, one of them
+            gains."""
             sides = [on.value(shifted_policy(policy, s * length * along)) for s in (1, -1)]
             return top - sum(sides) / 2
 

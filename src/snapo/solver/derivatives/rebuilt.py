@@ -21,7 +21,7 @@ FEWEST = 512  # paths, for all that is measured next to the value
 
 
 def fewer(paths: int, horizon: int) -> int:
-    """Of a number of paths as many as make no more steps than all would with `LONG` of them; at
+    """As many of a number of paths as make no more steps than all would with `LONG` of them; at
     least 512, where there are so many.
 
     A path of a year by the hour has as many days as four of three months: what is a mean over days

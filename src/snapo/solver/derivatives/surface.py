@@ -54,7 +54,7 @@ class Coordinates(NamedTuple):
         return self._replace(directions=self.directions[:count])
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
-        """[P] a random direction of all numbers, each drawn as large as its array's are."""
+        """[P] a random direction; the size of each number is the typical one in its array."""
         # In float64: JAX's arrays and NumPy's would round the same numbers to other deviations.
         leaves = [np.asarray(x, np.float64) for x in jax.tree.leaves(trainable(self.policy)[0])]
         drawn = [
@@ -79,7 +79,7 @@ def shifted_policy(policy: Policy, by: np.ndarray) -> Policy:
 
 
 def coordinates(policy: Policy, earlier: Policy | None = None) -> Coordinates:
-    """Of a policy; `earlier` is the one from halfway through its training."""
+    """The coordinates of a policy; `earlier` is the one from halfway through its training."""
     numbers = _vector(policy)
     past = [] if earlier is None else [numbers - _vector(earlier)]
     past = [change for change in past if np.any(change)]
@@ -305,7 +305,7 @@ class _Fitted(NamedTuple):
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the top, with a prior of one radius."""
+        """The covariance of the maximum, with a prior of one radius."""
         inverse = self.inverse @ self.noise @ self.inverse
         return inverse @ np.linalg.inv(np.eye(len(inverse)) + inverse)
 

@@ -53,7 +53,7 @@ def _slowed(steps: tuple[int, ...]) -> str:
     *first, last = map(str, steps)
     summary = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     return (
-        f"Training broke at {summary}, where too many paths were non-finite, and continued each "
+        f"Training failed at {summary}, where too many paths were non-finite, and continued each "
         "time from the best policy so far with a quarter of the learning rate."
     )
 

@@ -127,7 +127,7 @@ class Parts(NamedTuple):
 
     @classmethod
     def of(cls, policy: PyTree) -> "Parts":
-        """Those of `trainable`."""
+        """The parts of a policy; those of `trainable` are trained."""
         moving, fixed = trainable(policy)
         # Where a leaf is trained, the fixed tree has a hole.
         complete = jax.tree.map(lambda _: True, moving), jax.tree.map(lambda _: False, fixed)

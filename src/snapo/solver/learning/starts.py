@@ -37,7 +37,8 @@ SHORT = Training(steps=300, paths=128, validation_paths=512)
 
 
 class Imitating(Around):
-    """The rule moves the state; the policy is charged for the square of its distance."""
+    """The rule moves the state; the cost of the policy is the square of its distance from the
+    rule."""
 
     rule: Frozen
     scale: tuple[float, ...] = eqx.field(static=True)
@@ -187,7 +188,7 @@ def describe(rounds: tuple[Round, ...]) -> str:
         else ""
     )
     return (
-        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} went on: "
+        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} continued: "
         f"{metadata}.{more}"
     )
 

@@ -102,7 +102,7 @@ class Effort(NamedTuple):
 
     @classmethod
     def for_training(cls, trained: int, horizon: int, maximum: int) -> "Effort":
-        """That of a training on a total number of paths, with a number of steps each."""
+        """The effort of a training on a total number of paths with a horizon."""
         fewest = min(max(FEWEST * LONG // max(horizon, 1), FEWEST_LONG), FEWEST)
         return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum, fewest)
 
@@ -214,7 +214,7 @@ def _selected(
     """The choice on a number of paths, the value of the initial rule on them, and the candidates
     that are not plainly below the best one.
 
-    `available`: {candidate: totals} on fewer of these paths; those on all of them afterwards.
+    `available`: {candidate: totals} on the first of these paths; returns those on all of them.
     """
     controls = problem.simulator.control_variates()
     names = list(candidates)

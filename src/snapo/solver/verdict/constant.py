@@ -109,7 +109,7 @@ class ConstantDecision(NamedTuple):
 
 
 def constant_decisions(action: Actions, actions: np.ndarray) -> list[ConstantDecision]:
-    """Those of the recorded decisions [T, paths, size] that never change."""
+    """The entries of the recorded decisions [T, paths, size] that never change."""
     flat = actions.reshape(-1, actions.shape[-1])
     low, high = action.bounds()
     width = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(flat).max(0), 1e-12))

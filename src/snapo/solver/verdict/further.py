@@ -70,7 +70,7 @@ def _numbers(state) -> list[np.ndarray]:
 
 
 def _is_flag(first, gone_on, stopped, *later) -> bool:
-    """Whether a number of the state is 0 or 1, changes only by a stop, and never again."""
+    """Whether a number of the state is 0 or 1, and changes only once, by a stop."""
     if first.size != 1 or first.item() not in (0.0, 1.0):
         return False
     selected = gone_on == first and all(item == stopped for item in later)

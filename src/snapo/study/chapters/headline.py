@@ -1,6 +1,6 @@
 """The value of a run with its interval, and the numbers next to it."""
 
-from snapo.report.evidence import gradient, notes
+from snapo.report.evidence import check_marks, gradient, notes
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Section, Text
@@ -65,10 +65,7 @@ def marks(run: RunFiles) -> list[Mark]:
     """The state of the run, and of its checks together."""
     status = run.result.status
     result = [Mark(status in STATUS, STATUS.get(status, status))] if status else []
-    held = [passed for _, passed in checks(run)]
-    if held:
-        result.append(Mark(all(held), f"{sum(held)} of {len(held)} checks hold"))
-    return result
+    return [*result, *check_marks(checks(run))]
 
 
 def _facts(run: RunFiles, value: float, digits: int) -> list[tuple[str, str, str]]:

@@ -10,7 +10,7 @@ import numpy as np
 from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
 from snapo.report.bands import quantile_fan
-from snapo.report.drawing import draw
+from snapo.report.drawing import date_numbers, draw, times_of
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Text
 from snapo.report.quantity import number, quantity, with_unit
@@ -54,7 +54,7 @@ class BandSeries:
 
     @property
     def constant(self) -> float | None:
-        """The number that it is at every step of every path; None where it varies."""
+        """Its number where that is equal at every step of every path; None where it varies."""
         lines = self.lines
         if not {"mean", "p01", "p99"} <= lines.keys():
             return None
@@ -194,13 +194,18 @@ def _fan(run: RunFiles, anchor: str, series: BandSeries, step: str, paths: str) 
     name, lines = run.title_of(series.name), series.lines
     if "mean" not in lines:
         return Text(f"{name} is finite on no path.", caveat=True)
-    when = np.arange(len(lines["mean"]))
+    when, times, dates = np.arange(float(len(lines["mean"]))), run.step_times, ""
+    if times.clock and (times.step == "day" or times.step == "hour"):
+        steps_a_day, dates = 24 if times.step == "hour" else 1, times.step
+        when = date_numbers(times_of(times.clock, steps_a_day, len(when)))
     alt = f"{name} over {len(when)} {step}s: mean, median and bands of quantiles of {paths} paths."
     label = with_unit(name, series.unit)
     svg = draw(
-        anchor, alt, lambda axes: quantile_fan(axes, when, lines, label, None, step.capitalize()),
+        anchor,
+        alt,
+        lambda axes: quantile_fan(axes, when, lines, label, None, step.capitalize(), dates),
         230,
-    )  # fmt: skip
+    )
     return Chart(svg, f"{name} ({HEADINGS[series.kind]}) on {paths} paths, under the exact rules.")
 
 

@@ -143,7 +143,7 @@ def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
 
 
 def _plain(position: FilePosition, number: float) -> Iterator[tuple[PlainPosition, float]]:
-    """Where a number is written, and what."""
+    """The position at which a number is written, and the number itself."""
     if isinstance(position, ConvertedNumber):
         yield from _plain(position.position, position.inverse(number))
     elif isinstance(position, Copies):
@@ -154,8 +154,8 @@ def _plain(position: FilePosition, number: float) -> Iterator[tuple[PlainPositio
 
 
 def readable(entry: CaseInput, numbers: np.ndarray) -> np.ndarray:
-    """What is read once `with_numbers` has written these: where a case converts a number, the next
-    one that a float in its files becomes."""
+    """The numbers that are read after `with_numbers` has written these. Where a case converts a
+    number, it is the nearest one that a float in its files can represent."""
     pairs = zip(entry.positions, numbers.ravel().tolist())
     return np.array(
         [at.read(at.inverse(x)) if isinstance(at, ConvertedNumber) else x for at, x in pairs]

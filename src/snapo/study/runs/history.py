@@ -136,8 +136,8 @@ def _changes(changes: Sequence[Difference]) -> Iterator[str]:
 def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> list[str]:
     """Removes the runs with these names, or all but the last `keep`; returns their names.
 
-    A name may be its last four letters. Of all but the last, those that are running and the one
-    to which `run` points stay. Where the latest is removed, `run` points to the one before it.
+    A name may be its last four letters. Those that are running, and the one to which `run` points,
+    are kept in any case. Where the latest is removed, `run` points to the one before it.
 
     **Raises:** `CaseError` where there is no such run, or it is running; then nothing is removed.
     """

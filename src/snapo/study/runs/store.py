@@ -216,7 +216,7 @@ def adopt(home: Path) -> None:
     with suppress(OSError):
         (home / RUNS).rmdir()
     message = (
-        "this is no run, and its name is that of the latest run: rename it, or name a folder "
+        "this is not a run, and its name is that of the latest run: rename it, or name a folder "
         "with --out"
     )
     raise CaseError(str(plain), "", None, message)

@@ -181,6 +181,9 @@ def test_the_command_writes_its_tables(tmp_path, ledger, paths, capsys):
     assert main(["backtest", str(case), "--history", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "30 days from 2025-01-01 to 2025-01-30" in printed
+    assert f"report: {case / 'backtest' / 'report.html'}" in printed
+    page = (case / "backtest" / "report.html").read_text()
+    assert "Realised and expected" in page and "Rolling" not in page  # there are no curves
     table = np.genfromtxt(case / "backtest" / "days.csv", delimiter=",", names=True)
     assert len(table) == 30 and table["spot"][8] == table["spot"][7]  # a day without a price
     assert table["inventory"][-1] == pytest.approx(0.0, abs=1e-9)

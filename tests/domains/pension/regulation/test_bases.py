@@ -67,7 +67,7 @@ def test_the_recovery_plan_is_worth_the_deficit():
 
 
 def test_rules_have_a_date():
-    with pytest.raises(CaseError, match="no version holds on 2020-01-01"):
+    with pytest.raises(CaseError, match="no version is in force on 2020-01-01"):
         scheme(datetime.date(2020, 1, 1))
     assert scheme().funding.margins["Low dependency"] == 0.005
     assert scheme(low_dependency=0.003).funding.margins["Low dependency"] == 0.003

@@ -95,7 +95,7 @@ def test_mistakes_are_named(keys, named):
 
 
 def test_before_the_law_there_is_none():
-    with pytest.raises(CaseError, match="no version holds on 2014-12-31"):
+    with pytest.raises(CaseError, match="no version is in force on 2014-12-31"):
         read(datetime.date(2014, 12, 31))
 
 

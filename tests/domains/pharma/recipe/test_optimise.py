@@ -156,7 +156,7 @@ def test_deviations_of_the_batches_stay_within_the_limit():
         (
             "decisions",
             [{"of": "reactor.duration", "low": "2 h", "high": "1 h"}],
-            "high must lie above low",
+            "high must be above low",
         ),
         (
             "decisions",

@@ -78,7 +78,7 @@ class FlatVolumes:
         self._limit_levels(self._least * self._effect, self._most * self._effect)
 
     def _volumes(self) -> tuple[np.ndarray, np.ndarray]:
-        """[T] the least and the most volume of each step, of both signs."""
+        """[T] the smallest and the largest volume of each step, with its sign."""
         forced, free = np.asarray(self.terms.least), np.asarray(self.terms.most)
         if self._down is None:
             return forced[:, self._up], free[:, self._up]
@@ -163,7 +163,7 @@ class FlatVolumes:
 
 
 class EnergyMethods(ContractMethods):
-    """Those of any contract of energy."""
+    """The methods of any contract of energy."""
 
     @cached_property
     def relaxation(self) -> EnergyRelaxation:
@@ -205,7 +205,7 @@ class EnergyMethods(ContractMethods):
         return Estimated(intrinsic_value(self.layout, self.run.setup.problem.schedule))
 
     def least_squares(self) -> np.ndarray:
-        """Of a contract of several levels or modes: the fitted value, on the same paths."""
+        """For a contract with several levels or modes the fitted value, on the same paths."""
         if no_flat_volumes(self.layout) or self.intraday:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()

@@ -22,7 +22,8 @@ class Intrinsic:
 
 @dataclass(frozen=True)
 class ExactValue:
-    """The exact value, and by how much finer grids still move it; None where there is none."""
+    """The exact value, and by how much it still changes on finer grids; None without an exact
+    value."""
 
     dynamic_programming: float | None = None
     dynamic_programming_error: float | None = None

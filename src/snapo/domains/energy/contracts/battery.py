@@ -181,7 +181,7 @@ def bumps(
     powers: tuple[ChargeTable, DischargeTable],
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
-    """Of energy and of cycles: the least that keep volumes, halfway too, on the common measure of
+    """The least energy and cycles that keep volumes, halfway too, on the common measure of
     all, on whose multiples methods have their nodes; of at least 1 %. None where they are more than
     `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)

@@ -25,7 +25,7 @@ STARTS = "a list like [{ off = 3, money = 2500.0, fuel = 60.0 }]"
 
 
 class PowerTable(CaseTable):
-    """{ market = "power", min = 50.0, max = 110.0 }: MW of an hour on."""
+    """{ market = "power", min = 50.0, max = 110.0 }: MW in an hour in which the plant runs."""
 
     market: Literal["power"] = Field("power", description='"power"')
     min: CaseInput = POWER("least of an hour on", 0.0, name="power_min")

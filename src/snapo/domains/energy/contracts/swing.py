@@ -144,8 +144,9 @@ class SwingContract(EnergyContract):
         return Terms(jnp.stack(start) if start else jnp.zeros(0), steps)
 
     def _promises(self, inputs: dict[str, Any]) -> Promises | None:
-        """Of a firm minimum with rights, in one contract year: the rest of it is at most the most
-        volume of a day, times the rights left, and times the days that rests leave."""
+        """The promises of a firm minimum with rights, in one contract year: the rest of it is at
+        most the most volume of a day, times the rights left, and times the days that rests
+        leave."""
         if not self.firm or self.annual_min is None:
             return None
         if self.layout.banks:
@@ -163,8 +164,8 @@ class SwingContract(EnergyContract):
         return Promises(jnp.broadcast_to(weights, (count, 2, 2)), bounds)
 
     def _carried(self, inputs: dict[str, Any]) -> Promises:
-        """Of a firm minimum, lower by the units carried forward: the rest of it is at most the
-        volume of the days left of the year."""
+        """The promises of a firm minimum, lower by the units carried forward: the rest of it is at
+        most the volume of the days left of the year."""
         daily = use(inputs, self.max_daily)
         following = jnp.append(daily[1:], 0.0)
 

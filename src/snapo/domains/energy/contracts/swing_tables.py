@@ -149,7 +149,7 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
         raise where.error("min_daily", float(daily_min.used()[t]), message)
     limits = _annual(where, table, annual)
     if rights is not None and np.any(daily_min.used() > 0):
-        raise where.error("min_daily", float(daily_min.used().max()), "with rights allowed is 0")
+        raise where.error("min_daily", float(daily_min.used().max()), "with rights, allowed is 0")
     minimum = limits[0]
     firm = table.shortfall == "firm"
     last_days = year_ends(where, table, days)

@@ -226,7 +226,7 @@ class StepTerms(NamedTuple):
 
 
 class StepPrices(NamedTuple):
-    """Of one step: the spot price, and the index where there is one."""
+    """Prices of one step: the spot price, and the index where there is one."""
 
     spot: Any
     index: Any = None

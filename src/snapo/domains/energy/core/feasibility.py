@@ -20,7 +20,7 @@ MISSED = 5.0  # charge for a unit of a promised minimum, in the largest amount t
 
 
 class Intervals(NamedTuple):
-    """Of the levels, [T, levels] each: at the start of a step, and after its moves."""
+    """Intervals of the levels, [T, levels] each: at the start of a step, and after its moves."""
 
     low: Float[Array, "T levels"]
     high: Float[Array, "T levels"]
@@ -74,7 +74,7 @@ def charged(steps: StepTerms, forward: Array) -> StepTerms:
 
 
 class FeasibleVolumes(NamedTuple):
-    """Of the flows of a move: the forced volume of each, and the most."""
+    """Volumes of the flows of a move: the forced volume of each, and the most."""
 
     forced: Array
     most: Array

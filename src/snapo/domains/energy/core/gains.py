@@ -21,7 +21,7 @@ SEGMENTS = 4  # of a volume; the gain of a unit is linear within each
 
 
 class VolumeGains(NamedTuple):
-    """Of a free volume: the gains `units` [SEGMENTS] of the units at both ends of each segment, and
+    """The gains of a free volume: `units` [SEGMENTS] of the units at both ends of each segment, and
     the `positions` [SEGMENTS - 1] between segments, as shares of the volume."""
 
     units: list[tuple[Array, Array]]
@@ -49,7 +49,7 @@ class FlowRows(NamedTuple):
     signs: tuple[int, ...]
 
     def gains(self, forced: Array, free: Array, read: Array, unit: Array) -> VolumeGains:
-        """Those of the units of a `free` volume beyond a `forced` one. `read`: the functions of
+        """The gains of the units of a `free` volume beyond a `forced` one. `read`: the functions of
         the prices; `unit`: earnings of a unit today."""
         if self.table.slopes.shape[1:-1]:
             if self.table.units is not None:

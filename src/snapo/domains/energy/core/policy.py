@@ -5,13 +5,21 @@ where it gains most. The network corrects the value of a unit of each level, how
 volume, and the value of each mode.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.problem.policy import Network, Policy, as_observation, without_idle_network
+from snapo.problem.policy import (
+    Network,
+    Policy,
+    as_observation,
+    with_idle_network,
+    without_idle_network,
+)
 from snapo.problem.smooth import EXACT
 
 from .contract import ContractLayout
@@ -22,7 +30,7 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
 class UnitValuePolicy(Policy):
-    """The action is a share of each volume, and a weight of each move that has others."""
+    """The action has a share of each volume, and a weight for each move that has alternatives."""
 
     network: Network | None
     form: tuple = eqx.field(static=True)
@@ -93,11 +101,7 @@ class UnitValuePolicy(Policy):
     @property
     def value_rule(self) -> "UnitValuePolicy":
         """The fitted value only, by a network that adds nothing."""
-
-        def last(policy: UnitValuePolicy):
-            return policy.network.weights[-1], policy.network.biases[-1]
-
-        return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
+        return with_idle_network(self)
 
     @property
     def simplest(self) -> "UnitValuePolicy":
@@ -126,6 +130,7 @@ def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolic
     # The last features are the modes; the last outputs the value of each mode above the first one.
     order = np.array([own.modes.index(name) for name in layout.modes])
     network = policy.network
+    assert network is not None
     first, weights, biases = network.weights[0], network.weights[-1], network.biases[-1]
     head = 2 * len(layout.levels)
     rows, shift = (
@@ -138,7 +143,7 @@ def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolic
     seen = first.shape[1] - count
     first = jnp.concatenate([first[:, :seen], first[:, seen:][:, order]], axis=1)
 
-    def parts(x: UnitValuePolicy):
+    def parts(x: Any):
         return x.network.weights[0], x.network.weights[-1], x.network.biases[-1]
 
     hidden = tuple(len(bias) for bias in network.biases[:-1])

@@ -311,5 +311,5 @@ def simulator_of(problem: Problem) -> EnergySimulator:
     """The simulator of a contract of this room."""
     simulator = problem.simulator
     if not isinstance(simulator, EnergySimulator):
-        raise TypeError(f"{type(simulator).__name__} is no contract of energy.")
+        raise TypeError(f"{type(simulator).__name__} is not a contract of energy.")
     return simulator

@@ -100,7 +100,7 @@ class Values(NamedTuple):
 
 
 class Surprise(NamedTuple):
-    """One step: the value at its start, and that of the next step as expected."""
+    """One step: the value at its start, and the expected value of the next step."""
 
     now: Values
     ahead: Values

@@ -2,5 +2,5 @@
 
 NOT_AS_PLANNED = (
     "the contract is in another state than planned: the cash flow of the days between is that of "
-    "the plan; --cash gives it as it was"
+    "the plan; --cash sets the actual one"
 )

@@ -31,7 +31,7 @@ from ...gas_storage.explain.chain import (
 )
 from ...gas_storage.explain.change import ExplainedChange
 from ...gas_storage.explain.curve import DeliveryPeriod
-from ...gas_storage.explain.runs import ValuedRun, check_pair
+from ...gas_storage.explain.runs import FIXED, ValuedRun, check_pair
 from ...gas_storage.prices.index import IndexedPrices
 from ...gas_storage.read.tables import FORWARD
 from ..core.policy import UnitValuePolicy, reordered
@@ -59,8 +59,7 @@ def explained_change(
     check_pair(first, second)
     for run in (first, second):
         if run.case.scheduled is not None:
-            message = "the parts of a change are of flows that are decided on their own hour"
-            raise CaseError(str(run.file), "contract.auction", None, message)
+            raise CaseError(str(run.file), "contract.auction", None, FIXED)
     return _ContractChain(first, second, progress, cash).result()
 
 

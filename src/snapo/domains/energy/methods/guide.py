@@ -216,8 +216,8 @@ def _numbers(counts: tuple[int, ...]) -> np.ndarray:
 
 
 def _lattice(nodes: np.ndarray) -> tuple[float, float]:
-    """The first point at or before the nodes, and the spacing, of the evenly spaced points that
-    they are; the first and the last node may lie nearer. Of other nodes the finest spacing."""
+    """The nodes are evenly spaced points: the first point at or before them, and
+    their spacing; the first and the last node may lie nearer. Of other nodes the finest spacing."""
     if len(nodes) < 2:
         return float(nodes[0]), 0.0
     gaps = np.diff(nodes)

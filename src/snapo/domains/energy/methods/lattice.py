@@ -225,7 +225,7 @@ def lattice(
 
 
 def selected_factors(factors: GaussianFactors) -> tuple[int, ...]:
-    """Those that move prices, the fastest first."""
+    """The factors that move prices, the fastest first."""
     moves = np.abs(factors.loading[:-1]).max(axis=0) > 0
     moves &= np.max(np.abs(factors.shock), axis=(0, 2)) > 0
     speed = np.argsort(factors.decay.mean(axis=0), kind="stable")

@@ -53,8 +53,9 @@ def joined_levels(layout: ContractLayout) -> list[set[int]]:
 
 def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
     """Between evenly spaced nodes, at most so many: a multiple of the common measure, if there is
-    one. It is the same for levels that flows join, so that these lead from node to node of all of
-    them: else volumes between nodes blur the value. `apart`: the least width of each level."""
+    one. Levels that share flows have the same width, so that a flow leads from node to node in all
+    of them; between nodes the value would be interpolated. `apart`: the least width of each
+    level."""
     widths = [1.0] * len(widest)
     for group in joined_levels(layout):
         members = sorted(group)

@@ -60,12 +60,12 @@ class StepWays:
         return ways_of(*self.parts).best
 
     def serve(self, columns: int) -> bool:
-        """Whether there is code for them, and columns enough for it."""
+        """Whether machine code is available for them, and there are enough columns to use it."""
         return columns >= WIDTH and bool(self.parts[0].flows) and available()
 
 
 def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: list[int]) -> Ways:
-    """Those of the passages of a step between numbers of nodes of each level."""
+    """The ways of the passages of a step between numbers of nodes of each level."""
     source, target = (np.arange(np.prod(x, dtype=int)).reshape(x) for x in (before, after))
     starts, numbers, volumes, sizes, goals_of, weights_of = ([np.zeros(0, int)] for _ in range(6))
     for m, (move, of_move) in enumerate(zip(layout.every_move, passages)):

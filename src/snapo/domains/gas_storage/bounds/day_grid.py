@@ -122,7 +122,8 @@ def largest_rate(schedule) -> float:
 
 
 def spacing_of(schedule, inventories: int, widest: float) -> float:
-    """Of the regular nodes: where it can, a part of the largest flow, which then ends on a node.
+    """The spacing of the regular nodes: where it can, a part of the largest flow, which then ends
+    on a node.
 
     `widest`: the widest interval of inventories that the one in store can become.
     """
@@ -198,7 +199,8 @@ def _reach(
 def _bends(
     schedule, day_rates: DayRates, t: int, nodes, after
 ) -> tuple[Bends | None, Bends | None]:
-    """Where the ends of the reach, not clipped to the limits, meet nodes: linear between nodes."""
+    """The inventories from which a full flow leads exactly to a node, before limits apply; the
+    value is linear between nodes."""
     keep, down, up = flow_ends(schedule, day_rates, t, nodes)
     meetings = [_meetings(item, after) for item in (down, up, keep)]
     cell, share, target = (np.concatenate(entry) for entry in zip(*meetings, strict=True))

@@ -37,7 +37,7 @@ class SpikeBasis:
 
     @property
     def exponents(self) -> np.ndarray:
-        """Of the functions of the spikes."""
+        """The exponents of the functions of the spikes."""
         return np.append(RISING, np.array(LEVEL) / self.spikes.size)
 
     @property
@@ -47,7 +47,7 @@ class SpikeBasis:
 
     @property
     def selected(self) -> tuple[int, ...]:
-        """Those of the factors."""
+        """The functions of the factors."""
         return self.inner.selected
 
     @property

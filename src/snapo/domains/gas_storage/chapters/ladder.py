@@ -51,7 +51,7 @@ class ContractMethods(abc.ABC):
 
     @property
     def traded(self) -> DeskMethods:
-        """Those that trade the products; `ValueError` where a contract has none."""
+        """The methods that trade the products; `ValueError` where a contract has none."""
         return self.desk
 
     @abc.abstractmethod
@@ -122,7 +122,7 @@ class ContractMethods(abc.ABC):
 
 
 class StoreMethods(ContractMethods):
-    """Those of a store."""
+    """The methods of a store."""
 
     @cached_property
     def relaxation(self) -> StoreRelaxation:

@@ -91,7 +91,7 @@ def measure(run: StudyRun) -> ShadowPrices:
 
 
 def _shifts(table: Sensitivities | None) -> Iterator[ParallelShift]:
-    """Of every input with more than one number."""
+    """The shifts of every input with more than one number."""
     if table is None:
         return
     for name, values in table.inputs.items():

@@ -42,7 +42,8 @@ class IntrinsicPlan:
 
 @dataclass(frozen=True)
 class Reference:
-    """The exact value, and by how much finer grids still move it; None where there is none."""
+    """The exact value, and by how much it still changes on finer grids; None without an exact
+    value."""
 
     dynamic_programming: float | None = None
     dynamic_programming_error: float | None = None

@@ -151,8 +151,9 @@ class Ratchets(eqx.Module):
     """How fast gas may move, by day and by inventory at the start of the day.
 
     Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
-    "linear" the rates are interpolated between rows, with "step" the row at or below holds.
-    Plain `max_injection` and `max_withdrawal` are K = 1: one row, at inventory 0, for any level.
+    "linear" the rates are interpolated between rows, with "step" those of the row at or below are
+    used. Plain `max_injection` and `max_withdrawal` are K = 1: one row, at inventory 0, for any
+    level.
 
     - `inventory`: levels in volume, index [T, K].
     - `withdrawal`, `injection`: most volume per day, not negative, index [T, K]; before outages.

@@ -45,7 +45,8 @@ class Discount(eqx.Module):
 
     @classmethod
     def of(cls, day: np.ndarray, nodes: np.ndarray) -> "Discount":
-        """Of payments on integer days, with rates known on the days `nodes`."""
+        """The discount factors of payments on integer days, with rates known on the days
+        `nodes`."""
         later, at = np.maximum(day, 0).astype(float), nodes.astype(float)
         weights = [np.interp(later, at, one) for one in np.eye(len(nodes))]
         return cls(later, np.stack(weights, axis=-1))
@@ -56,7 +57,8 @@ class Discount(eqx.Module):
 
 
 class Discounts(eqx.Module):
-    """Of the gas, of the flow and of its costs on every day [T], of fixed costs [n], of the end."""
+    """Discount factors of the gas, of the flow and of its costs on every day [T], of fixed costs
+    [n], of the end."""
 
     gas: Discount
     flow: Discount
@@ -67,7 +69,7 @@ class Discounts(eqx.Module):
 
     @classmethod
     def of(cls, case: StorageCase) -> "Discounts":
-        """Those of a case."""
+        """The discount factors of a case."""
         contract, market = case.contract, case.market
         days = (
             market.gas_day,
@@ -81,7 +83,8 @@ class Discounts(eqx.Module):
 
 
 def of_prices(schedule: Schedule) -> Schedule:
-    """The price process's schedule, T + 1 rows of NumPy, out of that of the whole problem."""
+    """The schedule of the price process, T + 1 rows of NumPy, taken from that of the whole
+    problem."""
     days, last = schedule.steps.price, schedule.constants.end_price
     rows = jax.tree.map(lambda leaf, end: np.concatenate([leaf, np.asarray(end)[None]]), days, last)
     return Schedule(schedule.constants.price, rows)

@@ -114,7 +114,7 @@ class StorageSimulator(PricedSimulator):
 
     @property
     def interpolation(self) -> Literal["linear", "step"]:
-        """Of the rates between ratchet rows: "linear" or "step"."""
+        """The interpolation of the rates between ratchet rows: "linear" or "step"."""
         return self.contract.ratchets.interpolation
 
     def on_paths(self):

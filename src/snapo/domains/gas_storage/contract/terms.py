@@ -64,12 +64,12 @@ class Day(NamedTuple):
 
 
 class ContractTerms(NamedTuple):
-    """AnyArray of the whole contract: start, end and fixed costs.
+    """Numbers of the whole contract: start, end and fixed costs.
 
     `end_levels`, `end_values` [M]: currency for the gas left, on top of `end_fraction` of its
     spot value; `fixed_costs` is a present value. `price` holds the constants of the price process,
     `end_price` its row of the end date. `price_scale` is the mean forward price, `rate_scale` the
-    largest daily rate, `innovation` the end of its control variate.
+    largest daily rate, and `innovation` the control variate of the end.
     """
 
     inventory: AnyArray

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from snapo.case.csv import Row
 
 ONE = datetime.timedelta(1)
+FIRST, LAST = 1900, 2199  # years with products
 NAMES = (
     "a day, 2026-01-15, 'weekend 2026-01-17', a month, 2026-01, a quarter, 2026-Q1, a season, "
     "'summer 2026' or 'winter 2026', 'gas year 2026', which begins in October, a year, 2026, or "
@@ -22,8 +23,6 @@ def months(year: int, month: int, count: int) -> tuple[datetime.date, datetime.d
 
 def _weekend(year: str, month: str, day: str) -> tuple[datetime.date, datetime.date]:
     saturday = datetime.date(int(year), int(month), int(day))
-    if saturday.weekday() != 5:
-        raise ValueError(f"{saturday} is no Saturday")
     return saturday, saturday + ONE
 
 
@@ -56,9 +55,16 @@ def delivery(name: str) -> tuple[datetime.date, datetime.date]:
     """
     for pattern, days in PATTERNS.items():
         if match := re.fullmatch(pattern, " ".join(name.split()), re.ASCII | re.IGNORECASE):
-            first, last = days(*match.groups())
+            try:
+                first, last = days(*match.groups())
+            except (ValueError, OverflowError):
+                raise ValueError("there is no such day or month in the calendar") from None
+            if pattern.startswith("weekend") and first.weekday() != 5:
+                raise ValueError(f"{first} is no Saturday")
             if last < first:
                 raise ValueError("the last day is before the first one")
+            if first.year < FIRST or last.year > LAST:
+                raise ValueError(f"allowed are days of the years {FIRST} to {LAST}")
             return first, last
     raise ValueError(f"a product is {NAMES}")
 

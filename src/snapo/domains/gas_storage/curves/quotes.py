@@ -16,8 +16,9 @@ from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import Quantity
 from snapo.case.table import CaseTable, Positive, TableContext
 
-from .products import delivery
+from .products import delivery_of
 
+LONGEST = 366 * 40  # days of a curve
 AGREEMENT = 5e-4  # of the price, between quotes that are together those of the same days
 WEEKDAYS = ("monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday")
 Weekday = Literal["monday", "tuesday", "wednesday", "thursday", "friday", "saturday", "sunday"]
@@ -129,10 +130,7 @@ def _numbers(products: Sequence[_Product], declaration: Quantity) -> CaseInput:
 def _products(rows: Sequence[Row], declaration: Quantity) -> list[_Product]:
     products: dict[tuple[datetime.date, datetime.date], _Product] = {}
     for row in rows:
-        try:
-            first, last = delivery(row.cells["product"])
-        except ValueError as error:
-            raise row.error("product", str(error)) from None
+        first, last = delivery_of(row)
         price = declaration.cell(row)
         product = _Product(row, price, first, last + datetime.timedelta(1))
         if products.setdefault((first, last), product) is not product:
@@ -142,7 +140,11 @@ def _products(rows: Sequence[Row], declaration: Quantity) -> list[_Product]:
 
 
 def _cover(products: Sequence[_Product], name: str, days: Sequence[datetime.date]) -> None:
-    """**Raises:** `CaseError` for the first day that is in no product."""
+    """**Raises:** `CaseError` for the first day that is in no product, or for too many days."""
+    first, last = min(x.first for x in products), max(products, key=lambda x: x.after)
+    if (last.after - first).days > LONGEST:
+        message = f"the first quoted day is {first}; all quotes are of {LONGEST:,} days at most"
+        raise last.row.error("product", message)
     for day in days:
         if not any(product.first <= day < product.after for product in products):
             message = (

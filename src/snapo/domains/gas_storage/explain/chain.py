@@ -75,7 +75,7 @@ class ChangeChain(abc.ABC):
 
     @abc.abstractmethod
     def policies(self) -> tuple[Policy, Policy]:
-        """Those of both runs, of the shape of the second one's."""
+        """The policies of both runs, of the shape of the second one's."""
 
     @abc.abstractmethod
     def started(self) -> Started:

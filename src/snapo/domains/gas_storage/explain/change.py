@@ -66,7 +66,7 @@ class ExplainedChange:
 
     @property
     def change(self) -> float:
-        """Of the value, rounded like the parts."""
+        """The change of the value, rounded like the parts."""
         return round(self.values[1] - self.values[0], self.digits)
 
     @property
@@ -76,5 +76,5 @@ class ExplainedChange:
 
 
 def decimals_of(value: float) -> int:
-    """Of the parts of a value: cents, and more of one below 1,000."""
+    """The number of decimals for the parts of a value: two, and more for a value below 1,000."""
     return max(DIGITS, 5 - math.floor(math.log10(value))) if 0 < value < 1000 else DIGITS

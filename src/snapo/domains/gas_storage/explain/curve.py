@@ -68,7 +68,7 @@ def curve_effect(
     """The effect of the curves of `after` against those of `before`, which are the same otherwise.
 
     `curves`: the names of their inputs, one for each market. With the decisions held the cash is a
-    sum over markets, so that one after the other moves. The periods of the first market come
+    sum over markets, so the curves move one after the other. The periods of the first market come
     first, then those of the next one. The last period has the value of the gas left on the end
     date too.
     """

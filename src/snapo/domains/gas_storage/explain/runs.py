@@ -23,6 +23,8 @@ from snapo.study.prepare import case_of_run
 from ..contract.records import StorageCase
 from ..read.case import read_case
 
+FIXED = "a change is explained of flows that are fixed at their delivery: leave this key out"
+
 
 @dataclass(frozen=True, eq=False)
 class ValuedRun:
@@ -72,12 +74,12 @@ class ValuedRun:
         """**Raises:** `CaseError` where this run's change has no parts."""
         case = self.case
         if not case.days:
-            raise CaseError(str(self.file), "contract.end", case.end, "no day is left to decide")
+            raise CaseError(str(self.file), "contract.end", case.end, "no decision is left")
         if case.objective.kind != "mean":
             message = 'a change is explained of a mean: allowed is "mean"'
             raise CaseError(str(self.file), "objective.kind", case.objective.kind, message)
         if case.model.calendar:
-            message = "the parts of a change are of flows that are decided on their own day"
+            message = FIXED
             key = next((x for x in ("nomination", "auction") if x in self.data["contract"]), "")
             raise CaseError(str(self.file), f"contract.{key}", None, message)
         if case.model.sources(0) is not None:

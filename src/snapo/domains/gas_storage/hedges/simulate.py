@@ -28,8 +28,8 @@ SEPARATE = 1e-9  # of the squared risk of a product, added: products that move t
 
 
 class HedgeGain(NamedTuple):
-    """Of one family of products, on paths [N]: gain after costs, cost of the spread, and volume
-    traded."""
+    """The gain of one family of products, on paths [N]: gain after costs, cost of the spread, and
+    volume traded."""
 
     gain: np.ndarray
     cost: np.ndarray

@@ -17,6 +17,7 @@ from snapo.problem.carry.save import load as load_policy
 from snapo.problem.policy import Policy
 from snapo.solver import statistics
 from snapo.solver.solution import POLICY
+from snapo.solver.tables import write_text
 
 from ..hedges import usual_hedges
 from ..hedges.draws import NoForwardCurve, StoreDraws
@@ -31,7 +32,8 @@ from ..references.intrinsic import intrinsic
 from .hedged import HedgeBook, change_deviation, hedged_results
 from .observed import CURVES, ObservedMarket, StepCurves, read_observed
 from .recalibrate import ModelHistory
-from .results import MarkedPosition, StoreBacktest, answer_of, write
+from .report import page
+from .results import REPORT, MarkedPosition, StoreBacktest, answer_of, write
 from .rule import DatedRule, decided, drawn_spots, end_money, followed, solved_on
 
 FOLDER = "backtest"
@@ -83,6 +85,7 @@ def backtest(
     result = run_backtest(file, data, observed, first, every, progress, calibrate, hedge)
     folder = file.parent / FOLDER if out is None else out
     write(folder, result)
+    write_text(folder / REPORT, page(result, first.case, str(history)))
     return answer_of(result) | {"folder": folder}
 
 
@@ -114,6 +117,12 @@ class DrawnHistories(NamedTuple):
     paths: StorePaths | None = None
 
     @property
+    def band(self) -> tuple[np.ndarray, np.ndarray]:
+        """[T] the 5 and 95 % quantiles of the cash so far."""
+        low, high = np.quantile(np.cumsum(self.cash, axis=0), (0.05, 0.95), axis=1)
+        return low, high
+
+    @property
     def expected(self) -> statistics.Sampled:
         """The mean of the money, with the controls regressed out of it."""
         money, *controls = (statistics.shares(x, self.groups) for x in (self.money, *self.controls))
@@ -134,7 +143,7 @@ def run_backtest(
     case, schedule = ledger.case, ledger.problem.schedule
     days, valuation = case.days, case.valuation_date
     if not days:
-        raise CaseError(str(file), "contract.end", case.end, "no day is left to decide")
+        raise CaseError(str(file), "contract.end", case.end, "no decision is left")
     end = observed.spot(min(case.end, observed.spot_days[-1]))
     spots = np.array([*(observed.spot(day) for day in days), end])
     curved = observed.has_curve(valuation)
@@ -195,6 +204,7 @@ def run_backtest(
         withdrawal,
         money,
         first.cash.mean(axis=1),
+        first.band,
         realised,
         *first.expected[:2],
         float(first.money.std(ddof=1)),

@@ -123,7 +123,7 @@ class HistoryModel:
         return jnp.stack([decay, 1.0]), jnp.stack([0.0, p["drift"] * gap]), covariance
 
     def covariance(self, p: dict[str, Any], time) -> Float[Array, "2 2"]:
-        """Of both factors after a time, known at its start."""
+        """The covariance of both factors after a time, known at its start."""
         speed = p["mean_reversion"]
         short = p["volatility"] ** 2 * integral(2 * speed, time)
         both = p["correlation"] * p["volatility"] * p["long_volatility"] * integral(speed, time)

@@ -56,7 +56,7 @@ class HistoryTable(CaseTable):
     season: Literal[0, 1, 2] = Field(0, description="0, 1 or 2: waves of the year")
 
 
-@optional("shift", note=": prices are above minus it")
+@optional("shift", note=": all prices are above minus this number")
 class GaussianTable(CaseTable):
     """`[model]` of a calibration."""
 
@@ -183,7 +183,7 @@ def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPric
             first, last = _product(row)
             day = row.day("date")
             if (day, first, last) in visited:
-                raise row.error("product", f"it has a price of {day} already, further up")
+                raise row.error("product", f"an earlier row has its price of {day} already")
             visited.add((day, first, last))
             if first < day:
                 message = f"its first day is {first}; allowed is a product that has not begun"

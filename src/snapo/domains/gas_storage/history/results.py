@@ -18,6 +18,7 @@ from .hedged import HedgeDay, HedgedStore, HedgePosition
 from .recalibrate import DatedEstimate
 
 DAYS, SOLUTIONS, ESTIMATES = "days.csv", "solutions.csv", "calibrations.csv"
+REPORT = "report.html"
 HEDGES, HEDGE_DAYS, POSITIONS = "hedges.csv", "hedge_days.csv", "hedge_positions.csv"
 ESTIMATE_COLUMNS = ("date", "prices", "used", "reason", *ParameterRow._fields)
 
@@ -46,6 +47,7 @@ class StoreBacktest:
 
     - `days`; `spots`, `inventory` (after each day), `injection`, `withdrawal`, `cash` [T];
       `expected_cash` [T]: the mean on the first valuation date.
+    - `band`: [T] 5 and 95 % quantiles of the cash so far on those histories.
     - `realised`: the sum of the cash, the value of the gas left, and fixed costs.
     - `expected`, `error`: its mean on drawn histories of the model and the standard error;
       `deviation`: of one history; `share`: of histories that bring less than the realised one.
@@ -63,6 +65,7 @@ class StoreBacktest:
     withdrawal: np.ndarray
     cash: np.ndarray
     expected_cash: np.ndarray
+    band: tuple[np.ndarray, np.ndarray]
     realised: float
     expected: float
     error: float
@@ -167,6 +170,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     if answer["hedges"]:
         yield from _hedges(answer)
     yield f"by day: {answer['folder'] / DAYS}"
+    yield f"report: {answer['folder'] / REPORT}"
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -118,7 +118,9 @@ def solved_on(
         tables["contract"] = contract | {"inventory": inventory}
     case = read_case(file, tables)
     if case.model.sources(0) is not None:
-        message = "a back-test needs a model that gives a spot price a state; supplied paths do not"
+        message = (
+            "a back-test needs a state that follows from spot prices; supplied paths have none"
+        )
         raise CaseError(str(file), "model.kind", case.model.kind, message)
     problem = bare_problem(case)
     if curve is not None:

@@ -46,7 +46,7 @@ class BacktestPlan(NamedTuple):
     season: Literal[0, 1, 2] = 0
 
     def due(self, days: Sequence[datetime.date]) -> frozenset[int]:
-        """The steps, numbers of `days`, on which the model is estimated."""
+        """The positions in `days` at which the model is estimated."""
         if self.calibrate == NEVER:
             return frozenset()
         if isinstance(self.calibrate, int):

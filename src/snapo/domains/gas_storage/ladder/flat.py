@@ -71,7 +71,7 @@ class Slopes(NamedTuple):
 
 
 def slopes(period: FlatPeriod, forward: np.ndarray, held: np.ndarray) -> Slopes:
-    """Of the forward prices [n, N] of a period's days, and positions `held` [N]."""
+    """Slopes at the forward prices [n, N] of a period's days, and positions `held` [N]."""
     into = -(period.into.weight @ forward) - period.into.money
     out = -(period.out.weight @ forward) + period.out.money
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -102,7 +102,7 @@ class Peaks(NamedTuple):
 
 
 def peaks(period: FlatPeriod, slope: Slopes, later: np.ndarray, nodes: np.ndarray) -> Peaks:
-    """Of the value `later` on the nodes after the period."""
+    """The maxima of the value `later` on the nodes after the period."""
     levels = []
     for unit in _units(period, slope):
         net = later + (unit / period.span) * nodes[:, None]

@@ -121,19 +121,20 @@ class TradedProducts:
 
     @property
     def families(self) -> tuple[str, ...]:
-        """The keys of [products] of which something trades, the day-ahead always."""
+        """The keys of [products] with at least one traded product; the day-ahead is always among
+        them."""
         there = {DAY_AHEAD, *(product.family for product in self.products)}
         there |= set() if self.balance is None else {BALANCE}
         return tuple(family for family in FAMILIES if family in there)
 
     def only(self, families: Collection[str]) -> Self:
-        """Those of these families, and the day itself."""
+        """The products of these families, and the day itself."""
         products = tuple(product for product in self.products if product.family in families)
         balance = self.balance if BALANCE in families else None
         return replace(self, products=products, balance=balance)
 
     def family(self, name: str) -> str:
-        """The key of [products] that a product is of."""
+        """The key of [products] to which a product belongs."""
         return next((x.family for x in self.products if x.name == name), BALANCE)
 
     @property

@@ -80,7 +80,7 @@ class FlatContract(Protocol):
         ...
 
     def sides(self, first: int, after: int) -> tuple[Side, Side]:
-        """Of q above zero, and below."""
+        """The sides of q above zero, and below."""
         ...
 
     def level_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray:

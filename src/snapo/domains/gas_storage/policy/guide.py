@@ -22,7 +22,7 @@ from ..references.marginal import MarginalValues
 
 class Knots(NamedTuple):
     """One day of the guide: uniform inventories from `low` to `high`, with [rows, n] coefficients
-    in the fast factor's state `above` and `below` them, to be trusted up to `reach`."""
+    in the fast factor's state `above` and `below` them, valid up to `reach`."""
 
     low: Array
     high: Array

@@ -13,13 +13,18 @@ forward price, volumes by its largest daily rate.
 
 from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.problem.policy import Network, Policy, as_observation, without_idle_network
+from snapo.problem.policy import (
+    Network,
+    Policy,
+    as_observation,
+    with_idle_network,
+    without_idle_network,
+)
 from snapo.problem.smooth import EXACT
 
 from ..prices.process import YEAR, PriceProcess
@@ -152,11 +157,7 @@ class StoragePolicy(Policy):
     @property
     def value_rule(self) -> "StoragePolicy":
         """The guide only, by a network that adds nothing: one program runs both."""
-
-        def last(policy: StoragePolicy):
-            return policy.network.weights[-1], policy.network.biases[-1]
-
-        return eqx.tree_at(last, self, tuple(jnp.zeros_like(item) for item in last(self)))
+        return with_idle_network(self)
 
     @property
     def simplest(self) -> "StoragePolicy":

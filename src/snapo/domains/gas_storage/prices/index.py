@@ -82,8 +82,8 @@ class IndexMonths(eqx.Module):
 
     @classmethod
     def of(cls, delivery: Delivery, fixed_first: bool) -> "IndexMonths":
-        """Of a delivery with all days of its months; `fixed_first`: the first may lack some, since
-        its index was fixed before today."""
+        """The index of a delivery with all days of its months; `fixed_first`: the first may lack
+        some, since its index was fixed before today."""
         dates = list(delivery.dates)
         months = [(day.year, day.month) for day in dates[:-1]]
         count = len(dates)
@@ -120,8 +120,9 @@ class IndexedStep(NamedTuple):
 
 
 class IndexedConstants(NamedTuple):
-    """Those of the spot price's process; `before` [1, n]: g on the first date as a sum of the noise
-    of the days before; `first` [2]: its variance there, and the share of g in the mean of f."""
+    """The constants of the spot price's process; `before` [1, n]: g on the first date as a sum of
+    the noise of the days before; `first` [2]: its variance there, and the share of g in the mean of
+    f."""
 
     spot: Any
     before: Array

@@ -52,8 +52,8 @@ class JumpTable(SingleFactorTable):
 
 
 class JumpConstants(NamedTuple):
-    """Of the first shock and of every day: decays, deviation of a day, jump probability and
-    size."""
+    """Constants of the first shock and of every day: decays, deviation of a day, jump probability
+    and size."""
 
     first_deviation: Array
     decay: Array

@@ -98,7 +98,7 @@ class ShiftedTable(FactorTable):
 
 
 class ShiftedConstants(NamedTuple):
-    """Those of the factors, and the `shift`."""
+    """The constants of the factors, and the `shift`."""
 
     first_shock: Array
     size: Array

@@ -42,7 +42,7 @@ class RegimeTable(SingleFactorTable):
     kind: Literal["regimes"]
     tightens: CaseInput = PROBABILITY("probability a day that a calm market becomes tight")
     eases: CaseInput = PROBABILITY("probability a day that a tight market becomes calm")
-    premium: CaseInput = PREMIUM("ln of a tight market's price over a calm one's")
+    premium: CaseInput = PREMIUM("logarithm of the ratio of a tight market's price to a calm one's")
 
 
 class RegimeState(NamedTuple):
@@ -55,8 +55,9 @@ class RegimeState(NamedTuple):
 
 
 class RegimeConstants(NamedTuple):
-    """Of the first day: the factor's deviation and the probability [] of a tight market; of every
-    day: decay, deviation, transition [2, 2]; the premium, and the size of the factor in a year."""
+    """Constants: for the first day the factor's deviation and the probability [] of a tight market;
+    of every day: decay, deviation, transition [2, 2]; the premium, and the size of the factor in a
+    year."""
 
     first_deviation: Array
     first_tight: Array

@@ -96,7 +96,7 @@ def read_curve(
     if both:
         more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
         section.notes.append(
-            f"In {name} {both[0]}{more} a quote of the day and one of the month: the day's counts."
+            f"In {name} {both[0]}{more} a quote of the day and of the month: the first is used."
         )
     prices = []
     for day in days:
@@ -141,7 +141,7 @@ def quotes(rows: Sequence[Row]) -> CurveQuotes:
 
 def _once(quotes: dict, period: Any, price: Quote, row: Row) -> None:
     if period in quotes:
-        raise row.error("date", "this period has a price already, further up")
+        raise row.error("date", "an earlier row has a price of this period already")
     quotes[period] = price
 
 

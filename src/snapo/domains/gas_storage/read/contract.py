@@ -71,7 +71,8 @@ def payment_days(
 
 
 def months_after(day: datetime.date, months: int, day_of_month: int) -> datetime.date:
-    """That day of the month `months` after the month of `day`; the last one of a short month."""
+    """The same day of the month `months` after the month of `day`; the last one of a short
+    month."""
     count = day.year * 12 + day.month - 1 + months
     year, month = count // 12, count % 12 + 1
     last = calendar.monthrange(year, month)[1]

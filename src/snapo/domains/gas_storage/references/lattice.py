@@ -123,7 +123,7 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
 
 
 def coordinates(factors: GaussianFactors, selected: tuple[int, ...]) -> int:
-    """Of a grid of prices: the factors kept, and the spikes."""
+    """The number of coordinates of a grid of prices: the factors kept, and the spikes."""
     return len(selected) + (factors.spikes is not None)
 
 

@@ -37,7 +37,7 @@ class CaseSummary:
 
     @classmethod
     def of(cls, run: RunFiles) -> "CaseSummary":
-        """That of a run; a missing entry has its default."""
+        """The description of a run; a missing entry has its default."""
         entries = {entry.name: run.get(entry.name) for entry in fields(cls)}
         return cls(**{name: value for name, value in entries.items() if value is not None})
 

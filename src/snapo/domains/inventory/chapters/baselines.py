@@ -68,7 +68,8 @@ def measure(run: StudyRun) -> RuleResults:
 
 
 def _first_paths(setup: Setup, policy: Policy | None) -> np.ndarray:
-    """Shares of the independent groups of the first paths: of a rule that takes longer."""
+    """Shares of the independent groups of the first paths, for a rule that takes longer to
+    compute."""
     problem, source = setup.problem, setup.problem.sources.evaluation
     assert policy is not None
     paths = min(SEARCH_PATHS, setup.evaluation.paths)

@@ -95,8 +95,8 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     ]  # fmt: skip
     text = (
         "Stock is the average on hand at the end of a period. The level up to which a place orders "
-        "is the mean over periods of all goods at the place, on their way to it and further down, "
-        "less demand that waits, with its order."
+        "is a mean over periods: all goods at the place, on their way to it and further down, "
+        "less demand that waits, plus the order."
     )
     if any(place.sent for place in sites):
         columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]

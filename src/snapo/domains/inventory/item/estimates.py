@@ -6,7 +6,7 @@ from .records import InventoryCase
 
 
 def mean_demand(case: InventoryCase) -> float:
-    """Of a period, over the season."""
+    """The mean demand of a period, over the season."""
     return case.demand.values()["demand_mean"] * float(case.season.values.mean())
 
 
@@ -48,7 +48,7 @@ def economic_lot(case: InventoryCase) -> float:
 
 
 def usual_cost(case: InventoryCase) -> float:
-    """Of a period: the costs of economic lots and of a newsvendor's safety stock, added in
+    """The cost of a period: the costs of economic lots and of a newsvendor's safety stock, added in
     quadrature, and purchases. For three (s, S) optima its error is 2 to 11 %."""
     item, periods = case.item, case.item.lead_time + 1
     holding, shortage = item.cost("holding"), item.cost("shortage")

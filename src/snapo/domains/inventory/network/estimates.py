@@ -75,7 +75,8 @@ def _echelon_cost(case: NetworkCase, i: int) -> float:
 
 
 def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
-    """[n], [m] S above and s below the first level, in deviations; 0 and none without a fixed cost.
+    """[n] S above and [m] s below the first level, in standard deviations; S is 0 and s is absent
+    without a fixed cost.
 
     With a lot Q, stock runs short in the share e Q / ((p + u) mean + e Q) of its cycles (u, the
     holding cost of the supplier); an order is placed half a period's demand too late on average.

@@ -47,10 +47,12 @@ def placed(
     normals,
     smooth,
 ) -> Placed:
-    """Whether places order: decided by the policy; in training drawn with its probabilities.
+    """Whether each site orders: decided by the policy, and in training drawn with the policy's
+    probabilities.
 
     - `parts`: of the action; `likelihood` [m]: of the periods before; `normals` [m].
-    - `remembered` [m]: the share of it that counts: draws long ago add only noise to this period.
+    - `remembered` [m]: the share of it that is used, since earlier draws only add noise to this
+      period.
     """
     orders, ratios = jnp.ones(len(network.sites), likelihood.dtype), []
     for k, i in enumerate(network.fixed):

@@ -85,7 +85,8 @@ class EchelonRule(Policy):
         return self.action.settle(jnp.concatenate(parts), smooth)
 
     def _something(self, above, amounts, smooth):
-        """`above`, but below zero where an order, which has a cost, would be one of nothing."""
+        """`above`, made negative where an order with a fixed cost would have no volume, so that
+        none is placed."""
         if not self.fixed or not isinstance(smooth, Exact):
             return above
         assert isinstance(self.action, Product)

@@ -45,7 +45,7 @@ Amounts = dict[str, tuple[Any, tuple[int, ...]]]  # [n] by place, and the places
 
 
 class Levels(NamedTuple):
-    """Of T periods and n places, all in units of demand.
+    """Levels of T periods and n places, all in units of demand.
 
     - `ahead` [T, n, R]: mean demand that a place serves in a period, and in the R - 1 after it;
       R covers the longest way from outside to a customer.
@@ -174,7 +174,7 @@ class NetworkSimulator(Simulator):
         return Schedule(constants, steps | item)
 
     def levels(self, inputs: Any, periods: int) -> Levels:
-        """Those of the first `periods`; without a season, all are equal."""
+        """Levels of the first `periods`; without a season, all are equal."""
         network = self.network
         reach = jnp.asarray(network.serves[:, network.sellers])
         longest = int(max(network.lead_time_from_outside(i) for i in network.sellers))

@@ -30,7 +30,7 @@ class MixBounds(NamedTuple):
 
 
 def limits(case: PensionModel, leverage: float) -> MixBounds:
-    """Those of a fund; of swaps that are sized by payments, what leverage leaves to each."""
+    """The limits of a fund; for swaps that are sized by payments, what leverage leaves to each."""
     assets, overlay = case.assets, case.overlay
     low, high = np.array(assets.low, float), np.array(assets.high, float)
     group = np.full(len(low), -1)
@@ -90,7 +90,8 @@ class GaussianReturns(NamedTuple):
 
     - `mean` [m], `load` [m, Z]: of n classes, and of money over cash (minus its log return): m = n
       + 1. Of classes made of bonds, to first order.
-    - `bonds`, `bond_load`: those of the q bonds beneath classes and swaps, on all paths.
+    - `bonds`, `bond_load`: the same for the q bonds of which classes and swaps are made, on all
+      paths.
     - `shares`: their weights [k, q of its own] in each kind, in the order of `by_kind`, and in the
       swaps if there are any; None where nothing is made of bonds.
     """
@@ -109,7 +110,7 @@ ACROSS = GaussianReturns(0, 0, None, None, 0)  # pyright: ignore
 def gaussian_returns(
     case: PensionModel, terms: FundTerms, now: Period, market: Market
 ) -> GaussianReturns:
-    """Those of one step on one path."""
+    """The returns of one step on one path."""
 
     def over_cash(noise):
         moved = move(case, terms.market, now.market, market, noise)

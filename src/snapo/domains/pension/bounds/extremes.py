@@ -23,8 +23,8 @@ FUNDED = 1e6  # a funding ratio above every limit of a plan
 
 
 class Extremes(NamedTuple):
-    """Of one path: `received` [T] the maximum of contributions less payments, money; `liability`
-    the minimum at the horizon."""
+    """Extremes of one path: `received` [T] the maximum of contributions less payments, money;
+    `liability` the minimum at the horizon."""
 
     received: Float[Array, " T"]
     liability: Float[Array, ""]
@@ -33,7 +33,7 @@ class Extremes(NamedTuple):
 def extremes(
     simulator: PensionSimulator, terms: FundTerms, steps: Period, before: Market, after: Market
 ) -> Extremes:
-    """Of a path whose markets `before` and `after` each step have leaves [T, …]."""
+    """The extremes of a path whose markets `before` and `after` each step have leaves [T, …]."""
     case = simulator.model
 
     def step(rights: tuple[FundState, FundState], values):

@@ -49,7 +49,8 @@ SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
 
 
 class FundPaths(NamedTuple):
-    """The market of paths, for any prices: leaves [T, N, …], of bonds [T, …]."""
+    """The market on all paths, before prices are applied: arrays [T, N, …], those of bonds [T,
+    …]."""
 
     returns: GaussianReturns
     noise: Float[Array, "T N Z"]

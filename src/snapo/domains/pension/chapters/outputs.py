@@ -86,7 +86,7 @@ class InputOnOutputs(OnOutputs):
 
 @dataclass(frozen=True)
 class NumberOnOutputs(OnOutputs):
-    """Of a single number."""
+    """The effect of a single number."""
 
     label: str
 

@@ -132,7 +132,7 @@ def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed
 
 
 def _moved(curve: MarketCurve, lines: Sequence[Shock]) -> np.ndarray:
-    """The quotes of a curve whose zero rates the lines move.
+    """The quotes of a curve whose zero rates are changed by the lines.
 
     "multiply" acts on annual rates, as the factors of regulators do; then "add", which on
     continuous ones is a shift of every forward rate too.

@@ -77,7 +77,7 @@ class TradingLimits(NamedTuple):
 
 
 def trading_limits(assets: Assets, step: float) -> TradingLimits:
-    """Those of a case."""
+    """The trading limits of a case."""
     groups = [
         jnp.array([getattr(group, side) for group in assets.groups], float)
         for side in ("low", "high")
@@ -94,7 +94,7 @@ def trading_limits(assets: Assets, step: float) -> TradingLimits:
 
 
 def scales(case: PensionModel) -> Scales:
-    """Of the case's own numbers, whatever its inputs are moved to."""
+    """Scales from the case's own numbers, whatever its inputs are moved to."""
     if case.derived is not None:
         return case.derived.scales
     rates, inflation, credit = case.rates, case.inflation, case.credit

@@ -61,7 +61,7 @@ def reach(mean_reversion, years):
 
 
 def covariance(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "Z Z"]:
-    """Of the vector of one step, by Gauss-Legendre quadrature over the step."""
+    """The covariance of the vector of one step, by Gauss-Legendre quadrature over the step."""
     position, brownian = slots(case), _brownian(case)
     nodes, weights = np.polynomial.legendre.leggauss(8 if case.step < 0.5 else 16)
     left = case.step * (nodes + 1) / 2
@@ -78,7 +78,7 @@ def covariance(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "Z Z"
 
 
 def factor(covariance: Float[Array, "Z Z"]) -> Float[Array, "Z Z"]:
-    """The lower triangle that makes the vector from independent normals."""
+    """The lower triangular matrix that transforms independent normals into the vector."""
     scale = jnp.sqrt(jnp.diag(covariance))
     return scale[:, None] * jnp.linalg.cholesky(covariance / scale / scale[:, None])
 

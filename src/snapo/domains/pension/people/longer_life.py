@@ -24,7 +24,7 @@ def life_expectancy(case: PensionCase, inputs: dict[str, Any], sex: int, age: in
 
 
 def year_of_life(case: PensionCase, inputs: dict[str, Any], sex: int) -> float:
-    """The factor on all death probabilities of a sex that raises its expectation of life at 65 by
+    """The factor on all death probabilities of a sex that raises its life expectancy at 65 by
     one year.
 
     A first-order effect of one more year is the sum of multiplier times (factor - 1) times the

@@ -78,7 +78,7 @@ class Yearly(NamedTuple):
     trend: Array
 
     def hazard(self, factor: ArrayLike = 1.0) -> Array:
-        """Of the year, where q is multiplied by one more `factor`."""
+        """The hazard of the year, where q is multiplied by one more `factor`."""
         certain = self.level >= CERTAIN
         q = jnp.where(certain, 1.0, self.base * factor * -jnp.expm1(-self.level))
         return _hazard(q) * self.trend
@@ -87,8 +87,8 @@ class Yearly(NamedTuple):
 def yearly(
     case: PensionModel, inputs: dict[str, Any], sex: ArrayLike, age: ArrayLike, year: np.ndarray
 ) -> Yearly:
-    """Of whole `age` in calendar `year` after time 0; shapes broadcast. Ages outside it use its
-    ends."""
+    """Yearly mortality at whole `age` in calendar `year` after time 0; shapes broadcast. Ages
+    outside it use its ends."""
     mortality = _mortality(case)
     position = _place(mortality, sex, age)
     trend = use(inputs, mortality.improvement).ravel()

@@ -169,7 +169,7 @@ class PresentMix(Policy):
     """Today's weights, and today's notionals as places in the ranges of the swaps.
 
     `mix` [n + b]. `every` is the number of steps from one rebalancing to the next; between them
-    weights drift with the markets, and swaps stay at their places.
+    weights drift with the markets, and swaps keep their positions.
     """
 
     mix: Frozen

@@ -89,7 +89,7 @@ def read_pots(
 
 
 def check_pots(file: str, pots: Pots | None, plan: PensionPlan, liability: Liability) -> None:
-    """Rules that do not go with pots are refused."""
+    """Rules that cannot be combined with pots are refused."""
     if pots is None:
         return
     request = (

@@ -66,7 +66,7 @@ def read_assets(
     smoothed = [i for i, row in enumerate(rows) if row.cells.get("smoothing")]
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
-            raise rows[_cash(classes)].error(column_name, "cash is the rest of the other classes")
+            raise rows[_cash(classes)].error(column_name, "cash is what the other classes leave")
     low, high = _bounds(rows)
     groups = _groups(rows, classes, low, high)
     _check_bounds(section, low, high, groups)
@@ -144,7 +144,7 @@ def _class(row: Row, names: AssetNames) -> AssetClass:
 def _volatilities(
     section: TableContext, rows: Sequence[Row], local: Sequence[int], grid: TimeGrid
 ) -> CaseInput:
-    """Of the classes `local` with a separate shock, side by side."""
+    """Volatilities of the classes `local` with a separate shock, side by side."""
     if not local:
         return empty("asset_volatility", (grid.steps, 0))
     parts = [on_steps(_volatility(section, rows[i]), grid) for i in local]
@@ -183,8 +183,8 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
 def _weights(
     section: TableContext, file: str, rows: Sequence[Row], endpoints: Sequence[tuple[float, float]]
 ) -> list[float]:
-    """Of today, between their `endpoints`: 0 and 1, or beyond as far as the bounds of the class
-    go."""
+    """Weights of today, between their `endpoints`: 0 and 1, or beyond as far as the bounds of the
+    class go."""
     numbers = [row.number("weight", *item) for row, item in zip(rows, endpoints)]
     total = math.fsum(numbers)
     if abs(total - 1) > WHOLE:
@@ -213,7 +213,7 @@ def _groups(
             values = [row.number(limit, minimum, maximum) for row in inputs]
             for row, value in zip(inputs, values):
                 if value != values[0]:
-                    raise row.error(limit, f"the group {name} has {values[0]:g} further up")
+                    raise row.error(limit, f"the group {name} has {values[0]:g} in an earlier row")
             limits.append(values[0] if values else default)
         groups.append(AssetGroup(name, members, limits[0], limits[1]))
     return tuple(groups)

@@ -76,7 +76,7 @@ def unique(rows: Sequence[Row], column: str) -> tuple[str, ...]:
         if not row.cells[column]:
             raise row.error(column, "every row needs a name")
         if row.cells[column] in names:
-            raise row.error(column, "this name is further up already")
+            raise row.error(column, "an earlier row has this name already")
         names.append(row.cells[column])
     return tuple(names)
 

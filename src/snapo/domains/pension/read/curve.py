@@ -221,7 +221,7 @@ def read_inflation(
     )
 
 
-CORRELATION = NUMBER.of("model", meaning="a correlation; it moves together with its mirror")
+CORRELATION = NUMBER.of("model", meaning="a correlation; it moves together with its mirror entry")
 SMALLEST = 1e-8  # eigenvalue that a matrix must have to count as positive definite
 EQUAL = 1e-9
 
@@ -305,6 +305,6 @@ def _matrix(rows: Sequence[Row]) -> np.ndarray:
         for j in range(i + 1, len(rows)):
             text = row.cells[columns[j]]
             if text and abs(float(text) - matrix[i, j]) > EQUAL:
-                message = f"a correlation matrix is symmetric, and its mirror is {matrix[i, j]:g}"
+                message = f"the matrix must be symmetric, and the mirror entry is {matrix[i, j]:g}"
                 raise row.error(columns[j], message)
     return matrix

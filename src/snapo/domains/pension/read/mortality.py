@@ -114,7 +114,7 @@ def _table(section: TableContext, file: str) -> tuple[int, CaseInput]:
     for row in rows:
         key = SEX.index(word(row, "sex", SEX)), _whole_age(row)
         if key in cells:
-            raise row.error("age", "this age is further up already")
+            raise row.error("age", "an earlier row has this age already")
         cells[key] = row
     ages = sorted({age for _, age in cells})
     for sex in (MALE, FEMALE):

@@ -91,7 +91,7 @@ def _paths(
         if step >= grid.steps:
             continue
         if not np.isnan(paths[path, step, 0]):
-            raise row.error("path", "this path has this time already, further up")
+            raise row.error("path", "an earlier row of this path has this time already")
         for k, name in enumerate(names):
             minimum = -0.999999 if name.startswith(("return ", "zero ")) else -1.0
             paths[path, step, k] = row.number(name, minimum)

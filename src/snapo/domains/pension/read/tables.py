@@ -170,7 +170,7 @@ class InflationTable(CaseTable):
 
 
 class AssetsTable(CaseTable):
-    """`[assets]`: the classes, and the sense of their means."""
+    """`[assets]`: the classes, and the meaning of their mean returns."""
 
     file: Name = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
     return_kind: Literal["excess", "total"] = one_of("excess", "total")

@@ -76,8 +76,8 @@ class DerivedNumbers(eqx.Module):
 class PensionModel(eqx.Module):
     """A fund, its markets and its people: all that its paths depend on.
 
-    A case has all of it, with the numbers. A simulator has it `of` a case, without the numbers of
-    inputs, and with every other number as an array.
+    That of a case has all numbers. That of a simulator is made with `of` from a case: it has every
+    number that is not an input, as an array.
 
     - `step`: 1/12 or 1 years; `steps`: T; `start_month`: 1 to 12, the calendar month of time 0.
     - `measure`: "P" real-world, "Q" risk-neutral.
@@ -175,5 +175,5 @@ def missing_parts(case: PensionCase, stress: bool) -> dict[str, str]:
     if case.pots is None:
         result["pots"] = "the case has no [pots]"
     else:
-        result |= dict.fromkeys(OF_RIGHTS, "it is of promised rights, and this fund has [pots]")
+        result |= dict.fromkeys(OF_RIGHTS, "it is for promised rights, and this fund has [pots]")
     return result

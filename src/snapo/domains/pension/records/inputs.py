@@ -64,7 +64,7 @@ def model_of(case: PensionCase, derived: DerivedNumbers) -> PensionModel:
 
 
 class Held(eqx.Module):
-    """Numbers of a case that are no input, in a simulator."""
+    """Numbers of a case in a simulator that are not inputs."""
 
     position: Use
     values: np.ndarray

@@ -44,7 +44,7 @@ def in_force(
         message = f"a TOML file with tables [[version]], each with a date from, is needed ({error})"
         raise section.error("rules", name, message) from None
     if not available:
-        raise section.error("rules", name, f"no version holds on {day}")
+        raise section.error("rules", name, f"no version is in force on {day}")
     try:
         return made(max(available, key=lambda pair: pair[0])[1])
     except (KeyError, TypeError, ValueError) as error:

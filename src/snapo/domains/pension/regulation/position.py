@@ -48,7 +48,8 @@ def total(rules: Rules, losses: Losses) -> float:
 
 
 def correlated(parts: Sequence[float], correlation: float) -> float:
-    """The root of the squares of `parts` and of their products, all with one correlation."""
+    """The square root of the sum of the squares of `parts` and of their products, which all have
+    the same correlation."""
     values = np.asarray(parts, float)
     squares = float(np.sum(values**2))
     return float(np.sqrt(squares + correlation * (values.sum() ** 2 - squares)))

@@ -115,7 +115,7 @@ def slopes(
 def ladder(
     case: PensionCase, values: dict[str, Any], figure: LiabilityFigures, notional: np.ndarray
 ) -> CurveLadder:
-    """That of nominal rates, break-evens held.
+    """The ladder of nominal rates, break-evens held.
 
     Classes with a separate shock count as insensitive to the curve.
     """

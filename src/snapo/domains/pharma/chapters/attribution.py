@@ -307,7 +307,8 @@ PROFILES = Chapter(
 
 
 def second_derivatives(run: StudyRun) -> dict[str, Any]:
-    """Of every attribute, for the pairs of parameters named in the case, in the case's units."""
+    """The second derivatives of every attribute, for the pairs of parameters named in the case, in
+    the case's units."""
     complete, case = process(run), process(run).case
     pairs = [
         (design_space.parameter(case, a), design_space.parameter(case, b)) for a, b in case.pairs

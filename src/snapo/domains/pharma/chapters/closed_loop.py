@@ -38,8 +38,8 @@ class KeptShares:
     """Shares of batches that keep all limits, with standard errors, on the same batches.
 
     - `value`: of the policy; `baseline`: of the best fixed recipe; `gain`: their difference;
-      `given`: of the recipe as given. `better`: "policy", "recipe", or "" where the difference is
-      not significant.
+      `given`: of the recipe of the case. `better`: "policy", "recipe", or "" where the difference
+      is not significant.
     """
 
     value: Number
@@ -73,7 +73,7 @@ class ControlCourse:
     """A control after each decision, at `time` in s since its unit's start.
 
     - `policy`, `policy_low`, `policy_high`: median and band over batches; `given`: of the best
-      fixed recipe; `given`: of the recipe as given.
+      fixed recipe; `given`: of the recipe of the case.
     """
 
     input: str

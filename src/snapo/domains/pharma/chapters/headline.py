@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 
-from snapo.report.evidence import spent
+from snapo.report.evidence import check_marks, spent
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table, Text
@@ -148,16 +148,9 @@ def _note(run: RunFiles) -> str:
 def marks(run: RunFiles) -> list[Mark]:
     """Verdicts on the numbers, then on the process; nothing good is above a bad status."""
     rows, state = checks(run), run.result.status or "ok"
-    failed = [name for name, valid, _ in rows if not valid]
-    verdicts = []
-    if failed:
-        text = f"{len(failed)} of {len(rows)} numerical checks fail: {', '.join(failed)}"
-        verdicts = [Mark(False, text)]
-    elif state not in GOOD:
+    verdicts = check_marks([(name, valid) for name, valid, _ in rows], "numerical checks")
+    if state not in GOOD and all(mark.good for mark in verdicts):
         verdicts = [Mark(False, state)]
-    elif rows:
-        both = f"all {len(rows)} numerical checks hold"
-        verdicts = [Mark(True, both if len(rows) > 1 else "the numerical check holds")]
     return [*verdicts, *(Mark(False, text) for text in _against(run))]
 
 
@@ -287,7 +280,7 @@ def _remarks(run: RunFiles, case: Statement) -> list[str]:
 
 
 def _steps(run: RunFiles, case: Statement) -> int | None:
-    """Of a batch, else those of the case."""
+    """The steps of a batch, else those of the case."""
     batch = ONE_BATCH.of(run)
     if batch is not None:
         return batch.steps

@@ -20,7 +20,7 @@ from ..shared import closed_loop
 
 @dataclass(frozen=True, eq=False)
 class RecipeLogits:
-    """Of the recipe that training starts from, and of the best one, [T, size]."""
+    """Logits of the recipe with which training starts, and of the best one, [T, size]."""
 
     first: Floats
     best: Floats

@@ -51,8 +51,9 @@ def table(case: PharmaCase, matrix: Jacobian) -> MatrixForms:
 
 @dataclass(frozen=True)
 class Rank:
-    """How critical a parameter is: the largest share that it uses of the room which the variation
-    of batches leaves, and where. `variance`: its share of that attribute's variance."""
+    """How critical a parameter is. Room is the distance to a limit that the variation of batches
+    leaves; `share` is the largest share of it that the parameter uses. `variance`: its share of
+    that attribute's variance."""
 
     parameter: str
     share: Number

@@ -63,7 +63,7 @@ def flow(
     record: bool = False,
     endpoints: Mapping[str, Array] | None = None,
 ) -> Flow:
-    """Runs every unit; with `record` tracks are kept. `endpoints`: {unit: its final y} of units
+    """Runs every unit; `record`: keep the trajectories. `endpoints`: {unit: its final y} of units
     that were integrated elsewhere."""
     result = _through(sheet, sheet.units, inputs, record, endpoints or {})
     return result._replace(measures=result.measures | yields(sheet, result.streams))

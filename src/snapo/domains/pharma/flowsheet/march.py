@@ -314,7 +314,7 @@ def _pushed(function, columns: np.ndarray, numbers: list, endpoints: dict, d_end
 
 
 def spread(jaxpr: Any, marks: Sequence) -> list[np.ndarray]:
-    """Of each output, the marks of all arguments on which it depends."""
+    """For each output, the marks of all arguments on which it depends."""
     available, none = dict(zip(jaxpr.invars, marks)), np.zeros_like(marks[0])
 
     def of(variables) -> np.ndarray:

@@ -75,7 +75,7 @@ def _around(names: list[str], connections: Sequence[Connection]) -> list[str]:
 
 
 def groups(units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[Group, ...]:
-    """The units, which are in order, with those of a loop together."""
+    """Groups of units in their order: the units of a loop are one group."""
     before = ancestors(units, connections)
     position = {unit.name: i for i, unit in enumerate(units)}
     results: list[Group] = []

@@ -83,7 +83,7 @@ def close(
     valid = result <= jnp.maximum(numerics.loop_tolerance, precise)
 
     def polished(u, _):
-        """Its last digits, and the derivatives."""
+        """One more Newton step, which gives the last digits and the derivatives."""
         return u - jnp.linalg.solve(slope, gap(u, first, around)), None
 
     u, slope = still((jnp.where(valid, u, jnp.nan), slope))
@@ -148,7 +148,7 @@ def _streams(vector: Float[Array, " K"], like: tuple[Stream, ...]) -> tuple[Stre
 
 
 def _scales(streams: tuple[Stream, ...]) -> Float[Array, " K"]:
-    """Of every entry its order of magnitude; 1 where all of its kind are zero."""
+    """For every entry its order of magnitude; 1 where all of its kind are zero."""
     results = []
     for stream in streams:
         amount = jnp.max(stream.species + stream.solid)

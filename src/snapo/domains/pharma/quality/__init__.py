@@ -1,5 +1,5 @@
 """Batches that differ: capability, design space, proven ranges, estimation.
 
-All vary the numbers that `batches.varied` lists, on draws of `draws`, so that one compiled function
-serves every question.
+All of them vary the numbers in `batches.varied`, drawn by `draws`, so that they share
+one compiled function.
 """

@@ -67,7 +67,7 @@ class Boundary:
 
 
 def distances(case: PharmaCase, values: Float[np.ndarray, "*n Q"]) -> Float[np.ndarray, "*n Q"]:
-    """Of every value to the nearest of its limits, in margins; below 0 beyond it."""
+    """The distance of every value to the nearest of its limits, in margins; below 0 beyond it."""
     limits, margins = (
         AttributeLimits.of(case),
         np.array([attribute.margin for attribute in case.attributes]),

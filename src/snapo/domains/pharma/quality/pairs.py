@@ -152,7 +152,8 @@ def _together(
 
 
 def _search(ways: list[_Way], valid: Good, search: tuple[int, int, int]) -> list[tuple]:
-    """(share, attribute that fails, certain, possible) of every way; searched together."""
+    """(share, attribute that fails, certain, possible) of every way; all of them are searched
+    together."""
     count, within, times = search
     observed = [{0.0: (True, -1, True, True)} for _ in ways]
 

@@ -136,7 +136,8 @@ class Estimation:
 
     - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
     - `low`, `high`: [P] bounds in the domain's unit.
-    - `level`: of the confidence intervals. `units`, `scales`: [P] the case's, as of a `Parameter`.
+    - `level`: of the confidence intervals. `units`, `scales`: [P] those of the case, see
+      `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
     - `errors`: "known" as standard deviations, or "relative", up to a common factor.
     - `starts`: points from which the search begins, the case's first.

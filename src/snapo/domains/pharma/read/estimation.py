@@ -44,7 +44,7 @@ def read_estimation(
             for key, raw in (("low", fit.low), ("high", fit.high))
         )
         if not low < high:
-            raise section.error("high", fit.high, "high must lie above low")
+            raise section.error("high", fit.high, "high must be above low")
         numbers.check(section, "low", fit.low, entry, low)
         numbers.check(section, "high", fit.high, entry, high)
         if fit.logarithm and low <= 0:

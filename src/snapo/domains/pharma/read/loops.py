@@ -105,7 +105,7 @@ class _Loops:
         above = self._pi(section, table, unit, local, table.setpoint)
         low, high = (number(inside, key, getattr(inner, key), local) for key in ("low", "high"))
         if not low < high:
-            raise inside.error("high", inner.high, "high must lie above low")
+            raise inside.error("high", inner.high, "high must be above low")
         return Cascade(of, above, below, low, high)
 
     def _pi(self, section: TableContext, table, unit: str, manipulated: str, setpoint: Any) -> PI:
@@ -195,7 +195,7 @@ def _manipulated(file, raw, i: int, numbers: EntryNumbers, notes) -> Manipulated
     low = number(section, "low", table.low, unit)
     high = number(section, "high", table.high, unit)
     if not low < high:
-        raise section.error("high", table.high, "high must lie above low")
+        raise section.error("high", table.high, "high must be above low")
     numbers.check(section, "low", table.low, (name, 0), low)
     numbers.check(section, "high", table.high, (name, 0), high)
     ramp = None

@@ -151,7 +151,7 @@ def position(section: TableContext, key: str, unit: str) -> FilePosition:
 
 
 def positions(section: TableContext, key: str, raw: Any, unit: str) -> tuple[FilePosition, ...]:
-    """Those of a list, which may have one unit for all."""
+    """The positions of a list, which may have one unit for all."""
     if not isinstance(raw, dict):
         return tuple(position(section, f"{key}[{i}]", unit) for i in range(len(raw)))
     same = conversion(raw["unit"], unit) == Conversion(1.0, 0.0)
@@ -162,7 +162,7 @@ def positions(section: TableContext, key: str, raw: Any, unit: str) -> tuple[Fil
 def with_units(
     section: TableContext, key: str, count: int, units: Mapping[str, str]
 ) -> tuple[FilePosition, ...]:
-    """Those of a list of numbers that are written together with the keys of their units."""
+    """The positions of a list of numbers that are written together with the keys of their units."""
     path = *section.keys, *keys_of(key)
     written = tuple(((*section.keys, *keys_of(name)), unit) for name, unit in units.items())
     return tuple(KeyedUnit((*path, i), written) if written else (*path, i) for i in range(count))

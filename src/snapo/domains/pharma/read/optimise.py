@@ -99,7 +99,7 @@ def _term(
 
 
 def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[Decision]:
-    """One for each entry that `of` means, all with the same bounds."""
+    """A decision for each number that `of` names, all with the same bounds."""
     table = parse(DecisionTable, raw, str(section.file), section.name)
     decisions = []
     for name, entry in numbers.all(section, "of", table.of):
@@ -109,7 +109,7 @@ def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[
             for key in ("low", "high")
         )
         if not low < high:
-            raise section.error("high", table.high, "high must lie above low")
+            raise section.error("high", table.high, "high must be above low")
         numbers.check(section, "low", table.low, (name, entry), low)
         numbers.check(section, "high", table.high, (name, entry), high)
         local = unit_of(section, "low", table.low, unit)

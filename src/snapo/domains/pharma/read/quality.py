@@ -213,7 +213,7 @@ def read_uncertainty(
                 raise section.error("of", table.of, "this number is there twice")
             if entry in fit.entries:
                 message = (
-                    "the uncertainty of this number comes with its fit, from the file `fitted`"
+                    "the uncertainty of this number is part of its fit, from the file `fitted`"
                 )
                 raise section.error("of", table.of, message)
             unit = numbers.unit(*entry)

@@ -58,7 +58,7 @@ def word(*text: str, default: Any = ...) -> Any:
 
 
 class Reader(NamedTuple):
-    """One table while it is read, and as it was written; its numbers are called "name.key"."""
+    """A table while it is read, with its text as written; its numbers are called "name.key"."""
 
     section: TableContext
     name: str

@@ -1,5 +1,5 @@
-"""A unit over its time: profiles, meshes, integration.
+"""A unit over time: profiles, meshes, integration.
 
-`integrate.integrate` solves the `dynamics.Dynamics` of a unit: explicit steps on a mesh that is
-broken at kinks, held stiff steps, or error control.
+`integrate.integrate` solves the `dynamics.Dynamics` of a unit: with explicit steps on a mesh that
+has the kinks among its points, with implicit steps, or with error control.
 """

@@ -61,7 +61,7 @@ class Crystalliser(Timed):
     - `initial_concentration`: replaces that of the feed (of a single crystalliser), or None.
     - `separate`: whether seed and nuclei have separate moments.
     - `edges`: [N + 1] m of N cells over the crystals' size, where these are followed by finite
-      volumes; crystals of the feed are then counted on the same. None: by the moments 0 to 5.
+      volumes; crystals of the feed are then counted on the same grid. None: by the moments 0 to 5.
     - `basis`: "solution": concentrations are per volume of liquid, which crystals make less by
       their own; "suspension": per volume of both together, as for few crystals.
     """

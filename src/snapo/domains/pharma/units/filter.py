@@ -181,7 +181,8 @@ def scaled_erfc(x) -> Array:
 
 
 def check_wash(read) -> None:
-    """**Raises:** `CaseError` where the kind of wash has no key, or another one's is there."""
+    """**Raises:** `CaseError` where the key of the kind of wash is missing, or that of another kind
+    is present."""
     table = read.table
     for wash, name in (("exponential", "efficiency"), ("dispersion", "peclet")):
         if table.wash == wash and getattr(table, name) is None:

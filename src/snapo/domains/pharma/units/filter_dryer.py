@@ -123,7 +123,7 @@ class FilterDryer(TrayDryer):
         return [*wash, "a wash runs at the last rate of filtration", *super().equations()]
 
     def dynamics(self, network, inlets, inputs):
-        """That of drying, of the cake that filtration and washing leave."""
+        """The dynamics of drying the cake that filtration and washing leave."""
         filtered = self.nutsche.deliver(network, inlets, inputs)
         cake, filtrate, washings = filtered.outlets
         problem = super().dynamics(network, (cake,), inputs)

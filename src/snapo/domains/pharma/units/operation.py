@@ -1,6 +1,6 @@
 """A unit operation: one object with all of its behaviour, from its table to its report.
 
-A new one is one file with one class, of which `registry` has the list. Every `CaseInput` of a unit
+A new unit is one file with one class, and a line in `registry`. Every `CaseInput` of a unit
 is named "unit.field" ("reactor.temperature"), the unit being the object's `name`; labels say
 which node, species or coefficient an entry is.
 """
@@ -171,8 +171,8 @@ class Timed(Unit):
 
     @property
     def steps_transfer(self) -> bool:
-        """Whether the steps that error control chooses for the nominal batch do for others too: few
-        states, no event. Else, where it is due, every batch has its own."""
+        """Whether all batches can use the steps that error control chooses for the nominal
+        batch: few states, no event. Otherwise each batch chooses its own steps."""
         return False
 
     def fastest(self, network: FlowNetwork, feeds: tuple[Feed, ...]) -> float:
@@ -223,7 +223,7 @@ class Instant(Unit):
 
 
 def timed(units: Iterable[Unit]) -> tuple[Timed, ...]:
-    """Those that are integrated over time, in order."""
+    """The units that are integrated over time, in order."""
     return tuple(unit for unit in units if isinstance(unit, Timed))
 
 

@@ -56,7 +56,7 @@ class Reactor(Timed):
       `elements`). A continuous reactor ends with its feed at the latest.
     - `filled`: the content of a continuous reactor at the start: its feed, or only the solvent.
     - Continuous kinds deliver the mixed outflow over the duration.
-    - `temperature`: where there is a `jacket`, its first value is where it starts.
+    - `temperature`: with a `jacket`, its first value is the initial temperature.
     """
 
     duration: CaseInput = TIME("reaction time")
@@ -115,7 +115,7 @@ class Reactor(Timed):
 
     @property
     def steps_transfer(self):
-        """Of cells in series every implicit step would factorise a large matrix."""
+        """No: for cells in series every implicit step would factorise a large matrix."""
         return self.kind != "plug-flow"
 
     def sizes(self, inlets):

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from snapo.lanes import body
-from snapo.lanes.emit.code import Code, flush_denormals
-from snapo.lanes.emit.storage import ArrayPlace
+from snapo.lanes.emit.code import Ahead, Code, flush_denormals
+from snapo.lanes.emit.storage import ArrayPlace, Layout
 from snapo.lanes.emit.values import EmittedValues
 from snapo.lanes.gradients.rows import Gradients, Rows, accumulate
 from snapo.lanes.gradients.rows import plan as plan_gradients
@@ -20,6 +20,7 @@ from snapo.lanes.program import flatten
 from snapo.lanes.program.passes import optimize
 from snapo.lanes.program.program import BIG, Op, Program, ProgramValue
 from snapo.lanes.program.sweeps import SweepPlan, dependents, plan
+from snapo.lanes.rules import dots
 
 from ..rollout import Phase, Traced
 from . import noise, shared
@@ -44,6 +45,8 @@ def forward(
         values = s.values(program, {v: tape.address(v, row) for v in taped})
         read = {v for op in ops for v in op.inputs} | set(taped) | set(outputs)
         _inputs(s, values, program, read)
+        if taped:
+            fetch_ahead(s, ops, tape, AHEAD)
         body.write(values, ops, [*outputs, *taped])
         _deliver(s, values, outputs)
         build.used(values.workspace)
@@ -94,13 +97,24 @@ def _deliver(s: KernelSweep, values: EmittedValues, outputs: list[ProgramValue])
 AHEAD = 2  # rows of tape that are fetched before they are needed
 
 
+def fetch_ahead(s: KernelSweep, ops: list[Op], tape: Layout, rows: int) -> None:
+    """Lets the dot products fetch the tape so many rows ahead, to be written or (behind) read.
+
+    Processors do not predict rows that descend, and a long tape is not in the cache.
+    """
+    if s.stepwise:
+        start = s.code.pointer(s.tape_row(), rows * tape.stride)
+        rounds = sum(dots.rounds(s.code, op) for op in ops)
+        s.code.ahead = Ahead(s.code, start, tape.stride, rounds, rows > 0)
+
+
 @dataclass(eq=False)
 class Transposed:
     """A phase's joint program, and the numbers of its outputs and inputs that have cotangents.
 
-    - `cotangents`: those given, of the outputs `moving`; a last one holds the bound of clipping
-      and the share that is kept.
-    - `back`: those computed, of the inputs `active`.
+    - `cotangents`: the inputs of the program, those of the outputs `moving`; the last one has the
+      bound of clipping and the share that is kept.
+    - `back`: the cotangents that are computed, those of the inputs `active`.
     """
 
     program: Program
@@ -124,8 +138,7 @@ def reverse(build: Build, phase: Phase, transposed: Transposed, division: SweepP
     with sweep(build, phase, "reverse") as s:
         code, function = s.code, s.function
         row = s.tape_row()
-        if stepwise:
-            fetch_ahead(code, row, tape.stride)
+        fetch_ahead(s, division.reverse, tape, -AHEAD)
         slot = code.index(f"and i64 {s.relative}, {rows.steps - 1}")
         chunk_row = rows.row(code, field("chunk"), slot)
         values = s.values(program, rows.homes(chunk_row))
@@ -181,23 +194,12 @@ def _pass_back(s: KernelSweep, values: EmittedValues, transposed: Transposed) ->
     replace_all(values, pairs)
 
 
-def fetch_ahead(code: Code, row: str, stride: int) -> None:
-    """Prefetches the next rows of the tape: they descend, which processors do not predict."""
-    code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
-    lines = stride // 64
-    with code.loop(-(-lines // 4)) as loop:
-        at = code.pointer(row, code.index(f"mul nsw i64 {loop.i}, 256"))
-        for line in range(4):
-            ahead = code.pointer(at, 64 * line - AHEAD * stride)
-            code.do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 0, i32 2, i32 1)")
-
-
 def run(build: Build) -> None:
     """`run(context, first block, last block)`: every block forward, and in an adjoint kernel back.
 
     A horizon whose tape would be too long is done in segments: the carry at each segment's start
     is saved on the way forward, and on the way back a segment goes forward again, with a tape.
-    Several columns of weights go back one after the other over the same tape.
+    Several columns of weights are propagated backwards one after the other, over the same tape.
     """
     function = build.function("run", ", i64 %begin, i64 %end")
     code = function.code

@@ -180,7 +180,9 @@ def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
     code, size = s.code, value.size // max(before, 1)
     steps = max(before, 1) if s.initial else ahead(size)
     rows = steps * size + SPARE
-    out = values.workspace.allocate((rows,), value.dtype, code.lanes)
+    # Pairs of normals are written: an odd number would overwrite the field after its home.
+    home = values.homes.get(value) if steps == 1 and not (s.initial or size % 2) else None
+    out = home or values.workspace.allocate((rows,), value.dtype, code.lanes)
     integers = values.workspace.allocate((rows,), np.uint32, code.lanes)
     antithetic = s.build.traced.setup.antithetic
     name = draw_function(code.module, size, value.dtype.name, antithetic)
@@ -210,7 +212,8 @@ def _drawn(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
         base = code.pointer(out.base, row)
     shape = value.shape
     array = ArrayPlace(base, out.offset, shape, row_major(shape), value.dtype, code.lanes)
-    values.bind(value, array)
+    values.bind(value, home or array)
+    values.finite.add(value)
 
 
 def _supplied(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:

@@ -1,4 +1,4 @@
-"""One sweep of a phase while it is written: its function, its arrays, the present step."""
+"""One sweep of a phase while it is written: its function, its arrays, the current step."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -44,7 +44,7 @@ class KernelSweep:
         return self.code.pointer(field(TAPES[self.phase.name]), distance)
 
     def values(self, program: Program, homes: dict[ProgramValue, ArrayPlace]) -> EmittedValues:
-        """The arrays of a program; those that all paths share are known."""
+        """The arrays of a program; those that all paths share already have values."""
         values = EmittedValues(self.code, self.build.workspace(), homes)
         row = self.function.row(field("steps"), self.t, "steps")
         bind(values, program, self.phase.cut.path, self.function.tables(row), fixed=True)

@@ -121,7 +121,8 @@ class AssetClass(AssetRow, ABC):
     def mixture(
         cls, case: PensionModel, positions: Sequence[int], terms: Any, steps: Any, now: Now
     ) -> AssetMixture | None:
-        """The bonds beneath these classes where their log returns are not Gaussian; else None."""
+        """The underlying bonds of these classes where their log returns are not Gaussian; else
+        None."""
         return None
 
     @classmethod

@@ -22,9 +22,9 @@ from .bond import Maturing
 
 
 class CreditTerms(NamedTuple):
-    """Of the k classes: `reach` [k, f] of the bond beneath; `duration` in years, `mean_spread`,
-    `volatility` and `variance` of the spread's zeta, `carry` per unit of spread and step,
-    `reverting` the share of u lost in a step."""
+    """Terms of the k classes: `reach` [k, f] of the underlying bond; `duration` in years,
+    `mean_spread`, `volatility` and `variance` of the spread's zeta, `carry` per unit of spread and
+    step, `reverting` the share of u lost in a step."""
 
     reach: Array
     duration: Array
@@ -36,8 +36,8 @@ class CreditTerms(NamedTuple):
 
 
 class CreditSteps(NamedTuple):
-    """[T, k]: `drift` of the bond beneath over cash, `cross` the covariance of its return with the
-    spread's zeta."""
+    """[T, k]: `drift` of the underlying bond over cash, `cross` the covariance of its return with
+    the spread's zeta."""
 
     drift: Array
     cross: Array

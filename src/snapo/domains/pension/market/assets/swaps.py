@@ -25,15 +25,15 @@ from .asset_class import AssetMixture, Now, Scene
 
 
 class SwapTerms(NamedTuple):
-    """Of the fixed legs (see `bonds.strips`), and `reach` [i, f + 1] of the index-linked bonds or
-    None."""
+    """Terms of the fixed legs (see `bonds.strips`), and `reach` [i, f + 1] of the index-linked
+    bonds or None."""
 
     fixed: strips.StripTerms
     linked: Array | None
 
 
 class SwapSteps(NamedTuple):
-    """Of the fixed legs, and `drift` [T, i] of the index-linked bonds or None."""
+    """Steps of the fixed legs, and `drift` [T, i] of the index-linked bonds or None."""
 
     fixed: strips.StripSteps
     linked: Array | None
@@ -74,7 +74,7 @@ def swap_schedule(scene: Scene) -> tuple[SwapTerms, SwapSteps]:
 
 
 def swap_mixture(case: PensionModel, terms: SwapTerms, steps: SwapSteps, now: Now) -> AssetMixture:
-    """The bonds beneath the b swaps; swaps are in the fund's own currency."""
+    """The underlying bonds of the b swaps; swaps are in the fund's own currency."""
     local = now._replace(foreign=None)
     fixed = strips.mixture(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, local)
     if terms.linked is None or steps.linked is None:

@@ -55,7 +55,7 @@ class Load(NamedTuple):
     which: np.ndarray
 
     def variance(self, covariance: Array) -> Float[Array, "T k"]:
-        """Of a step's log return."""
+        """The variance of a step's log return."""
         among = covariance[self.which[:, :, None], self.which[:, None]]
         return jnp.einsum("tki,kij,tkj->tk", self.size, among, self.size)
 

@@ -36,7 +36,7 @@ Prices = Callable[[np.ndarray, bool], Array | np.ndarray]
 
 
 def payments(maturity: ArrayLike, coupon: ArrayLike, step: float) -> Payments:
-    """Those of bonds of `maturity` [k] in steps; the length of a `step` in years."""
+    """The payments of bonds; `maturity` [k] in steps, `step`: its length in years."""
     maturity, coupon = np.asarray(maturity, int), np.asarray(coupon, float)
     year = round(1 / step)
     dates = [

@@ -20,8 +20,8 @@ from .payments import Payments, amounts, coupons
 
 
 class StripTerms(NamedTuple):
-    """Of the q payments, by date and currency, `reach` [q, f] (see `constant_maturity`); of the J
-    dates `slope` [J, g], by which ln P falls per unit of each factor."""
+    """Terms of the q payments, by date and currency, `reach` [q, f] (see `constant_maturity`); of
+    the J dates `slope` [J, g], by which ln P falls per unit of each factor."""
 
     reach: Array
     slope: Array
@@ -98,6 +98,6 @@ def gain(of: Payments, price: Float[Array, " J"], growth: Float[Array, " J"]) ->
 
 
 def shares(of: Payments, price: Float[Array, " J"]) -> Float[Array, "k J"]:
-    """Of the value of each holding, by payment."""
+    """Shares of the value of each holding, by payment."""
     due = amounts(of, price) * price
     return due / jnp.sum(due, axis=1, keepdims=True)

@@ -91,7 +91,8 @@ def _parallel(case: PensionCase, values: dict[str, Any], curve: MarketCurve) -> 
 
 
 def _rate_volatility(case: PensionCase, values: dict[str, Any]) -> dict[int, float]:
-    """Of Gaussian factors: a zero rate of u years moves by B(u) / u times each of them."""
+    """The volatilities of rates of Gaussian factors: a zero rate of u years moves by B(u) / u times
+    each of them."""
     count, now = case.rates.count(), case.rates.volatility.used()[0]
 
     def deviations(values):

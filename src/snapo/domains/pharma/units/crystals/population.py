@@ -1,4 +1,4 @@
-"""Crystals as a crystalliser sees them: by moments, or by finite volumes over their size.
+"""The crystals in a crystalliser: by moments, or by finite volumes over their size.
 
 The moments 0 to 5 are exact where growth does not depend on size: mu_0' = B, and
 mu_k' = k G mu_(k-1) + B L0^k, per m3 of slurry. Where crystals dissolve they shrink, and none
@@ -240,7 +240,7 @@ def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"
 
 SURFACE = 0.01  # of all crystals' surface that may belong to some which are gone
 MAXIMUM = 1000  # points in time
-REMEDY = 'by moments none disappears; use method = "finite-volumes"'
+REMEDY = 'with moments no crystal disappears; use method = "finite-volumes"'
 
 
 def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:

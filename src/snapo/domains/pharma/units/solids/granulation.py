@@ -10,7 +10,7 @@ the moments 0 and 2 of Smoluchowski's equation with the kernel b / N. They have 
 b constant N = N0 exp(-b t / 2) and M2 = M2(0) + 2 V^2 / N0 (exp(b t / 2) - 1). Sizes are taken for
 lognormal with these moments. The granules consolidate: their porosity falls exponentially towards
 its least value (for both see the review of Iveson, Litster, Hapgood and Ennis, Powder Technology
-117, 3, 2001). How the two rates depend on speed and moisture is an empirical power law.
+117, 3, 2001). Both rates depend on speed and moisture by an empirical power law.
 
 A granule continues as a particle with its own density: the stream's moments are those of granules,
 with the sizes of the crystals inside kept with them.
@@ -206,7 +206,7 @@ def lognormal(count, third, ratio) -> Float[Array, " 6"]:
 
 
 def _spread(ratio) -> Array:
-    """Of ln(size), with a finite derivative where all are of one size."""
+    """The standard deviation of ln(size), with a finite derivative where all sizes are equal."""
     above = jnp.log(jnp.maximum(ratio, 1.0)) / 9
     same = above <= 0
     return jnp.where(same, 0.0, jnp.sqrt(jnp.where(same, 1.0, above)))

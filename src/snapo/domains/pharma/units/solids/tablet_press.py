@@ -6,10 +6,10 @@ Relationships in Powder Compaction", Trans. Metall. Soc. AIME 221, 671-675, 1961
 D_0 - D_B) of the density at rest D_0 and by rearrangement D_B; or Kawakita's (V_0 - V)/V_0 = a b
 P/(1 + b P) (K. Kawakita and K.-H. Luedde, "Some considerations on powder compression equations",
 Powder Technology 4, 61-68, 1971). Strength falls exponentially with porosity (E. Ryshkewitch, J.
-Am. Ceram. Soc. 36, 65, 1953, and W. Duckworth's discussion of it there; its page, 68, from memory),
+Am. Ceram. Soc. 36, 65, 1953, and W. Duckworth's discussion of it there),
 and breaks a flat tablet across its diameter at F = pi d h sigma/2 (J. T. Fell and J. M. Newton,
 "Determination of Tablet Strength by the Diametral-Compression Test", J. Pharm. Sci. 59, issue 5,
-1970, doi 10.1002/jps.2600590523; its page, 688, from memory).
+1970, doi 10.1002/jps.2600590523).
 
 Content: the acceptance value of USP <905> for ten tablets, |M - X| + 2.4 s in per cent of the
 label, M being X between 98.5 and 101.5 and else the nearer of both, with the mean and the standard
