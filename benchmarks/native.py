@@ -322,9 +322,9 @@ def table(quick: bool = False, python: str = sys.executable) -> Iterator[str]:
     one, two, spinning = alternate(
         lambda: Native(threads=1).adjoint(*args), lambda: Native(threads=2).adjoint(*args), spin
     )
-    least = spinning * work.multiply_adds() / spun
+    floor = spinning * work.multiply_adds() / spun
     yield (
-        f"times the multiply-add floor: {two / least:.2f} (needed 1.4); "
+        f"times the multiply-add floor: {two / floor:.2f} (needed 1.4); "
         f"one to two threads: {one / two:.2f} (1.8)"
     )
     torch = torch_milliseconds(python, threads)

@@ -108,7 +108,7 @@ def with_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
 
 
 def without_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
-    """The policy with None in place of a `network` whose last layer is zero, as its outputs are."""
+    """The policy with None instead of a `network` whose last layer is zero, as its outputs are."""
     network = getattr(policy, "network")  # noqa: B009, of kinds of policies that have one
     if network is None or np.any(network.weights[-1]) or np.any(network.biases[-1]):
         return policy

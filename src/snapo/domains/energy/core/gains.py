@@ -54,8 +54,8 @@ class FlowRows(NamedTuple):
         if self.table.slopes.shape[1:-1]:
             if self.table.units is not None:
                 return self._searched(self.table.units[self.pair], forced, free, read, unit)
-            if self.table.pieces is not None:
-                return self._pieced(self.table.pieces[self.pair], forced, free, read, unit)
+            if self.table.between is not None:
+                return self._between_rows(self.table.between[self.pair], forced, free, read, unit)
         positions = [forced + free * j / SEGMENTS for j in range(SEGMENTS + 1)]
         rows = [self._slope(x, x is positions[-1]) for x in positions]
         return VolumeGains.even([unit + jnp.sum(row * read) for row in rows])
@@ -66,25 +66,25 @@ class FlowRows(NamedTuple):
         several rows."""
         dims, flat = self._table
         position = position_of(self.table, self._levels(forced))
-        begin = along(position, self.effects, first=True)
+        start = along(position, self.effects, first=True)
         touched = [i for i, effect in enumerate(self.effects) if effect]
         room, stride, behind = jnp.full((), jnp.inf), jnp.zeros(()), jnp.zeros(())
         for i in reversed(touched):
             up, several = self.effects[i] > 0, self.table.rows.spacing[i] > 0
-            left_over = dims[i] - 1 - begin[i] if up else begin[i]
+            left_over = dims[i] - 1 - start[i] if up else start[i]
             room = jnp.where(several, jnp.minimum(room, left_over), room)
             step = math.prod(dims[i + 1 :]) * (1.0 if up else -1.0)
             stride = stride + jnp.where(several, step, 0.0)
-            off = position[i] - begin[i]
+            off = position[i] - start[i]
             behind = jnp.where(several, off if up else -off, behind)
         length = free / units[-1]
         count = jnp.maximum(jnp.minimum(jnp.ceil(behind + length - NEAR), room + 1), 1.0)
         shares = []
         for i in range(-self.banks, 0):
             left, share = _between(position[i], dims[i])
-            begin = begin.at[i].set(left)
+            start = start.at[i].set(left)
             shares.append((share, math.prod(dims[len(dims) + i + 1 :])))
-        first_row = row_number(self.pair, begin, dims)
+        first_row = row_number(self.pair, start, dims)
 
         def between(at: Array, shares: list) -> Array:
             if not shares:
@@ -111,7 +111,7 @@ class FlowRows(NamedTuple):
             [(first, above), (above, above), (below, below), (below, last)], positions
         )
 
-    def _pieced(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
+    def _between_rows(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
         """With these segments: the pieces before the last one that gains; that piece; the next
         one; the pieces behind it. A piece is between two rows of any levels that the flow moves.
 
@@ -122,12 +122,12 @@ class FlowRows(NamedTuple):
         dims, flat = self._table
         position = position_of(self.table, self._levels(forced))
         touched = [i for i, effect in enumerate(self.effects) if effect]
-        turned = self.signs[touched[0]] * self.effects[touched[0]] < 0
-        signs = [-sign if turned else sign for sign in self.signs]
+        reversed_signs = self.signs[touched[0]] * self.effects[touched[0]] < 0
+        signs = [-sign if reversed_signs else sign for sign in self.signs]
         # A level that does not move changes its row where the moving one passes its share.
         crossing = list(range(len(dims))) if len(touched) == 1 else touched
-        whole = [jnp.floor(x * sign + NEAR) for x, sign in zip(position, signs)]
-        shares = [jnp.maximum(x * sign - y, 0.0) for x, sign, y in zip(position, signs, whole)]
+        floors = [jnp.floor(x * sign + NEAR) for x, sign in zip(position, signs)]
+        shares = [jnp.maximum(x * sign - y, 0.0) for x, sign, y in zip(position, signs, floors)]
         several = [self.table.rows.spacing[i] > 0 for i in range(len(dims))]
         nearest = functools.reduce(
             jnp.minimum, [jnp.where(several[i], 1 - shares[i], 1.0) for i in touched]
@@ -162,10 +162,10 @@ class FlowRows(NamedTuple):
                 if i in passed:  # its row is the next one until it is passed
                     since = passed[i] + times[i] - times[touched[0]]
                     further = jnp.where(since > 0, 0.0, 1.0)
-                row = row.at[i].set((whole[i] + further) * signs[i])
+                row = row.at[i].set((floors[i] + further) * signs[i])
             return unit + jnp.sum(nearest_row(flat, self.pair, row, dims) * read)
 
-        def begin(piece: Array) -> Array:
+        def start(piece: Array) -> Array:
             before = jnp.floor((piece - 1) / kinds + ROUND_OFF)
             rest = piece - 1 - kinds * before + ROUND_OFF
             parts = [jnp.where(ranks[i] <= rest, distances[i], 0.0) for i in crossing]
@@ -180,7 +180,7 @@ class FlowRows(NamedTuple):
             gaining = jnp.where(more, piece + 1, gaining)
             above, below = jnp.where(more, gained, above), jnp.where(more, below, gained)
         divisor = jnp.where(length > 0, length, 1.0)
-        positions = [jnp.clip(begin(gaining + k) / divisor, 0.0, 1.0) for k in (-1, 0, 1)]
+        positions = [jnp.clip(start(gaining + k) / divisor, 0.0, 1.0) for k in (-1, 0, 1)]
         return VolumeGains(
             [(first, above), (above, above), (below, below), (below, last)], positions
         )

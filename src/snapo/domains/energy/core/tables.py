@@ -31,7 +31,7 @@ class UnitValues(NamedTuple):
       the first move of its mode; None where there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow; in that many searches the last
       row that gains is found. None where one row is enough, since no volume is longer.
-    - `pieces`: the same where levels are between rows: in so many searches the last piece between
+    - `between`: the same where levels are between rows: in so many searches the last piece between
       two rows of any level that gains is found. Then `units` is None.
     """
 
@@ -40,7 +40,7 @@ class UnitValues(NamedTuple):
     moves: Array | None
     reading: Reading
     units: Array | None = None
-    pieces: Array | None = None
+    between: Array | None = None
 
     def read(self, factors: Array) -> Array:
         """[n] the functions of the factors: polynomials, hinges where the table has them, times

@@ -44,11 +44,11 @@ def guide_tables(
     A policy searches for the last row that gains where best volumes end on rows, and elsewhere for
     the last piece between rows; `like`: a table with the same search, whatever the grid.
     """
-    on_rows, pieces = grid.exact, not grid.exact
+    on_rows, between = grid.exact, not grid.exact
     if like is not None:
-        on_rows, pieces = like.units is not None, like.pieces is not None
+        on_rows, between = like.units is not None, like.between is not None
     largest = np.asarray(schedule.steps.terms.most)
-    units = _UnitRows(layout, basis, grid, largest if on_rows or pieces else None, pieces)
+    units = _UnitRows(layout, basis, grid, largest if on_rows or between else None, between)
     surprises = _SurpriseRows(layout, basis, grid) if factors.exact else None
     later = np.zeros(0)
     for t, coefficients in backwards(layout, schedule, factors, grid):
@@ -64,10 +64,10 @@ class _UnitRows:
     """The value of a unit of each volume after each step, and of each move."""
 
     def __init__(
-        self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, largest, pieces: bool
+        self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, largest, between: bool
     ):
         self.layout, self.basis, self.grid, self.largest = layout, basis, grid, largest
-        self.pieces = pieces
+        self.between = between
         self.available, self.counts = regression_of(basis), _row_counts(layout, grid)
         horizon = len(grid.steps)
         self.low, self.spacing = np.zeros((2, horizon, len(layout.levels)))
@@ -103,7 +103,7 @@ class _UnitRows:
         moves = self.moves if self.layout.moves else None
         rows = LevelRows(self.low, self.spacing)  # pyright: ignore
         units = self._units()
-        units = (None, units) if self.pieces else (units, None)
+        units = (None, units) if self.between else (units, None)
         table = UnitValues(rows, self.slopes, moves, reading, *units)  # pyright: ignore
         return UnitValueTable(table)
 
@@ -122,7 +122,7 @@ class _UnitRows:
             if np.any(rows > (1 + 1e-6) * smallest[:, None]):
                 return None
             several = 1
-            if self.pieces:  # see `FlowRows`
+            if self.between:  # see `FlowRows`
                 several = len(touched) if len(touched) > 1 else len(effects)
             longest = max(longest, float(np.max(self.largest[:, f] / smallest, initial=0.0)))
             crossings = max(crossings, several * math.ceil(longest))
@@ -268,12 +268,12 @@ def _slope(layout: ContractLayout, step: StepGrid, rows, spacing, f: int) -> spa
     first, last = first - share * unit * effects, last - share * unit * effects
     first, last = np.clip(first, low, high), np.clip(last, low, high)
     # A unit that only partly lies between the limits has the slope of that part.
-    begin, end = _inside(rows, unit * effects, low, high)
-    part = end - begin
+    start, end = _inside(rows, unit * effects, low, high)
+    part = end - start
     partial = (part > NEAR) & (part < 1 - NEAR)
     if partial.any():
-        ends = (rows[partial] + x[partial, None] * unit * effects for x in (begin, end))
-        first[partial], last[partial] = (np.clip(x, low, high) for x in ends)
+        limits = (rows[partial] + x[partial, None] * unit * effects for x in (start, end))
+        first[partial], last[partial] = (np.clip(x, low, high) for x in limits)
     slopes = (_between(step.after, last) - _between(step.after, first)) / unit
     if not partial.any():
         return slopes
@@ -283,12 +283,12 @@ def _slope(layout: ContractLayout, step: StepGrid, rows, spacing, f: int) -> spa
 def _inside(rows: np.ndarray, change: np.ndarray, low, high) -> tuple[np.ndarray, np.ndarray]:
     """[n] the first and the last share of a change of the levels from these rows that lies between
     the limits; the last is below the first where none does."""
-    begin, end = np.zeros(len(rows)), np.ones(len(rows))
-    for x, step, least, most in zip(rows.T, change, low, high):
+    start, end = np.zeros(len(rows)), np.ones(len(rows))
+    for x, step, lower, upper in zip(rows.T, change, low, high):
         if step:
-            sides = np.sort([(least - x) / step, (most - x) / step], axis=0)
-            begin, end = np.maximum(begin, sides[0]), np.minimum(end, sides[1])
-    return begin, end
+            sides = np.sort([(lower - x) / step, (upper - x) / step], axis=0)
+            start, end = np.maximum(start, sides[0]), np.minimum(end, sides[1])
+    return start, end
 
 
 def _between(nodes, points: np.ndarray) -> sparse.csr_array:

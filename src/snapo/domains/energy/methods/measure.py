@@ -53,7 +53,7 @@ def joined_levels(layout: ContractLayout) -> list[set[int]]:
 
 def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
     """Between evenly spaced nodes, at most so many: a multiple of the common measure, if there is
-    one. Levels that share flows have the same width, so that a flow leads from node to node in all
+    one. Levels that share flows have the same width, so that a flow goes from node to node in all
     of them; between nodes the value would be interpolated. `apart`: the least width of each
     level."""
     widths = [1.0] * len(widest)

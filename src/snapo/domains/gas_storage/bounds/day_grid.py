@@ -199,7 +199,7 @@ def _reach(
 def _bends(
     schedule, day_rates: DayRates, t: int, nodes, after
 ) -> tuple[Bends | None, Bends | None]:
-    """The inventories from which a full flow leads exactly to a node, before limits apply; the
+    """The inventories from which a full flow ends exactly at a node, before limits apply; the
     value is linear between nodes."""
     keep, down, up = flow_ends(schedule, day_rates, t, nodes)
     meetings = [_meetings(item, after) for item in (down, up, keep)]
