@@ -46,7 +46,7 @@ class WorkerProcess:
                 self.process.kill()
 
     async def ask(self, order: dict[str, Any]) -> None:
-        """Passes an order to the worker, now or as soon as it is ready."""
+        """Passes an order to the worker, now, or when it has started."""
         if order["do"] == "move":
             self._waiting[order["page"]] = order
         if self.state["stage"] == "ready":
