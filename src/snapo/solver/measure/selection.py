@@ -42,7 +42,7 @@ class Evaluation:
 
     - `paths`: fresh scenarios for the value.
     - `sensitivity_paths`: for the derivatives with decisions held; `smooth_paths`: for those
-      through the smooth policy.
+      through the smooth policy, and 0 omits the change of held ones during training too.
     - `judge_paths`: maximum for bumps of every input, which test the held derivatives.
     - `search_paths`: maximum for the value around the policy, from which the part of every interval
       due to the policy is computed.

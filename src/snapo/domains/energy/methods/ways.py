@@ -76,7 +76,7 @@ def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: lis
                 weights = np.ones(goal_nodes.shape)
             else:
                 start_nodes, goal_nodes, weights = rows, goals, weights[:, :, 0]
-            count = len(start_nodes)
+            count = len(start_nodes)  # `numbers`: of the move and the flow, as one
             starts.append(start + start_nodes)
             numbers.append(np.full(count, m * len(layout.flows) + max(flow, 0)))
             volumes.append(np.full(count, float(volume)))
