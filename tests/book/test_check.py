@@ -55,6 +55,8 @@ def test_a_mistake_of_all_contracts_is_named_once(tmp_path):
 def test_a_mistake_of_a_stress(tmp_path):
     for text, expected in {
         'scale = { "market.forwrd_curve" = 1.1 }': ", market.forwrd_curve: allowed is one of ",
+        'scale = { "markt.forward_curve" = 1.1 }':
+            ", markt.forward_curve: the case has no table markt; the nearest is market.",
         'set = { "contract.injction_cost" = 1.1 }': ", contract.injction_cost: got 1.1; there is no",
         'set = { "contract.max_inventory" = -1 }': ", contract.max_inventory: got -1; allowed is",
         'scale = { "market.forward_curve" = 1.1 }\nwhen = "2030-01/2030-02"':

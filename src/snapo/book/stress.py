@@ -229,6 +229,17 @@ def moved_numbers(
     return values
 
 
+def check_tables(moves: Sequence[StressMove], tables: Mapping[str, Any]) -> None:
+    """**Raises:** `CaseError` for a key whose table is almost called like one of the case."""
+    for move in moves:
+        first, dot, _ = move.key.casefold().partition(".")
+        names = [name.casefold() for name in tables]
+        close = get_close_matches(first, names, n=1, cutoff=0.7)
+        if dot and first not in names and close:
+            message = f"the case has no table {first}; the nearest is {close[0]}"
+            raise CaseError("stress", move.key, None, message)
+
+
 def _input(key: str, inputs: Mapping[str, Input]) -> str:
     """The input of a key of the case: "market.forward_curve" is `forward_curve`, and
     "units.dryer.temperature" is `dryer.temperature`."""

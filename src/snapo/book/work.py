@@ -57,7 +57,7 @@ from .order import (
     enclosed,
 )
 from .plan import kinds_of
-from .stress import StressMove, moved_numbers
+from .stress import StressMove, check_tables, moved_numbers
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
@@ -133,6 +133,7 @@ class OrderContract:
 
     def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
         """The case under a stress; `inputs`: of the unstressed one."""
+        check_tables(moves, self.tables)
         settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
         tables, case = self.tables, self.case
         if settings:
