@@ -120,6 +120,13 @@ def test_what_is_refused(fake, case, capsys):
     for name in (case, case / "case.toml"):
         assert main(["report", str(name)]) == 2
         assert f"this case has no run yet: snapo solve {name}." in capsys.readouterr().err
+    book = case.parent / "book.toml"
+    book.write_text('kind = "book"\n')
+    (case.parent / "values").mkdir()
+    (case.parent / "values" / "book.json").write_text("{}")
+    for name, expected in ((book, "this is a book"), (case.parent / "values", "folder of a book")):
+        assert main(["open", str(name)]) == 2
+        assert expected in capsys.readouterr().err
     assert main(["bench", "fakes"]) == 2
     assert "KIND: got 'fakes'" in capsys.readouterr().err
 

@@ -19,6 +19,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -61,6 +62,8 @@ WRITTEN = (
 )  # fmt: skip
 LAYOUT = 4  # of the folder; it grows when older runs can no longer be read
 APART = ("parts", *TEXTS)  # keys of [report] on which no number depends
+BOOK = "book.json"  # of the folder of a book, which is no run
+OF_A_BOOK = re.compile(r"^kind\s*=\s*['\"]book['\"]", re.MULTILINE)
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
 PICTURES = (".png", ".svg")  # a logo of the report, on which no number depends
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
@@ -255,7 +258,11 @@ def _no_run(out: Path) -> CaseError:
         )
         return CaseError(str(out), "", None, message)
     message = "this is not the folder of a run: `snapo solve` writes run.json into it"
-    if out.is_file() or any((out / name).is_file() for name in ("case.toml", "case.xlsx")):
+    if (out / BOOK).is_file():
+        message = f"this is the folder of a book: its report is report.html, of snapo report {out}"
+    elif out.is_file() and OF_A_BOOK.search(out.read_text(encoding="utf-8", errors="replace")):
+        message = f"this is a book, which has contracts and no page: snapo book {out}"
+    elif out.is_file() or any((out / name).is_file() for name in ("case.toml", "case.xlsx")):
         message = f"this case has no run yet: snapo solve {out}"
     return CaseError(str(out), "", None, message)
 
