@@ -92,6 +92,6 @@ def test_an_auction_is_not_of_days():
     data = {"contract": {"auction": {}}}
     folder = Path("run")
     run = ValuedRun(folder, folder / "case.toml", data, case, "auto", 1.0, 0.1, None)
-    with pytest.raises(CaseError, match=r"contract\.auction: .* fixed at their delivery") as caught:
+    with pytest.raises(CaseError, match=r"contract\.auction: .* decided at delivery") as caught:
         run.check()
     assert "day" not in str(caught.value)

@@ -246,7 +246,7 @@ def test_messages(tmp_path):
     with pytest.raises(CaseError, match="no decision lies between"):
         explained_change(first, first, silent, cash=1.0)
     nominated = few | {"contract.nomination": {"days": 1}}
-    with pytest.raises(CaseError, match=r"contract.nomination: the parts of a change"):
+    with pytest.raises(CaseError, match=r"contract.nomination: snapo explain needs flows"):
         valued(tmp_path / "b", "swing", nominated)
 
 

@@ -23,7 +23,7 @@ from snapo.study.prepare import case_of_run
 from ..contract.records import StorageCase
 from ..read.case import read_case
 
-FIXED = "a change is explained of flows that are fixed at their delivery: leave this key out"
+FIXED = "snapo explain needs flows that are decided at delivery: leave this key out"
 
 
 @dataclass(frozen=True, eq=False)
