@@ -23,10 +23,11 @@ from snapo.case.error import CaseError
 from snapo.case.table import not_utf8
 from snapo.report.record import EMPTY
 from snapo.solver.tables import write_text
+from snapo.study.run_folder import BOOK
 
 from .order import Cost, OrderAnswer, opened
 
-BOOK, RESULT, REPORT = "book.json", "result.json", "report.html"
+RESULT, REPORT = "result.json", "report.html"
 ANSWERS, POLICIES = "answers", "policies"
 TABLES = ("values", "deltas", "shares", "outputs", "exposure")
 POINTS = "points.csv"

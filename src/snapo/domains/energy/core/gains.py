@@ -9,6 +9,7 @@ longer than a row, the last row that gains is therefore searched for.
 import functools
 import itertools
 import math
+from collections.abc import Callable
 from typing import NamedTuple, Self
 
 import jax.numpy as jnp
@@ -97,19 +98,7 @@ class FlowRows(NamedTuple):
             at = first_row + (row * stride).astype(jnp.int32)
             return unit + between(at, shares)
 
-        first, last = gain(jnp.zeros_like(count)), gain(count - 1)
-        gaining, above, below = jnp.zeros_like(count), first, first
-        for power in reversed(range(len(units))):
-            row = jnp.minimum(gaining + (2**power - 1), count - 1)
-            gained = gain(row)
-            more = gained > 0
-            gaining = jnp.where(more, row + 1, gaining)
-            above, below = jnp.where(more, gained, above), jnp.where(more, below, gained)
-        divisor = jnp.where(length > 0, length, 1.0)
-        positions = [jnp.clip((gaining + k - behind) / divisor, 0.0, 1.0) for k in (-1, 0, 1)]
-        return VolumeGains(
-            [(first, above), (above, above), (below, below), (below, last)], positions
-        )
+        return _up_to_last(gain, lambda row: row - behind, count, length, len(units))
 
     def _between_rows(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
         """With these segments: the pieces before the last one that gains; that piece; the next
@@ -171,19 +160,7 @@ class FlowRows(NamedTuple):
             parts = [jnp.where(ranks[i] <= rest, distances[i], 0.0) for i in crossing]
             return jnp.where(piece > 0, before + functools.reduce(jnp.maximum, parts), 0.0)
 
-        first, last = gain(jnp.zeros_like(count)), gain(count - 1)
-        gaining, above, below = jnp.zeros_like(count), first, first
-        for power in reversed(range(len(units))):
-            piece = jnp.minimum(gaining + (2**power - 1), count - 1)
-            gained = gain(piece)
-            more = gained > 0
-            gaining = jnp.where(more, piece + 1, gaining)
-            above, below = jnp.where(more, gained, above), jnp.where(more, below, gained)
-        divisor = jnp.where(length > 0, length, 1.0)
-        positions = [jnp.clip(start(gaining + k) / divisor, 0.0, 1.0) for k in (-1, 0, 1)]
-        return VolumeGains(
-            [(first, above), (above, above), (below, below), (below, last)], positions
-        )
+        return _up_to_last(gain, start, count, length, len(units))
 
     @property
     def _table(self) -> tuple[tuple[int, ...], Array]:
@@ -211,6 +188,24 @@ class FlowRows(NamedTuple):
             return sides[0] + share * (sides[1] - sides[0])
 
         return between(row, self.banks)
+
+
+def _up_to_last(
+    gain: Callable, start: Callable, count: Array, length: Array, searches: int
+) -> VolumeGains:
+    """The gains of a volume of `count` parts, `length` long, of which the last one that gains is
+    found in so many searches. `gain`: that of a unit of a part; `start`: where a part starts."""
+    first, last = gain(jnp.zeros_like(count)), gain(count - 1)
+    gaining, above, below = jnp.zeros_like(count), first, first
+    for power in reversed(range(searches)):
+        part = jnp.minimum(gaining + (2**power - 1), count - 1)
+        gained = gain(part)
+        more = gained > 0
+        gaining = jnp.where(more, part + 1, gaining)
+        above, below = jnp.where(more, gained, above), jnp.where(more, below, gained)
+    divisor = jnp.where(length > 0, length, 1.0)
+    positions = [jnp.clip(start(gaining + k) / divisor, 0.0, 1.0) for k in (-1, 0, 1)]
+    return VolumeGains([(first, above), (above, above), (below, below), (below, last)], positions)
 
 
 def _between(position: Array, count: int) -> tuple[Array, Array]:
