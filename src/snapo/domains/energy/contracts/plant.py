@@ -6,10 +6,11 @@
 S is the price of power, G that of the fuel, c that of emissions, e of which a unit of fuel needs; q
 is the power of an hour on, between two limits. A start is of the last class whose hours off have
 passed. Modes are the hours off so far, up to those of the last class, and the hours on so far, up
-to `min_up`.
+to `min_up`; with a ramp the latter are combined with the power of the hour, see `ramp.py`.
 """
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 import equinox as eqx
@@ -29,6 +30,7 @@ from ..core.contract import (
     StepTerms,
     Terms,
 )
+from .ramp import KEPT, PowerSteps
 
 POWER = 0  # the flow
 
@@ -43,6 +45,8 @@ class PlantContract(EnergyContract):
     - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
       is on.
     - `start_limit`: how many starts there may be; 0 without a limit.
+    - `ramp`, `power_before`: MW an hour up or down, and MW in the hour before the first one; None
+      without. `steps`: the powers that a ramp leads to; `powers` [moves]: that of each move.
     """
 
     min_power: CaseInput
@@ -58,6 +62,10 @@ class PlantContract(EnergyContract):
     classes: tuple[int, ...] = eqx.field(static=True)
     runs: tuple[bool, ...] = eqx.field(static=True)
     start_limit: int = eqx.field(static=True)
+    ramp: CaseInput | None = None
+    power_before: CaseInput | None = None
+    steps: PowerSteps | None = eqx.field(static=True, default=None)
+    powers: tuple[int, ...] = eqx.field(static=True, default=())
 
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         count, counted = len(paid), len(self.layout.levels)
@@ -86,51 +94,101 @@ class PlantContract(EnergyContract):
             index=-(rate * paid)[:, None],
             fixed_index=-paid[:, None] * fuel,
         )
-        return Terms(jnp.zeros(counted), steps)
+        return Terms(jnp.zeros(counted), self._ramped(inputs, steps))
+
+    def _ramped(self, inputs: dict[str, Any], terms: StepTerms) -> StepTerms:
+        """With the power of each move, where there is a ramp. No number is known where other inputs
+        would have other steps: all are NaN then."""
+        if self.ramp is None or self.steps is None:
+            return terms
+        given = self.min_power, self.max_power, self.ramp, self.power_before
+        numbers = [jnp.zeros(()) if x is None else use(inputs, x) for x in given]
+
+        def at(rows: Any) -> Array:
+            columns = np.reshape(np.array(rows, float), (-1, len(numbers))).T
+            return sum((x * column for x, column in zip(numbers, columns)), jnp.zeros(()))
+
+        valid = jnp.all(at(self.steps.conditions) >= -KEPT * numbers[1])
+        terms = terms._replace(fixed=jnp.where(valid, terms.fixed, jnp.nan))
+        if not self.steps.steps:
+            return terms
+        every = at([step.parts for step in self.steps.steps])
+        powers = every[np.array(self.powers)] * jnp.asarray(self.runs, float)
+        return terms._replace(fixed_volume=jnp.zeros_like(terms.fixed) + powers)
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
-        state, _, hours = mode.partition(" ")
+        state, _, rest = mode.partition(" ")
+        hours, _, name = rest.partition(", ")
         keys: dict = {"before": {state: int(hours)}}
+        if name and self.steps is not None:
+            given = self.min_power, self.max_power, self.ramp, self.power_before
+            numbers = [0.0 if x is None else float(x.values[0]) for x in given]
+            (parts,) = (step.parts for step in self.steps.steps if step.name == name)
+            keys["before"]["power"] = float(np.dot(parts, numbers))
         if "starts" in levels:
             keys["most_starts"] = self.start_limit - round(levels["starts"])
         return keys
 
 
 def layout_of(
-    min_up: int, min_down: int, off: tuple[int, ...], first: tuple[bool, int], counted: bool
-) -> tuple[ContractLayout, tuple[int, ...], tuple[bool, ...]]:
-    """Modes and moves, the class of each move that is a start (else -1), and whether it is on.
+    min_up: int,
+    min_down: int,
+    off: tuple[int, ...],
+    first: tuple[bool, int],
+    counted: bool,
+    steps: PowerSteps | None = None,
+) -> tuple[ContractLayout, tuple[int, ...], tuple[bool, ...], tuple[int, ...]]:
+    """Modes and moves; of each move the class where it is a start (else -1), whether it is on, and
+    its power by number of a step (0 where it is off or there are no steps).
 
     - `off`: the hours off from which each class of starts holds; `counted`: whether starts are.
     - `first`: whether the plant is on before the first hour, and for how many hours.
     """
     longest = max(min_down, *off, 1)
-    names = [f"on {j}" for j in range(1, min_up + 1)] + [f"off {k}" for k in range(1, longest + 1)]
+    free = PowerSteps((), 0, (True,), ((0,),), ())  # any power follows any
+    powers = steps if steps is not None and steps.steps else free
+    words = [f", {step.name}" for step in powers.steps] or [""]
     on, hours = first
-    begins = f"on {min(hours, min_up)}" if on else f"off {min(hours, longest)}"
-    names = [begins, *(name for name in names if name != begins)]
-    where = names.index
+    begins = (True, min(hours, min_up), powers.of_before) if on else (False, min(hours, longest), 0)
+    running = _reachable(min_up, powers, begins)
+    modes = [*running, *((False, k, 0) for k in range(1, longest + 1))]
+    modes = [begins, *(mode for mode in modes if mode != begins)]
+    where = {mode: i for i, mode in enumerate(modes)}
     none, one = (0.0,) * counted, (1.0,) * counted
-    rows: list[tuple[ContractMove, int, bool]] = []
+    rows: list[tuple[ContractMove, int, bool, int]] = []
 
-    def add(name: str, before: str, after: str, start: int, runs: bool) -> None:
+    def add(name: str, before: tuple, after: tuple, start: int = -1) -> None:
         changes = one if name == "start" else none
-        flows = (POWER,) if runs else ()
-        move = ContractMove(name, where(before), where(after), flows, changes)
-        rows.append((move, start, runs))
+        flows = (POWER,) if after[0] else ()
+        move = ContractMove(name, where[before], where[after], flows, changes)
+        rows.append((move, start, after[0], after[2]))
 
+    at_ends = [p for p, end in enumerate(powers.ends) if end]
     for k in range(1, longest + 1):
-        add("stay off", f"off {k}", f"off {min(k + 1, longest)}", -1, False)
+        add("stay off", (False, k, 0), (False, min(k + 1, longest), 0))
         if k >= min_down:
-            add("start", f"off {k}", "on 1", int(np.searchsorted(off, k, side="right")) - 1, True)
-    for j in range(1, min_up + 1):
-        if j == min_up:
-            add("stop", f"on {j}", "off 1", -1, False)
-        add("run", f"on {j}", f"on {min(j + 1, min_up)}", -1, True)
+            kind = int(np.searchsorted(off, k, side="right")) - 1
+            for p in at_ends:
+                add("start", (False, k, 0), (True, 1, p), kind)
+    for _, j, p in running:
+        if j == min_up and p in at_ends:
+            add("stop", (True, j, p), (False, 1, 0))
+        for after in powers.next[p]:
+            add("run", (True, j, p), (True, min(j + 1, min_up), after))
     levels = (Level("starts", "starts"),) if counted else ()
     power = EnergyFlow("power", "MW", (0.0,) * counted)
-    every, classes, runs = zip(*rows)
-    layout = ContractLayout(
-        levels, (power,), tuple(names), every, indexed=True, reported=("start",)
-    )
-    return layout, classes, runs
+    every, classes, runs, of_moves = zip(*rows)
+    names = tuple(f"{'on' if on else 'off'} {n}{words[p] if on else ''}" for on, n, p in modes)
+    layout = ContractLayout(levels, (power,), names, every, indexed=True, reported=("start",))
+    return layout, classes, runs, of_moves
+
+
+def _reachable(min_up: int, powers: PowerSteps, begins: tuple) -> list[tuple[bool, int, int]]:
+    """The modes on: those that a start or the first hours lead to, by hours and power."""
+    reached = {(1, p) for p, end in enumerate(powers.ends) if end}
+    if begins[0]:
+        reached.add(begins[1:])
+    for _ in range(min_up + len(powers.ends)):
+        reached |= {(min(j + 1, min_up), q) for j, p in reached for q in powers.next[p]}
+    every = product(range(1, min_up + 1), range(len(powers.ends)))
+    return [(True, *mode) for mode in every if mode in reached]

@@ -12,9 +12,11 @@ from snapo.case.table import CaseTable, TableContext, parse
 
 from ..read.hours import HourlyContractTable
 from .plant import PlantContract, layout_of
+from .ramp import PowerSteps, power_steps
 
 GROUP, COST = "contract", "cost"
 LONGEST = 72  # modes: hours off until the last class of starts, and least hours on
+MODES = 150  # on, of a plant with a ramp: least hours on times powers
 POWER = Quantity("MW", NOT_NEGATIVE, GROUP, move=1.0)
 FUEL = Quantity("MWh", NOT_NEGATIVE, GROUP, move=1.0)
 RATE = Quantity("1", POSITIVE, GROUP, move=0.01)
@@ -25,11 +27,14 @@ STARTS = "a list like [{ off = 3, money = 2500.0, fuel = 60.0 }]"
 
 
 class PowerTable(CaseTable):
-    """{ market = "power", min = 50.0, max = 110.0 }: MW in an hour in which the plant runs."""
+    """{ market = "power", min = 50.0, max = 110.0, ramp = 60.0 }: MW in an hour on."""
 
     market: Literal["power"] = Field("power", description='"power"')
     min: CaseInput = POWER("least of an hour on", 0.0, name="power_min")
     max: CaseInput = POWER("largest power of an hour on", range=POSITIVE, name="power_max")
+    ramp: CaseInput | None = POWER(
+        "largest change of the power from an hour on to the next", None, range=POSITIVE, name="ramp"
+    )
 
 
 class FuelTable(CaseTable):
@@ -60,12 +65,15 @@ class StartTable(CaseTable):
 
 
 class BeforeTable(CaseTable):
-    """{ off = 12 } or { on = 6 }: hours off, or on, before the first hour."""
+    """{ off = 12 } or { on = 6, power = 80.0 }: hours off, or on, before the first hour."""
 
     off: int | None = Field(
         None, ge=1, le=100_000, description="a whole number of hours, 1 or more"
     )
     on: int | None = Field(None, ge=1, le=100_000, description="a whole number of hours, 1 or more")
+    power: CaseInput | None = POWER(
+        "power in the hour before the first one, of a plant with a ramp", None, name="power_before"
+    )
 
 
 class PowerPlantTable(HourlyContractTable):
@@ -95,12 +103,18 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
     starts, before = _starts(where, table), where.nested(BeforeTable, table.before or {}, "before")
     if before.on is not None and before.off is not None:
         raise where.error("before", table.before, "allowed is `off` or `on`, not both")
+    steps = _power_steps(where, power, before)
     first = (False, before.off or LONGEST) if before.on is None else (True, before.on)
     # A limit that no plant of these minimum times can reach is none.
     possible = -(-(len(days) + table.min_down) // (table.min_up + table.min_down))
     limited = table.most_starts is not None and table.most_starts < possible
     off = tuple(start.off for start in starts)
-    layout, classes, runs = layout_of(table.min_up, table.min_down, off, first, limited)
+    numbers = table.min_up, table.min_down, off, first, limited
+    layout, classes, runs, powers = layout_of(*numbers, steps)
+    if steps is not None and sum(name.startswith("on") for name in layout.modes) > MODES:
+        message = f"with {len(steps.steps)} powers and min_up = {table.min_up} the plant has more "
+        message += f"than {MODES} states; a larger ramp has fewer powers"
+        raise where.error("power.ramp", float(power.ramp.values[0]), message)
     return PlantContract(  # pyright: ignore[reportCallIssue]
         power.min,
         power.max,
@@ -115,7 +129,31 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
         classes=classes,
         runs=runs,
         start_limit=(table.most_starts or 0) if limited else 0,
+        ramp=power.ramp,
+        power_before=before.power if before.on is not None else None,
+        steps=steps,
+        powers=powers if steps is not None and steps.steps else (),
     )
+
+
+def _power_steps(
+    where: TableContext, power: PowerTable, before: BeforeTable
+) -> PowerSteps | None:
+    """The powers that a ramp leads to; None without a ramp."""
+    before_power = None if before.power is None else float(before.power.values[0])
+    if before_power is not None and (power.ramp is None or before.on is None):
+        message = "allowed is a power only of a plant that is on and has a ramp"
+        raise where.error("before.power", before_power, message)
+    if power.ramp is None:
+        return None
+    low, high, ramp = (float(x.values[0]) for x in (power.min, power.max, power.ramp))
+    if before_power is not None and not low <= before_power <= high:
+        message = f"allowed is from power.min, {low:g}, to power.max, {high:g}"
+        raise where.error("before.power", before_power, message)
+    if before.on is not None and before_power is None and ramp < high:
+        message = "with a ramp it needs the power of that hour, such as { on = 6, power = 80.0 }"
+        raise where.error("before", {"on": before.on}, message)
+    return power_steps(low, high, ramp, before_power)
 
 
 def _by_class(

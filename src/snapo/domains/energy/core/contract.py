@@ -204,7 +204,9 @@ class StepTerms(NamedTuple):
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
     - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
-      none. `promises`, `bank`, `of_levels`, `intraday`: None without any.
+      none. `fixed_volume`: where the move and not the policy decides the volumes of its flows, that
+      of each; no such flow has an effect on a level.
+    - `promises`, `bank`, `of_levels`, `intraday`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -222,6 +224,7 @@ class StepTerms(NamedTuple):
     bank: Bank | None = None
     of_levels: LevelMoney | None = None
     fixed_index: Float[Array, "T moves"] | None = None
+    fixed_volume: Float[Array, "T moves"] | None = None
     intraday: Intraday | None = None
 
 

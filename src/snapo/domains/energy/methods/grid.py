@@ -98,6 +98,7 @@ def grid_of(
     steps = []
     for t in range(len(after)):
         numbers = [terms.least[t], terms.most[t], *before[t], *after[t]]
+        numbers += [] if terms.fixed_volume is None else [terms.fixed_volume[t]]
         key = tuple(np.asarray(x).tobytes() for x in numbers)
         if key not in by_volumes:
             passages = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
@@ -283,15 +284,17 @@ def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndar
 
 def _passages(layout: ContractLayout, terms, t: int, before, after, near: float):
     signs, result = layout.signs, []
-    for move in layout.every_move:
+    for m, move in enumerate(layout.every_move):
         passages: list[Passage] = []
-        changes = np.array(move.changes)
-        still = all(terms.least[t, flow] <= near for flow in move.flows)
+        changes, least, most = np.array(move.changes), terms.least[t], terms.most[t]
+        if terms.fixed_volume is not None:
+            least = most = np.full(len(least), terms.fixed_volume[t, m])
+        still = all(least[flow] <= near for flow in move.flows)
         if still:
             passages += _moved(-1, 0.0, changes, (), before, after, signs, near)
         for flow in move.flows:
             effects = np.array(layout.flows[flow].effects)
-            ends = float(terms.least[t, flow]), float(terms.most[t, flow])
+            ends = float(least[flow]), float(most[flow])
             touched = np.flatnonzero(effects)
             for volume in _possible(effects, changes, ends, before, after, near):
                 if volume > near or not still:

@@ -1,0 +1,102 @@
+"""The powers that a plant with a ramp uses: whole numbers of ramps from a limit.
+
+    |q(t) - q(t - 1)| <= ramp while on;   at most top = max(min, ramp) in the first and last hour on
+
+With the hours on fixed, cash is linear in the powers q, and limits hold for powers and for
+differences of two of them: at a corner every power is min, max, top or that before the first hour,
+plus a whole number of ramps. These are also the best powers where later prices are not known. By
+induction backwards, the value is convex in the power of the hour before between neighbouring steps,
+as maxima and means of convex functions are; the best next power is then a step, or one ramp away
+from the power before, which from a step is a step. So no step between them is needed.
+"""
+
+from itertools import count
+from typing import NamedTuple
+
+import numpy as np
+
+NEAR = 1e-9  # of the largest power: steps nearer to each other are one
+KEPT = 3e-5  # of the largest power: numbers moved by less have the same steps
+LOW, HIGH, RAMP, BEFORE = np.eye(4, dtype=int)  # min, max, ramp, power before the first hour
+
+
+class PowerStep(NamedTuple):
+    """A power: so many times `min`, `max`, `ramp`, and the power before the first hour."""
+
+    parts: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Such as "min + 2 ramp"."""
+        *ends, ramps = (self.parts[i] for i in (0, 1, 3, 2))
+        text = [word for word, part in zip(("min", "max", "before"), ends) if part]
+        if not text:
+            return f"{ramps} ramp"
+        return " ".join([*text, *([f"{'+' if ramps > 0 else '-'} {abs(ramps)} ramp"] * bool(ramps))])
+
+
+class PowerSteps(NamedTuple):
+    """All steps of a plant.
+
+    - `steps`; `of_before`: the one before the first hour, -1 where the plant is off.
+    - `ends` [steps]: whether a plant may start at it and stop from it.
+    - `next` [steps]: the steps that can follow each.
+    - `conditions`: rows that, times (min, max, ramp, before), are at least zero as long as the
+      other fields hold.
+    """
+
+    steps: tuple[PowerStep, ...]
+    of_before: int
+    ends: tuple[bool, ...]
+    next: tuple[tuple[int, ...], ...]
+    conditions: tuple[tuple[int, ...], ...]
+
+
+def power_steps(least: float, most: float, ramp: float, before: float | None) -> PowerSteps:
+    """The steps of these limits; none where the ramp never binds, as it is at least `most`."""
+    if ramp >= most:
+        return PowerSteps((), -1, (), (), (_plain(RAMP - HIGH),))
+    numbers = np.array([least, most, ramp, before or 0.0])
+    near, top = NEAR * most, RAMP if ramp > least else LOW
+    anchors = [LOW, HIGH, top] + ([] if before is None else [BEFORE])
+    parts: list[np.ndarray] = []
+    conditions: list[np.ndarray] = [top - (LOW if ramp > least else RAMP)]
+
+    def place(row: np.ndarray) -> int:
+        """The number of the step of this value, which may be new."""
+        for i, other in enumerate(parts):
+            if abs((row - other) @ numbers) <= near:
+                conditions.extend([row - other, other - row])
+                return i
+        parts.append(row)
+        return len(parts) - 1
+
+    for anchor in anchors:
+        for sign in (1, -1):
+            for k in count():
+                row = anchor + sign * k * RAMP
+                beyond = row - HIGH if sign > 0 else LOW - row
+                if beyond @ numbers > near:
+                    conditions.append(beyond)
+                    break
+                conditions.append(-beyond)
+                place(row)
+    parts.sort(key=lambda row: float(row @ numbers))
+    powers = np.array(parts) @ numbers
+    ends = powers <= top @ numbers + near
+    conditions += [top - row if end else row - top for row, end in zip(parts, ends)]
+    joined = np.abs(powers[:, None] - powers) <= ramp + near
+    for i, row in enumerate(parts):
+        for j, other in enumerate(parts[:i]):
+            conditions.append((RAMP - row + other) * (1 if joined[i, j] else -1))
+    return PowerSteps(
+        tuple(PowerStep(_plain(row)) for row in parts),
+        -1 if before is None else place(BEFORE),
+        tuple(map(bool, ends)),
+        tuple(tuple(map(int, np.flatnonzero(row))) for row in joined),
+        tuple(sorted({_plain(row) for row in conditions if row.any()})),
+    )
+
+
+def _plain(row: np.ndarray) -> tuple[int, ...]:
+    return tuple(map(int, row))
