@@ -179,7 +179,15 @@ def layout_of(
     power = EnergyFlow("power", "MW", (0.0,) * counted)
     every, classes, runs, of_moves = zip(*rows)
     names = tuple(f"{'on' if on else 'off'} {n}{words[p] if on else ''}" for on, n, p in modes)
-    layout = ContractLayout(levels, (power,), names, every, indexed=True, reported=("start",))
+    layout = ContractLayout(
+        levels,
+        (power,),
+        names,
+        every,
+        indexed=True,
+        reported=("start",),
+        fixed_volumes=powers is steps,
+    )
     return layout, classes, runs, of_moves
 
 

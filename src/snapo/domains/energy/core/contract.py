@@ -71,6 +71,8 @@ class ContractLayout(NamedTuple):
     - `banks`: how many of its last levels are balances of a bank of the first one, by age, see
       `bank.py`.
     - `reported`: names of moves of which a path counts how often they are made.
+    - `fixed_volumes`: whether each move fixes the volume of its flow (`StepTerms.fixed_volume`),
+      which has no effect on a level.
     """
 
     levels: tuple[Level, ...]
@@ -80,11 +82,13 @@ class ContractLayout(NamedTuple):
     indexed: bool = False
     banks: int = 0
     reported: tuple[str, ...] = ()
+    fixed_volumes: bool = False
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
-        return levels, flows, self.modes, moves, self.indexed, self.banks, self.reported
+        parts = levels, flows, self.modes, moves, self.indexed, self.banks, self.reported
+        return (*parts, True) if self.fixed_volumes else parts
 
     @classmethod
     def of_plain(cls, parts: tuple) -> "ContractLayout":
@@ -136,6 +140,12 @@ class ContractLayout(NamedTuple):
                 first = signs[touched[0]] * np.sign(flow.effects[touched[0]])
                 signs[touched] = first * np.sign(np.array(flow.effects)[touched])
         return tuple(map(int, signs))
+
+    @property
+    def flow_of(self) -> np.ndarray:
+        """[flows, moves] 1 where the flow is the one of the move, else 0."""
+        flows = range(len(self.flows))
+        return np.array([[float(flow in move.flows) for move in self.every_move] for flow in flows])
 
     @property
     def effects(self) -> np.ndarray:
@@ -204,8 +214,7 @@ class StepTerms(NamedTuple):
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
     - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
-      none. `fixed_volume`: where the move and not the policy decides the volumes of its flows, that
-      of each; no such flow has an effect on a level.
+      none. `fixed_volume`: that of the flow of a move, None where policies decide the volumes.
     - `promises`, `bank`, `of_levels`, `intraday`: None without any.
     """
 

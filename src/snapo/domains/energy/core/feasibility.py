@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from snapo.case.error import CaseError
 
-from .contract import ContractLayout, StepTerms
+from .contract import ContractLayout, StepPrices, StepTerms
 
 MISSED = 5.0  # charge for a unit of a promised minimum, in the largest amount that a unit moves
 
@@ -89,9 +89,6 @@ def volumes(
     keeps them in it. `now`: a row of a schedule with `terms` and `intervals`.
     """
     this = layout.every_move[move]
-    if now.terms.fixed_volume is not None:
-        volume = jnp.stack([now.terms.fixed_volume[move]] * len(this.flows))
-        return FeasibleVolumes(volume, volume)
     start = [levels[i] + change for i, change in enumerate(this.changes)]
     forced, most = [], []
     for flow in this.flows:
@@ -123,17 +120,27 @@ def volumes_by_move(
     layout: ContractLayout, now: Any, levels: Array, smooth, scale
 ) -> list[FeasibleVolumes | None]:
     """[moves] `volumes` of each; None for one without flows. It is the same for all moves whose
-    flows have no effect on the levels, and of which none fixes its volumes."""
-    alone = now.terms.promises is not None or now.terms.fixed_volume is not None
+    flows have no effect on the levels."""
     shared: dict[tuple[int, ...], FeasibleVolumes] = {}
     result: list[FeasibleVolumes | None] = []
     for i, move in enumerate(layout.every_move):
         touched = any(any(layout.flows[flow].effects) for flow in move.flows)
-        key = (i,) if touched or alone else (-1, *move.flows)
+        key = (i,) if touched or now.terms.promises is not None else (-1, *move.flows)
         if move.flows and key not in shared:
             shared[key] = volumes(layout, i, now, levels, smooth, scale)
         result.append(shared.get(key))
     return result
+
+
+def of_fixed_moves(
+    layout: ContractLayout, terms: StepTerms, prices: StepPrices
+) -> tuple[Array, list[Array]]:
+    """[moves] the earnings of each move that fixes its volume; and by flow the volumes [moves]."""
+    earned = prices.move(terms, slice(None))
+    volumes = [terms.fixed_volume * of_move for of_move in layout.flow_of]
+    for flow, volume in enumerate(volumes):
+        earned = earned + volume * prices.unit(terms, flow)
+    return earned, volumes
 
 
 def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None:

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 from snapo.problem.smooth import EXACT
 
 from .contract import ContractLayout, StepPrices
-from .feasibility import volumes_by_move
+from .feasibility import of_fixed_moves, volumes_by_move
 from .gains import SEGMENTS, FlowRows, VolumeGains, position_of
-from .tables import nearest_row
+from .tables import nearest_row, row_number
 
 OF_PAIR = 3 * SEGMENTS  # numbers: gains at both ends, positions between segments, the free volume
 
@@ -66,6 +66,8 @@ def head(
     read = jnp.zeros(())
     if unit_values is not None:
         read = unit_values.read(jax.lax.stop_gradient(process.gaussian(state.price)))
+    if layout.fixed_volumes:
+        return _of_fixed_moves(layout, constants, now, state, prices, free, read)
     units, positions, rooms, base = [], [], [], []
     pairs, choices = layout.pairs, layout.choices
     first = [-1, *(move.before for move in layout.every_move)]
@@ -99,6 +101,33 @@ def head(
             base.append(jnp.where(free[i] > 0, forced_gain, CLOSED))
     base = jnp.stack(base) if base else jnp.zeros(0)
     return Head(jnp.stack(units), jnp.stack(positions), jnp.stack(rooms), base)
+
+
+def _of_fixed_moves(
+    layout: ContractLayout,
+    constants: Any,
+    now: Any,
+    state: Any,
+    prices: StepPrices,
+    free: Array,
+    read: Array,
+) -> Head:
+    """The gains where each move fixes its volume; `read`: functions of the prices."""
+    gain = of_fixed_moves(layout, now.terms, prices)[0]
+    if now.unit_values is not None and now.unit_values.moves is not None:
+        unit_values = jax.lax.stop_gradient(now.unit_values)
+        table, counts = unit_values.moves, unit_values.moves.shape[1:-1]
+        if counts:
+            row = row_number(0, jnp.round(position_of(unit_values, state.levels)), counts)
+            table = table.reshape((len(layout.moves), -1, table.shape[-1]))[:, row]
+        # The first of the moves of a mode has zeros.
+        gain = gain + table @ read
+    gain = jnp.where(free > 0, gain / constants.price_scale / constants.volume_scale, CLOSED)
+    count = len(layout.pairs)
+    units = jnp.stack([jnp.stack([prices.unit(now.terms, flow)] * 2) for _, flow in layout.pairs])
+    units = jnp.broadcast_to(units[:, None], (count, SEGMENTS, 2)) / constants.price_scale
+    positions = jnp.broadcast_to(jnp.arange(1.0, SEGMENTS) / SEGMENTS, (count, SEGMENTS - 1))
+    return Head(units, positions, jnp.zeros(count), gain[np.array(layout.choices)])
 
 
 def observation(

@@ -65,6 +65,8 @@ class UnitValuePolicy(Policy):
         ]
         if not layout.choices:
             return jnp.stack(shares)
+        if layout.fixed_volumes:
+            return jnp.concatenate([jnp.stack(shares), _weights(layout, base, smooth)])
         scores = [base[k] for k in range(len(layout.choices))]
         gained = [_gained(*x, gains.room[i] * widths[i]) for i, x in enumerate(zip(units, parts))]
         for k, m in enumerate(layout.choices):
@@ -90,6 +92,11 @@ class UnitValuePolicy(Policy):
         base = gains.base
         if layout.choices:
             mode_values = jnp.concatenate([jnp.zeros(1), modes[: len(layout.modes) - 1]])
+            if layout.fixed_volumes:
+                chosen = np.array(layout.choices)
+                after = np.array([layout.moves[m].after for m in layout.choices])
+                moved = jnp.sum(changes[chosen] * levels, axis=1)
+                return units, base + mode_values[after] + moved
             shift = [
                 mode_values[layout.moves[m].after]
                 + sum((changes[m, j] * levels[j] for j in range(count)), jnp.zeros(()))

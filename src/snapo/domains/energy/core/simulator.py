@@ -25,7 +25,7 @@ from ...gas_storage.contract.schedule import Discount
 from ...gas_storage.policy.network import curve_ahead
 from ...gas_storage.prices.process import PricedSimulator, PriceProcess, TwoPrices, use
 from .contract import ContractLayout, EnergyContract, StepPrices, level_money
-from .feasibility import charged, intervals, volumes_by_move
+from .feasibility import charged, intervals, of_fixed_moves, volumes_by_move
 from .observation import observation
 from .schedule import Constants, State, Step
 from .tables import Surprises, UnitValueTable, at_end, of_step
@@ -172,6 +172,12 @@ class EnergySimulator(PricedSimulator):
         if len(self.layout.every_move) == 1 or not self.layout.levels:
             return jnp.ones(len(self.layout.every_move))
         near, result = NEAR * scale, []
+        if self.layout.fixed_volumes:  # no flow changes a level
+            after = state.levels + jnp.asarray(self.layout.changes)
+            within = (after >= now.intervals.next_low - near) & (
+                after <= now.intervals.next_high + near
+            )
+            return jnp.all(within, axis=1) * 1.0
         spaces = volumes_by_move(self.layout, now, state.levels, Exact(), scale)
         for move, room in zip(self.layout.every_move, spaces):
             after = state.levels + jnp.asarray(move.changes)
@@ -203,8 +209,14 @@ class EnergySimulator(PricedSimulator):
         def positive(x):
             return smooth.positive_part(x, scale)
 
-        places = layout.places
-        spaces = volumes_by_move(layout, now, state.levels, smooth, scale)
+        places, spaces = layout.places, []
+        if layout.fixed_volumes:
+            earned, volumes = of_fixed_moves(layout, terms, prices)
+            flows = [jnp.sum(weights * volume) for volume in volumes]
+            levels = state.levels + jnp.sum(weights[:, None] * layout.changes, axis=0)
+            cash = jnp.sum(weights * earned)
+        else:
+            spaces = volumes_by_move(layout, now, state.levels, smooth, scale)
         for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
             after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
             if room is not None:
