@@ -232,7 +232,6 @@ def test_every_derivative_is_that_of_differences():
     ("changes", "words"),
     [
         ({"contract.power": {"min": 120.0, "max": 110.0}}, "power.min.*at most power.max, 110"),
-        ({"contract.power": {"max": 110.0, "ramp": 60.0}}, "power.ramp"),
         ({"contract.power": {"market": "heat", "max": 110.0}}, "power.market"),
         ({"contract.starts": [{"off": 4}]}, "starts.1.off.*min_down = 3"),
         ({"contract.starts": [{"off": 3}, {"off": 3}]}, "starts.2.off.*more than"),

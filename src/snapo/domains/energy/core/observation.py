@@ -12,7 +12,7 @@ from snapo.problem.smooth import EXACT
 from .contract import ContractLayout, StepPrices
 from .feasibility import of_fixed_moves, volumes_by_move
 from .gains import SEGMENTS, FlowRows, VolumeGains, position_of
-from .tables import nearest_row, row_number
+from .tables import nearest_row
 
 OF_PAIR = 3 * SEGMENTS  # numbers: gains at both ends, positions between segments, the free volume
 
@@ -118,10 +118,12 @@ def _of_fixed_moves(
         unit_values = jax.lax.stop_gradient(now.unit_values)
         table, counts = unit_values.moves, unit_values.moves.shape[1:-1]
         if counts:
-            row = row_number(0, jnp.round(position_of(unit_values, state.levels)), counts)
-            table = table.reshape((len(layout.moves), -1, table.shape[-1]))[:, row]
-        # The first of the moves of a mode has zeros.
-        gain = gain + table @ read
+            flat = table.reshape((-1, table.shape[-1]))
+            at = jnp.round(position_of(unit_values, state.levels))
+            rows = [nearest_row(flat, m, at, counts) for m in range(len(layout.moves))]
+            gain = gain + jnp.stack([jnp.sum(row * read) for row in rows])
+        else:
+            gain = gain + table @ read  # that of the first move of a mode is zero
     gain = jnp.where(free > 0, gain / constants.price_scale / constants.volume_scale, CLOSED)
     count = len(layout.pairs)
     units = jnp.stack([jnp.stack([prices.unit(now.terms, flow)] * 2) for _, flow in layout.pairs])
