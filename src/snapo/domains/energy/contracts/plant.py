@@ -3,8 +3,8 @@
     earnings = sum over hours on of discount x (q S - (idle + rate q) (G + e c) - o q)
                - sum over starts of discount x (money + fuel (G + e c))
 
-S is the price of power, G that of the fuel, c that of emissions, e of which a unit of fuel needs; q
-is the power of an hour on, between two limits. A start is of the last class whose hours off have
+S is the price of power, G that of the fuel, c that of emissions, e of which a unit of fuel needs,
+which may move as the others do (`gas_storage/prices/trio.py`); q is the power of an hour on, between two limits. A start is of the last class whose hours off have
 passed. Modes are the hours off so far, up to those of the last class, and the hours on so far, up
 to `min_up`; with a ramp the latter are combined with the power of the hour, see `ramp.py`.
 """
@@ -39,8 +39,8 @@ class PlantContract(EnergyContract):
     """The terms of a plant.
 
     - `min_power`, `max_power`: MW on. `idle`, `rate`: fuel of an hour on, and for a MWh of power.
-    - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price,
-      and other money for each MWh.
+    - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price
+      (None where it moves: it is then in the index), and other money for each MWh.
     - `start_money`, `start_fuel` [classes]: of a start; None where starts are free.
     - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
       is on.
@@ -54,7 +54,7 @@ class PlantContract(EnergyContract):
     idle: CaseInput
     rate: CaseInput
     per_fuel: CaseInput
-    emission_price: CaseInput
+    emission_price: CaseInput | None
     other_cost: CaseInput
     start_money: CaseInput | None
     start_fuel: CaseInput | None
@@ -69,7 +69,9 @@ class PlantContract(EnergyContract):
 
     def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
         count, counted = len(paid), len(self.layout.levels)
-        emissions = use(inputs, self.per_fuel) * use(inputs, self.emission_price)
+        emissions = jnp.zeros(count)
+        if self.emission_price is not None:
+            emissions = use(inputs, self.per_fuel) * use(inputs, self.emission_price)
         rate = use(inputs, self.rate)
         running = jnp.asarray(self.runs, float)
         fuel, money = use(inputs, self.idle) * running, jnp.zeros(len(self.classes))
@@ -115,6 +117,10 @@ class PlantContract(EnergyContract):
         every = at([step.parts for step in self.steps.steps])
         powers = every[np.array(self.powers)] * jnp.asarray(self.runs, float)
         return terms._replace(fixed_volume=jnp.zeros_like(terms.fixed) + powers)
+
+    @property
+    def third_share(self) -> CaseInput | None:
+        return self.per_fuel if self.emission_price is None else None
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         state, _, rest = mode.partition(" ")

@@ -46,13 +46,17 @@ class FuelTable(CaseTable):
 
 
 class EmissionTable(CaseTable):
-    """{ per_fuel = 1.0, price = 14.0 }: certificates for each MWh of fuel, and their price."""
+    """{ per_fuel = 0.2, price = 70.0 }: certificates for each MWh of fuel, and their price; or
+    { per_fuel = 0.2, market = "co2" }."""
 
     per_fuel: CaseInput = Quantity("1", NOT_NEGATIVE, GROUP, move=0.01)(
         "certificates for each MWh of fuel", 1.0, name="emission_per_fuel"
     )
-    price: CaseInput = replace(BY_MWH, unit="{currency}", range=NOT_NEGATIVE)(
-        "price of a certificate", name="emission_price"
+    price: CaseInput | None = replace(BY_MWH, unit="{currency}", range=NOT_NEGATIVE)(
+        "price of a certificate", None, name="emission_price"
+    )
+    market: Literal["co2"] | None = Field(
+        None, description='"co2", where the price moves: [market.co2] and [model.co2]'
     )
 
 
@@ -97,6 +101,9 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
     emission = where.nested(
         EmissionTable, {"price": 0.0} if table.emission is None else table.emission, "emission"
     )
+    if (emission.price is None) == (emission.market is None):
+        message = 'allowed is one of `price` and `market = "co2"`'
+        raise where.error("emission", table.emission, message)
     low, high = (float(x.values[0]) for x in (power.min, power.max))
     if low > high:
         raise where.error("power.min", low, f"allowed is at most power.max, {high:g}")
@@ -121,7 +128,9 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
         fuel.idle,
         fuel.per_mwh,
         emission.per_fuel,
-        replace(emission.price, unit=table.currency).on(days, where.notes),
+        None
+        if emission.price is None
+        else replace(emission.price, unit=table.currency).on(days, where.notes),
         table.other_cost.on(days, where.notes),
         _by_class("start_money", starts, [replace(x.money, unit=table.currency) for x in starts]),
         _by_class("start_fuel", starts, [x.fuel for x in starts]),

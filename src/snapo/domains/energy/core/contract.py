@@ -25,6 +25,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from snapo.case.given import CaseInput
 from snapo.case.table import TableContext
 
 from ...gas_storage.prices.process import Delivery, PriceProcess
@@ -290,6 +291,12 @@ class EnergyContract(eqx.Module):
 
         **Raises:** `ValueError` where no case begins so.
         """
+
+    @property
+    def third_share(self) -> CaseInput | None:
+        """How many units of a third commodity, whose price moves, come with a unit of the second:
+        the index is then the cost of both. None without such a commodity."""
+        return None
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         """The prices that its cash depends on, from those of the case: here the same.

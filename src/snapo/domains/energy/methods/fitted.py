@@ -91,4 +91,4 @@ def _index(available: AnyRegression, factors: GaussianFactors, t: int) -> np.nda
     """[Q] the index on the nodes, whose last factor is its own."""
     if factors.index is None or not isinstance(available, Regression):
         return None
-    return factors.index.price(factors, t, (available.basis.back(t) @ available.y)[-1])
+    return factors.index.at(factors, t, available.basis.back(t) @ available.y)

@@ -122,10 +122,8 @@ class EnergyRelaxation:
         """[T, N] where there is one."""
         if self.factors is None or self.factors.index is None:
             return None
-        of, index_factor = self.factors, self._factors(states)[:, -1]
-        return np.stack(
-            [of.index.price(of, t, index_factor[t]) for t in range(len(self.grid.steps))]
-        )
+        of, factors = self.factors, self._factors(states)
+        return np.stack([of.index.at(of, t, factors[t]) for t in range(len(self.grid.steps))])
 
     def _innovations(self, states, scale: np.ndarray) -> np.ndarray | None:
         """[T + 1, K, N] functions of the prices less their expectation a step before."""

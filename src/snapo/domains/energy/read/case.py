@@ -65,6 +65,7 @@ from ..core.contract import EnergyContract
 from .auction import AuctionTable, at_auctions, check_auction
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 from .pair import (
+    CertificateMarketTable,
     GasMarketTable,
     PairMarketTable,
     PairModelTable,
@@ -224,11 +225,11 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     valuation, where = market_table.valuation_date, TableContext(file, "contract", notes)
     section, unit = TableContext(file, "market", notes), f"{table.currency}/{table.volume_unit}"
     delivery: Any
-    second = at_auction = quoted = None
+    others = at_auction = quoted = None
     if kind.hourly:
         hours = hours_of(where, table, valuation)
         if kind.pair:
-            market, second = read_pair_market(section, market_table, hours, unit)
+            market, others = read_pair_market(section, market_table, hours, unit)
         else:
             market = read_hourly(section, market_table, hours, unit)
         days, delivery = hours.days, replace(hours, curve=market.forward_curve)
@@ -247,7 +248,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         time = np.array([(date - valuation).days for date in days]) / 365.0
     contract: EnergyContract = kind.read(where, table, days)
     section = TableContext(file, "model", notes)
-    if second is None:
+    if others is None:
         if kind.hourly and top.model.get("kind") not in BY_HOUR:
             allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
             raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
@@ -256,7 +257,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         model = contract.priced(where, model, delivery)
     else:
         table_of_both = parse(PairModelTable, top.model, name, "model", notes)
-        model = read_pair_model(section, table_of_both, delivery, second)
+        model = read_pair_model(section, table_of_both, delivery, others, contract.third_share)
     if kind.hourly and top.products is not None:
         message = "products trade by the day; an hourly contract has none"
         raise CaseError(name, "products", None, message)
@@ -325,9 +326,11 @@ def formats(kind: str) -> Formats:
 PAIR: Formats = {
     "market.power": PowerMarketTable,
     "market.gas": GasMarketTable,
+    "market.co2": CertificateMarketTable,
     "model": PairModelTable,
     "model.power": OneFactorTable,
     "model.gas": OneFactorTable,
+    "model.co2": OneFactorTable,
 }
 
 

@@ -1,6 +1,7 @@
-"""`[market]` and `[model]` of a contract that turns a fuel into power: two commodities."""
+"""`[market]` and `[model]` of a contract that turns a fuel into power: two or three commodities."""
 
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from snapo.case.table import CaseTable, TableContext
 from ...gas_storage.contract.records import GasMarket
 from ...gas_storage.prices.factors import CORRELATION, OneFactorTable
 from ...gas_storage.prices.pair import CommodityPair
+from ...gas_storage.prices.trio import CommodityTrio
 from ...gas_storage.read.tables import DATE, ZERO_RATE, DateKey, FileName
 from .hours import Hours, dated_curve, hourly_curve, hourly_market
 
-FIRST, SECOND = "power", "gas"
+FIRST, SECOND, THIRD = "power", "gas", "co2"
 CORRELATIONS = 'a list like [["power", "gas", 0.4]]'
 RHO = Range(-1.0, 1.0, "()")
 
@@ -37,6 +39,14 @@ class GasMarketTable(CaseTable):
     )
 
 
+class CertificateMarketTable(CaseTable):
+    """`[market.co2]`: certificates of emissions."""
+
+    forward_curve: FileName = Field(
+        description="a CSV file with columns date,price (by day) or time,price (by hour)"
+    )
+
+
 class PairMarketTable(CaseTable):
     """`[market]` of a plant."""
 
@@ -44,6 +54,7 @@ class PairMarketTable(CaseTable):
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     power: dict = Field(description="the table [market.power]")
     gas: dict = Field(description="the table [market.gas]")
+    co2: dict | None = Field(None, description="the table [market.co2], where emissions need it")
 
 
 class PairModelTable(CaseTable):
@@ -51,61 +62,99 @@ class PairModelTable(CaseTable):
 
     power: dict = Field(description="the table [model.power]")
     gas: dict = Field(description="the table [model.gas]")
+    co2: dict | None = Field(None, description="the table [model.co2], where emissions need it")
     correlation: list[Any] = Field([], description=CORRELATIONS)
 
 
 def read_pair_market(
     section: TableContext, table: PairMarketTable, hours: Hours, unit: str
-) -> tuple[GasMarket, CaseInput]:
-    """Power by the hour, with the rates; and the price of gas of each hour, by the hour or day."""
+) -> tuple[GasMarket, tuple[CaseInput, ...]]:
+    """Power by the hour, with the rates; and the prices of gas and of certificates, where they
+    trade, of each hour, by the hour or day."""
     power = section.nested(PowerMarketTable, table.power, FIRST)
-    gas = section.nested(GasMarketTable, table.gas, SECOND)
     inner = TableContext(section.file, f"{section.name}.{FIRST}", section.notes)
     curve = hourly_curve(inner, power.forward_curve, hours, unit, f"{FIRST}_curve")
-    inner = TableContext(section.file, f"{section.name}.{SECOND}", section.notes)
-    columns = read_rows(FileReference(inner, "forward_curve", gas.forward_curve), ("price",))
-    daily = bool(columns) and "time" not in columns[0].cells
-    read = dated_curve if daily else hourly_curve
-    second = read(inner, gas.forward_curve, hours, unit, f"{SECOND}_curve")
-    for file, prices in ((power.forward_curve, curve), (gas.forward_curve, second)):
+    tables = [(SECOND, GasMarketTable, table.gas, unit)]
+    if table.co2 is not None:
+        tables.append((THIRD, CertificateMarketTable, table.co2, unit.partition("/")[0]))
+    others, files = [], [power.forward_curve]
+    for name, kind, raw, of_price in tables:
+        file = section.nested(kind, raw, name).forward_curve
+        inner = TableContext(section.file, f"{section.name}.{name}", section.notes)
+        columns = read_rows(FileReference(inner, "forward_curve", file), ("price",))
+        daily = bool(columns) and "time" not in columns[0].cells
+        read = dated_curve if daily else hourly_curve
+        others.append(read(inner, file, hours, of_price, f"{name}_curve"))
+        files.append(file)
+    for file, prices in zip(files, (curve, *others)):
         for t in np.flatnonzero(prices.values <= 0)[:1]:
             message = "the model multiplies the forward price and needs it above 0"
             raise CaseError(file, prices.labels[t], float(prices.values[t]), message)
-    return hourly_market(curve, table, hours), second
+    return hourly_market(curve, table, hours), tuple(others)
 
 
 def read_pair_model(
-    section: TableContext, table: PairModelTable, hours: Any, second: CaseInput
+    section: TableContext,
+    table: PairModelTable,
+    hours: Any,
+    others: tuple[CaseInput, ...],
+    share: CaseInput | None,
 ) -> CommodityPair:
-    """The prices of both; `hours`: the delivery, with the curve of power."""
-    factors = [section.nested(OneFactorTable, x, name)
-               for name, x in ((FIRST, table.power), (SECOND, table.gas))]  # fmt: skip
-    both = [(FIRST, factors[0]), (SECOND, factors[1])]
-    reversions = tuple(replace(x.mean_reversion, name=f"{name}_mean_reversion") for name, x in both)
+    """The prices of all; `hours`: the delivery, with the curve of power; `others`: the curves of
+    gas and of certificates; `share`: how many of these a unit of gas needs, None without."""
+    _check_third(section, table, others, share)
+    tables = [(FIRST, table.power), (SECOND, table.gas)]
+    tables += [] if share is None else [(THIRD, table.co2)]
+    every = [(name, section.nested(OneFactorTable, x, name)) for name, x in tables]
+    reversions = tuple(replace(x.mean_reversion, name=f"{name}_mean_reversion") for name, x in every)
     volatilities = tuple(
         replace(x.volatility.on(hours.dates, section.notes), name=f"{name}_volatility")
-        for name, x in both
+        for name, x in every
     )
-    rho = _correlation(section, table.correlation)
-    position = (*section.keys, "correlation", 0, 2) if table.correlation else None
-    correlation = CORRELATION.input("correlation", [rho], positions=(position,))
-    return CommodityPair(  # pyright: ignore[reportCallIssue]
-        hours.times, second, reversions, volatilities, correlation
+    names = [name for name, _ in every]
+    given = _correlations(section, table.correlation, names)
+    pairs = [frozenset(x) for x in combinations(names, 2)]
+    numbers = [given.get(pair, (0.0, None)) for pair in pairs]
+    labels = [", ".join(x) for x in combinations(names, 2)] if share is not None else [""]
+    correlation = CORRELATION.input(
+        "correlation", [x for x, _ in numbers], labels, positions=tuple(x for _, x in numbers)
     )
+    both = hours.times, others[0], reversions, volatilities, correlation
+    if share is None:
+        return CommodityPair(*both)  # pyright: ignore[reportCallIssue]
+    rho = np.eye(3)
+    rho[np.triu_indices(3, 1)] = correlation.values
+    if np.linalg.eigvalsh(rho, "U")[0] <= 0:
+        message = "three such shocks cannot be: their correlation matrix must be positive definite"
+        raise section.error("correlation", table.correlation, message)
+    return CommodityTrio(*both, third_curve=others[1], share=share)  # pyright: ignore[reportCallIssue]
 
 
-def _correlation(section: TableContext, entries: list[Any]) -> float:
-    if not entries:
-        return 0.0
-    if len(entries) > 1 or not isinstance(entries[0], list) or len(entries[0]) != 3:
-        raise section.error("correlation", entries, f"allowed is {CORRELATIONS}")
-    one, other, rho = entries[0]
-    if {one, other} != {FIRST, SECOND} if _texts(one, other) else True:
-        raise section.error("correlation", entries, f"allowed is {CORRELATIONS}")
-    if isinstance(rho, bool) or not isinstance(rho, int | float) or not RHO.contains(rho):
-        raise section.error("correlation", rho, f"allowed is {RHO}")
-    return float(rho)
+def _check_third(section: TableContext, table: PairModelTable, others, share) -> None:
+    """Whether certificates have a curve and a model where they trade, and only there."""
+    for name, there in (("market.co2", len(others) > 1), ("model.co2", table.co2 is not None)):
+        if there and share is None:
+            message = 'allowed only where contract.emission has market = "co2"'
+            raise CaseError(str(section.file), name, None, message)
+        if not there and share is not None:
+            message = 'this table is needed where contract.emission has market = "co2"'
+            raise CaseError(str(section.file), name, None, message)
 
 
-def _texts(*names: Any) -> bool:
-    return all(isinstance(name, str) for name in names)
+def _correlations(section: TableContext, entries: list[Any], names: list[str]) -> dict:
+    """{pair of names: (number, position)} of the entries."""
+    result: dict[frozenset, tuple[float, Any]] = {}
+    allowed = CORRELATIONS
+    if len(names) > 2:
+        allowed += f", one entry for two of {', '.join(names)}"
+    for i, entry in enumerate(entries):
+        if len(entries) > len(names) * (len(names) - 1) // 2 or not isinstance(entry, list):
+            raise section.error("correlation", entries, f"allowed is {allowed}")
+        *pair, rho = entry
+        known = all(isinstance(name, str) and name in names for name in pair)
+        if not known or len(pair) != 2 or pair[0] == pair[1] or frozenset(pair) in result:
+            raise section.error("correlation", entries, f"allowed is {allowed}")
+        if isinstance(rho, bool) or not isinstance(rho, int | float) or not RHO.contains(rho):
+            raise section.error("correlation", rho, f"allowed is {RHO}")
+        result[frozenset(pair)] = float(rho), (*section.keys, "correlation", i, 2)
+    return result

@@ -63,6 +63,10 @@ class PriceIndex(NamedTuple):
         noise = of.noise(loading[:, None] * g, variance[:, None])
         return weight @ of.spot(forward[:, None], noise) + fixed
 
+    def at(self, of: GaussianFactors, t: int, factors: np.ndarray) -> np.ndarray:
+        """[n] the index on date t where all factors have these values [F, n]."""
+        return self.price(of, t, factors[-1])
+
 
 class IndexMonths(eqx.Module):
     """The months of T + 1 dates; the end date has the index of the last day.

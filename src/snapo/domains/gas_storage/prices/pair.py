@@ -62,6 +62,10 @@ class SecondCommodity(NamedTuple):
         forward, loading, variance = (np.asarray(x[t]) for x in self.rows)
         return of.spot(forward, of.noise(loading * g, variance))
 
+    def at(self, of: GaussianFactors, t: int, factors: np.ndarray) -> np.ndarray:
+        """[n] its price on date t where all factors have these values [F, n]."""
+        return self.price(of, t, factors[-1])
+
 
 class CommodityPair(FactorPrices, TwoPrices):
     """Two commodities; see the top of this file. The first is the spot price, the second the index.
@@ -72,8 +76,8 @@ class CommodityPair(FactorPrices, TwoPrices):
 
     delivery: Times
     second_curve: CaseInput
-    reversions: tuple[CaseInput, CaseInput]
-    volatilities: tuple[CaseInput, CaseInput]
+    reversions: tuple[CaseInput, ...]
+    volatilities: tuple[CaseInput, ...]
     correlation: CaseInput
     kind: ClassVar[str] = "pair"  # pyright: ignore[reportIncompatibleVariableOverride]
     table: ClassVar[type] = FactorTable  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -1,0 +1,113 @@
+"""Spot prices of power, a fuel and a certificate of emissions, of which a unit of fuel needs e.
+
+The two prices of `pair.py` and a third one of the same kind. A contract's cash depends on power and
+on the cost of fuel with its certificates, G + e c; the certificate moves with a factor of its own,
+and the shocks of all three are correlated. Transitions are exact over any step.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from snapo.case.given import CaseInput
+from snapo.problem.process import Factors, integral
+from snapo.problem.simulator import Schedule
+
+from .pair import CommodityPair, SecondCommodity, SecondRows
+from .process import GaussianFactors, use
+
+
+class FuelRows(NamedTuple):
+    """Fuel and certificates on each date [T + 1]; `share`: certificates for a unit of fuel."""
+
+    fuel: SecondRows
+    certificate: SecondRows
+    share: Array
+
+    def expected(self) -> Array:
+        """[T + 1] today's expectation."""
+        return self.fuel.forward + self.share * self.certificate.forward
+
+    def price(self, factors):
+        """The cost of a unit of fuel where the three factors have these values."""
+        return self.fuel.price(factors[1]) + self.share * self.certificate.price(factors[2])
+
+
+class FuelWithCertificates(NamedTuple):
+    """Their cost as dynamic programs read it: the factors of both are the last two."""
+
+    rows: FuelRows
+    carry: np.ndarray
+    renewed = False
+
+    @property
+    def alone(self) -> bool:
+        """Whether the price of certificates is certain, so that one factor moves the cost."""
+        return not np.any(self.rows.certificate.variance)
+
+    def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
+        """[n] the cost on date t where the factor of fuel has these values [n].
+
+        **Raises:** `ValueError` where it depends on the factor of certificates too.
+        """
+        if not self.alone:
+            raise ValueError("a lattice holds one or two price factors, and 3 move prices")
+        rows = self.rows
+        fuel = SecondCommodity(rows.fuel, self.carry).price(of, t, g)
+        return fuel + rows.share[t] * rows.certificate.forward[t]
+
+    def at(self, of: GaussianFactors, t: int, factors: np.ndarray) -> np.ndarray:
+        """[n] the cost on date t where all factors have these values [3, n]."""
+        fuel, certificate = (SecondCommodity(x, self.carry) for x in self.rows[:2])
+        cost = self.rows.share[t] * certificate.price(of, t, factors[2])
+        return fuel.price(of, t, factors[1]) + cost
+
+
+class CommodityTrio(CommodityPair):
+    """Three commodities; see the top of this file.
+
+    - `reversions`, `volatilities`, of all three; `correlation`: of power and fuel, of power and
+      certificates, of fuel and certificates.
+    - `third_curve`: forward prices of certificates, index [T]; `share`: how many a unit of fuel
+      needs.
+    """
+
+    third_curve: CaseInput = eqx.field(kw_only=True)
+    share: CaseInput = eqx.field(kw_only=True)
+    noise_size: int = eqx.field(static=True, default=3)
+
+    def parameters(self, inputs: Any) -> Factors:
+        loading, none = use(inputs, self.volatilities[0]), jnp.zeros(())
+        first, second, third = (use(inputs, self.correlation)[i] for i in range(3))
+        upper = jnp.stack([none, first, second, none, none, third, none, none, none]).reshape(3, 3)
+        return Factors(
+            self.delivery.forward(inputs),
+            jnp.stack([use(inputs, x) for x in self.reversions]),
+            jnp.stack([loading, *[jnp.zeros_like(loading)] * 2], axis=1),
+            jnp.eye(3) + upper + upper.T,
+        )
+
+    def prepare(self, inputs: Any) -> Schedule:
+        rows, loading = super().prepare(inputs), use(inputs, self.volatilities[2])
+        curve, speed = use(inputs, self.third_curve), use(inputs, self.reversions[2])
+        curve = jnp.append(curve, curve[-1:])
+        variance = loading**2 * integral(2 * speed, jnp.asarray(self.delivery.years))
+        third = SecondRows(curve, loading, variance)
+        share = jnp.broadcast_to(use(inputs, self.share), curve.shape)
+        return Schedule(
+            rows.constants, rows.steps._replace(index=FuelRows(rows.steps.index, third, share))
+        )
+
+    def index(self, constants, now, state):
+        return now.index.price(state)
+
+    def factors(self, schedule):
+        of, count = super().factors(schedule), len(schedule.steps.loading)
+        carry = np.zeros((count, 3, 3))
+        return of._replace(index=FuelWithCertificates(schedule.steps.index, carry))
+
+    def describe(self) -> str:
+        return "Three commodities, each with one mean-reverting factor, correlated"
