@@ -133,7 +133,10 @@ def random_plant(seed):
 @pytest.mark.parametrize("seed", [4])
 def test_an_integer_program(seed, tmp_path):
     """Twenty hours at forward prices, where ramp, hours on and off, and starts bind."""
-    folder, numbers = shutil.copytree(HOME / "template_plant", tmp_path / "case"), random_plant(seed)
+    folder, numbers = (
+        shutil.copytree(HOME / "template_plant", tmp_path / "case"),
+        random_plant(seed),
+    )
     best, on, powers = integer_program(*numbers)
     ramp, changes = numbers[2][2], np.abs(np.diff(powers))
     assert np.any(np.isclose(changes, ramp)) and not on.all() and on.any()
@@ -145,11 +148,14 @@ def test_an_integer_program(seed, tmp_path):
 @pytest.mark.parametrize("most_starts", [99, 1])
 @pytest.mark.parametrize("seed", range(7))
 def test_random_integer_programs(seed, most_starts, tmp_path):
-    folder, numbers = shutil.copytree(HOME / "template_plant", tmp_path / "case"), random_plant(seed)
-    best, _, powers = integer_program(*numbers, most_starts)
+    folder, numbers = (
+        shutil.copytree(HOME / "template_plant", tmp_path / "case"),
+        random_plant(seed),
+    )
+    best, *_ = integer_program(*numbers, most_starts)
     value = exact(case_of(folder, *numbers, most_starts), forward=True)
     assert value == pytest.approx(best, abs=1e-6, rel=1e-9)
-    free, _, _ = integer_program(*numbers[:2], (*numbers[2][:2], 110.0), *numbers[3:])
+    free, *_ = integer_program(*numbers[:2], (*numbers[2][:2], 110.0), *numbers[3:])
     assert value < free - 1.0
 
 
@@ -268,7 +274,10 @@ def test_a_derivative_at_a_kink_is_not_known():
         ({"power": {"max": 110.0, "ramp": 0.0}}, "power.ramp.*above 0"),
         ({"power": {"min": 5.0, "max": 400.0, "ramp": 3.0}}, "power.ramp.*more than 150 states"),
         ({"before": {"on": 3, "power": 80.0}}, "before.power.*has a ramp"),
-        ({"power": {"min": 50.0, "max": 110.0, "ramp": 25.0}, "before": {"on": 3}}, "before.*power"),
+        (
+            {"power": {"min": 50.0, "max": 110.0, "ramp": 25.0}, "before": {"on": 3}},
+            "before.*power",
+        ),
         (
             {"power": {"max": 110.0, "ramp": 25.0}, "before": {"on": 3, "power": 111.0}},
             "before.power.*to power.max, 110",

@@ -37,10 +37,12 @@ def measure_intrinsic(run: StudyRun) -> Intrinsic:
 
 def measure(run: StudyRun) -> ExactValue:
     """The lattice in one or two price factors, where they are the whole process, and no schedule is
-    a part of the state."""
+    a part of the state; there is none of three prices."""
     problem = run.setup.problem
     factors = factors_of(problem)
     if factors is None or not factors.exact or isinstance(problem.simulator, IntradaySimulator):
+        return ExactValue()
+    if factors.index is not None and not factors.index.one_factor:
         return ExactValue()
     return ExactValue(*refined(simulator_of(problem).layout, problem.schedule, factors))
 

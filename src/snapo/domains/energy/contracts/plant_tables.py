@@ -118,7 +118,8 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
     off = tuple(start.off for start in starts)
     numbers = table.min_up, table.min_down, off, first, limited
     layout, classes, runs, powers = layout_of(*numbers, steps)
-    if steps is not None and sum(name.startswith("on") for name in layout.modes) > MODES:
+    states = sum(name.startswith("on") for name in layout.modes)
+    if steps is not None and power.ramp is not None and states > MODES:
         message = f"with {len(steps.steps)} powers and min_up = {table.min_up} the plant has more "
         message += f"than {MODES} states; a larger ramp has fewer powers"
         raise where.error("power.ramp", float(power.ramp.values[0]), message)
@@ -145,9 +146,7 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
     )
 
 
-def _power_steps(
-    where: TableContext, power: PowerTable, before: BeforeTable
-) -> PowerSteps | None:
+def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) -> PowerSteps | None:
     """The powers that a ramp leads to; None without a ramp."""
     before_power = None if before.power is None else float(before.power.values[0])
     if before_power is not None and (power.ramp is None or before.on is None):

@@ -32,7 +32,9 @@ class PowerStep(NamedTuple):
         text = [word for word, part in zip(("min", "max", "before"), ends) if part]
         if not text:
             return f"{ramps} ramp"
-        return " ".join([*text, *([f"{'+' if ramps > 0 else '-'} {abs(ramps)} ramp"] * bool(ramps))])
+        return " ".join(
+            [*text, *([f"{'+' if ramps > 0 else '-'} {abs(ramps)} ramp"] * bool(ramps))]
+        )
 
 
 class PowerSteps(NamedTuple):

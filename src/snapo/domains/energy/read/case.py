@@ -65,7 +65,6 @@ from ..core.contract import EnergyContract
 from .auction import AuctionTable, at_auctions, check_auction
 from .hours import HOURS, HourlyMarketTable, hours_of, read_hourly
 from .pair import (
-    CertificateMarketTable,
     GasMarketTable,
     PairMarketTable,
     PairModelTable,
@@ -326,7 +325,7 @@ def formats(kind: str) -> Formats:
 PAIR: Formats = {
     "market.power": PowerMarketTable,
     "market.gas": GasMarketTable,
-    "market.co2": CertificateMarketTable,
+    "market.co2": GasMarketTable,
     "model": PairModelTable,
     "model.power": OneFactorTable,
     "model.gas": OneFactorTable,

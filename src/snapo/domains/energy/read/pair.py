@@ -32,15 +32,7 @@ class PowerMarketTable(CaseTable):
 
 
 class GasMarketTable(CaseTable):
-    """`[market.gas]`."""
-
-    forward_curve: FileName = Field(
-        description="a CSV file with columns date,price (by day) or time,price (by hour)"
-    )
-
-
-class CertificateMarketTable(CaseTable):
-    """`[market.co2]`: certificates of emissions."""
+    """`[market.gas]` or `[market.co2]`, certificates of emissions."""
 
     forward_curve: FileName = Field(
         description="a CSV file with columns date,price (by day) or time,price (by hour)"
@@ -74,12 +66,12 @@ def read_pair_market(
     power = section.nested(PowerMarketTable, table.power, FIRST)
     inner = TableContext(section.file, f"{section.name}.{FIRST}", section.notes)
     curve = hourly_curve(inner, power.forward_curve, hours, unit, f"{FIRST}_curve")
-    tables = [(SECOND, GasMarketTable, table.gas, unit)]
+    tables = [(SECOND, table.gas, unit)]
     if table.co2 is not None:
-        tables.append((THIRD, CertificateMarketTable, table.co2, unit.partition("/")[0]))
+        tables.append((THIRD, table.co2, unit.partition("/")[0]))
     others, files = [], [power.forward_curve]
-    for name, kind, raw, of_price in tables:
-        file = section.nested(kind, raw, name).forward_curve
+    for name, raw, of_price in tables:
+        file = section.nested(GasMarketTable, raw, name).forward_curve
         inner = TableContext(section.file, f"{section.name}.{name}", section.notes)
         columns = read_rows(FileReference(inner, "forward_curve", file), ("price",))
         daily = bool(columns) and "time" not in columns[0].cells
@@ -106,7 +98,9 @@ def read_pair_model(
     tables = [(FIRST, table.power), (SECOND, table.gas)]
     tables += [] if share is None else [(THIRD, table.co2)]
     every = [(name, section.nested(OneFactorTable, x, name)) for name, x in tables]
-    reversions = tuple(replace(x.mean_reversion, name=f"{name}_mean_reversion") for name, x in every)
+    reversions = tuple(
+        replace(x.mean_reversion, name=f"{name}_mean_reversion") for name, x in every
+    )
     volatilities = tuple(
         replace(x.volatility.on(hours.dates, section.notes), name=f"{name}_volatility")
         for name, x in every

@@ -56,6 +56,7 @@ class PriceIndex(NamedTuple):
     rows: IndexRows
     carry: np.ndarray
     renewed = True
+    one_factor = True  # moves this price
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
         """[n] the index on date t where g has these values [n]."""

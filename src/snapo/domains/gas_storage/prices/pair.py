@@ -56,6 +56,7 @@ class SecondCommodity(NamedTuple):
     rows: SecondRows
     carry: np.ndarray
     renewed = False
+    one_factor = True  # moves this price
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
         """[n] its price on date t where the last factor has these values [n]."""

@@ -44,7 +44,7 @@ class FuelWithCertificates(NamedTuple):
     renewed = False
 
     @property
-    def alone(self) -> bool:
+    def one_factor(self) -> bool:
         """Whether the price of certificates is certain, so that one factor moves the cost."""
         return not np.any(self.rows.certificate.variance)
 
@@ -53,7 +53,7 @@ class FuelWithCertificates(NamedTuple):
 
         **Raises:** `ValueError` where it depends on the factor of certificates too.
         """
-        if not self.alone:
+        if not self.one_factor:
             raise ValueError("a lattice holds one or two price factors, and 3 move prices")
         rows = self.rows
         fuel = SecondCommodity(rows.fuel, self.carry).price(of, t, g)
