@@ -188,13 +188,13 @@ def test_names_of_powers():
     assert [step.name for step in steps.steps] == [
         "min", "max - 2 ramp", "min + 1 ramp", "max - 1 ramp", "min + 2 ramp", "max",
     ]  # fmt: skip
-    assert steps.ends == (True, False, False, False, False, False)
+    assert steps.at_ends == (True, False, False, False, False, False)
     below = power_steps(20.0, 110.0, 50.0, 75.0)
     assert [step.name for step in below.steps] == [
         "min", "before - 1 ramp", "1 ramp", "max - 1 ramp", "min + 1 ramp", "before", "2 ramp",
         "max",
     ]  # fmt: skip
-    assert below.ends == (True, True, True, *(False,) * 5)
+    assert below.at_ends == (True, True, True, *(False,) * 5)
     assert below.steps[below.of_before].name == "before"
 
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.case.given import CaseInput
+from snapo.case.limits import CaseInput
 
 from ...gas_storage.prices.process import use
 from ..core.contract import (
@@ -31,7 +31,7 @@ from ..core.contract import (
     StepTerms,
     Terms,
 )
-from .ramp import KEPT, PowerSteps
+from .ramp import TOLERANCE, PowerSteps
 
 POWER = 0  # the flow
 
@@ -104,14 +104,14 @@ class PlantContract(EnergyContract):
         would have other steps: all are NaN then."""
         if self.ramp is None or self.steps is None:
             return terms
-        given = self.min_power, self.max_power, self.ramp, self.power_before
-        numbers = [jnp.zeros(()) if x is None else use(inputs, x) for x in given]
+        limits = self.min_power, self.max_power, self.ramp, self.power_before
+        numbers = [jnp.zeros(()) if x is None else use(inputs, x) for x in limits]
 
         def at(rows: Any) -> Array:
             columns = np.reshape(np.array(rows, float), (-1, len(numbers))).T
             return sum((x * column for x, column in zip(numbers, columns)), jnp.zeros(()))
 
-        valid = jnp.all(at(self.steps.conditions) >= -KEPT * numbers[1])
+        valid = jnp.all(at(self.steps.conditions) >= -TOLERANCE * numbers[1])
         terms = terms._replace(fixed=jnp.where(valid, terms.fixed, jnp.nan))
         if not self.steps.steps:
             return terms
@@ -128,8 +128,8 @@ class PlantContract(EnergyContract):
         hours, _, name = rest.partition(", ")
         keys: dict = {"before": {state: int(hours)}}
         if name and self.steps is not None:
-            given = self.min_power, self.max_power, self.ramp, self.power_before
-            numbers = [0.0 if x is None else float(x.values[0]) for x in given]
+            limits = self.min_power, self.max_power, self.ramp, self.power_before
+            numbers = [0.0 if x is None else float(x.values[0]) for x in limits]
             (parts,) = (step.parts for step in self.steps.steps if step.name == name)
             keys["before"]["power"] = float(np.dot(parts, numbers))
         if "starts" in levels:
@@ -154,7 +154,7 @@ def layout_of(
     longest = max(min_down, *off, 1)
     free = PowerSteps((), 0, (True,), ((0,),), ())  # any power follows any
     powers = steps if steps is not None and steps.steps else free
-    words = [f", {step.name}" for step in powers.steps] or [""]
+    suffixes = [f", {step.name}" for step in powers.steps] or [""]
     on, hours = first
     begins = (True, min(hours, min_up), powers.of_before) if on else (False, min(hours, longest), 0)
     running = _reachable(min_up, powers, begins)
@@ -170,22 +170,22 @@ def layout_of(
         move = ContractMove(name, where[before], where[after], flows, changes)
         rows.append((move, start, after[0], after[2]))
 
-    at_ends = [p for p, end in enumerate(powers.ends) if end]
+    startable = [p for p, possible in enumerate(powers.at_ends) if possible]
     for k in range(1, longest + 1):
         add("stay off", (False, k, 0), (False, min(k + 1, longest), 0))
         if k >= min_down:
             kind = int(np.searchsorted(off, k, side="right")) - 1
-            for p in at_ends:
+            for p in startable:
                 add("start", (False, k, 0), (True, 1, p), kind)
     for _, j, p in running:
-        if j == min_up and p in at_ends:
+        if j == min_up and p in startable:
             add("stop", (True, j, p), (False, 1, 0))
         for after in powers.next[p]:
             add("run", (True, j, p), (True, min(j + 1, min_up), after))
     levels = (Level("starts", "starts"),) if counted else ()
     power = EnergyFlow("power", "MW", (0.0,) * counted)
     every, classes, runs, of_moves = zip(*rows)
-    names = tuple(f"{'on' if on else 'off'} {n}{words[p] if on else ''}" for on, n, p in modes)
+    names = tuple(f"{'on' if on else 'off'} {n}{suffixes[p] if on else ''}" for on, n, p in modes)
     layout = ContractLayout(
         levels,
         (power,),
@@ -200,10 +200,10 @@ def layout_of(
 
 def _reachable(min_up: int, powers: PowerSteps, begins: tuple) -> list[tuple[bool, int, int]]:
     """The modes on: those that a start or the first hours lead to, by hours and power."""
-    reached = {(1, p) for p, end in enumerate(powers.ends) if end}
+    reached = {(1, p) for p, possible in enumerate(powers.at_ends) if possible}
     if begins[0]:
         reached.add(begins[1:])
-    for _ in range(min_up + len(powers.ends)):
+    for _ in range(min_up + len(powers.at_ends)):
         reached |= {(min(j + 1, min_up), q) for j, p in reached for q in powers.next[p]}
-    every = product(range(1, min_up + 1), range(len(powers.ends)))
+    every = product(range(1, min_up + 1), range(len(powers.at_ends)))
     return [(True, *mode) for mode in every if mode in reached]

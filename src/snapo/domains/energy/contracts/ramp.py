@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 NEAR = 1e-9  # of the largest power: steps nearer to each other are one
-KEPT = 3e-5  # of the largest power: numbers moved by less have the same steps
+TOLERANCE = 3e-5  # of the largest power: numbers moved by less have the same steps
 LOW, HIGH, RAMP, BEFORE = np.eye(4, dtype=int)  # min, max, ramp, power before the first hour
 
 
@@ -28,8 +28,8 @@ class PowerStep(NamedTuple):
     @property
     def name(self) -> str:
         """Such as "min + 2 ramp"."""
-        *ends, ramps = (self.parts[i] for i in (0, 1, 3, 2))
-        text = [word for word, part in zip(("min", "max", "before"), ends) if part]
+        *limits, ramps = (self.parts[i] for i in (0, 1, 3, 2))
+        text = [name for name, part in zip(("min", "max", "before"), limits) if part]
         if not text:
             return f"{ramps} ramp"
         return " ".join(
@@ -41,7 +41,7 @@ class PowerSteps(NamedTuple):
     """All steps of a plant.
 
     - `steps`; `of_before`: the one before the first hour, -1 where the plant is off.
-    - `ends` [steps]: whether a plant may start at it and stop from it.
+    - `at_ends` [steps]: whether a plant may start at it and stop from it.
     - `next` [steps]: the steps that can follow each.
     - `conditions`: rows that, times (min, max, ramp, before), are at least zero as long as the
       other fields hold.
@@ -49,22 +49,22 @@ class PowerSteps(NamedTuple):
 
     steps: tuple[PowerStep, ...]
     of_before: int
-    ends: tuple[bool, ...]
+    at_ends: tuple[bool, ...]
     next: tuple[tuple[int, ...], ...]
     conditions: tuple[tuple[int, ...], ...]
 
 
-def power_steps(least: float, most: float, ramp: float, before: float | None) -> PowerSteps:
-    """The steps of these limits; none where the ramp never binds, as it is at least `most`."""
-    if ramp >= most:
+def power_steps(low: float, high: float, ramp: float, before: float | None) -> PowerSteps:
+    """The steps of these limits; none where the ramp never binds, as it is at least `high`."""
+    if ramp >= high:
         return PowerSteps((), -1, (), (), (_plain(RAMP - HIGH),))
-    numbers = np.array([least, most, ramp, before or 0.0])
-    near, top = NEAR * most, RAMP if ramp > least else LOW
+    numbers = np.array([low, high, ramp, before or 0.0])
+    near, top = NEAR * high, RAMP if ramp > low else LOW
     anchors = [LOW, HIGH, top] + ([] if before is None else [BEFORE])
     parts: list[np.ndarray] = []
-    conditions: list[np.ndarray] = [top - (LOW if ramp > least else RAMP)]
+    conditions: list[np.ndarray] = [top - (LOW if ramp > low else RAMP)]
 
-    def place(row: np.ndarray) -> int:
+    def number_of(row: np.ndarray) -> int:
         """The number of the step of this value, which may be new."""
         for i, other in enumerate(parts):
             if abs((row - other) @ numbers) <= near:
@@ -77,24 +77,24 @@ def power_steps(least: float, most: float, ramp: float, before: float | None) ->
         for sign in (1, -1):
             for k in count():
                 row = anchor + sign * k * RAMP
-                beyond = row - HIGH if sign > 0 else LOW - row
-                if beyond @ numbers > near:
-                    conditions.append(beyond)
+                outside = row - HIGH if sign > 0 else LOW - row
+                if outside @ numbers > near:
+                    conditions.append(outside)
                     break
-                conditions.append(-beyond)
-                place(row)
+                conditions.append(-outside)
+                number_of(row)
     parts.sort(key=lambda row: float(row @ numbers))
     powers = np.array(parts) @ numbers
-    ends = powers <= top @ numbers + near
-    conditions += [top - row if end else row - top for row, end in zip(parts, ends)]
+    at_ends = powers <= top @ numbers + near
+    conditions += [top - row if possible else row - top for row, possible in zip(parts, at_ends)]
     joined = np.abs(powers[:, None] - powers) <= ramp + near
     for i, row in enumerate(parts):
         for j, other in enumerate(parts[:i]):
             conditions.append((RAMP - row + other) * (1 if joined[i, j] else -1))
     return PowerSteps(
         tuple(PowerStep(_plain(row)) for row in parts),
-        -1 if before is None else place(BEFORE),
-        tuple(map(bool, ends)),
+        -1 if before is None else number_of(BEFORE),
+        tuple(map(bool, at_ends)),
         tuple(tuple(map(int, np.flatnonzero(row))) for row in joined),
         tuple(sorted({_plain(row) for row in conditions if row.any()})),
     )

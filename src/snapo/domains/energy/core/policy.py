@@ -93,10 +93,10 @@ class UnitValuePolicy(Policy):
         if layout.choices:
             mode_values = jnp.concatenate([jnp.zeros(1), modes[: len(layout.modes) - 1]])
             if layout.fixed_volumes:
-                chosen = np.array(layout.choices)
+                choices = np.array(layout.choices)
                 after = np.array([layout.moves[m].after for m in layout.choices])
-                moved = jnp.sum(changes[chosen] * levels, axis=1)
-                return units, base + mode_values[after] + moved
+                by_levels = jnp.sum(changes[choices] * levels, axis=1)
+                return units, base + mode_values[after] + by_levels
             shift = [
                 mode_values[layout.moves[m].after]
                 + sum((changes[m, j] * levels[j] for j in range(count)), jnp.zeros(()))

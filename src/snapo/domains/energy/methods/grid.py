@@ -286,15 +286,15 @@ def _passages(layout: ContractLayout, terms, t: int, before, after, near: float)
     signs, result = layout.signs, []
     for m, move in enumerate(layout.every_move):
         passages: list[Passage] = []
-        changes, least, most = np.array(move.changes), terms.least[t], terms.most[t]
+        changes, lower, upper = np.array(move.changes), terms.least[t], terms.most[t]
         if terms.fixed_volume is not None:
-            least = most = np.full(len(least), terms.fixed_volume[t, m])
-        still = all(least[flow] <= near for flow in move.flows)
+            lower = upper = np.full(len(lower), terms.fixed_volume[t, m])
+        still = all(lower[flow] <= near for flow in move.flows)
         if still:
             passages += _moved(-1, 0.0, changes, (), before, after, signs, near)
         for flow in move.flows:
             effects = np.array(layout.flows[flow].effects)
-            ends = float(least[flow]), float(most[flow])
+            ends = float(lower[flow]), float(upper[flow])
             touched = np.flatnonzero(effects)
             for volume in _possible(effects, changes, ends, before, after, near):
                 if volume > near or not still:

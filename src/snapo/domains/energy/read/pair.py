@@ -106,9 +106,9 @@ def read_pair_model(
         for name, x in every
     )
     names = [name for name, _ in every]
-    given = _correlations(section, table.correlation, names)
+    by_pair = _correlations(section, table.correlation, names)
     pairs = [frozenset(x) for x in combinations(names, 2)]
-    numbers = [given.get(pair, (0.0, None)) for pair in pairs]
+    numbers = [by_pair.get(pair, (0.0, None)) for pair in pairs]
     labels = [", ".join(x) for x in combinations(names, 2)] if share is not None else [""]
     correlation = CORRELATION.input(
         "correlation", [x for x, _ in numbers], labels, positions=tuple(x for _, x in numbers)
@@ -145,8 +145,8 @@ def _correlations(section: TableContext, entries: list[Any], names: list[str]) -
         if len(entries) > len(names) * (len(names) - 1) // 2 or not isinstance(entry, list):
             raise section.error("correlation", entries, f"allowed is {allowed}")
         *pair, rho = entry
-        known = all(isinstance(name, str) and name in names for name in pair)
-        if not known or len(pair) != 2 or pair[0] == pair[1] or frozenset(pair) in result:
+        valid = all(isinstance(name, str) and name in names for name in pair)
+        if not valid or len(pair) != 2 or pair[0] == pair[1] or frozenset(pair) in result:
             raise section.error("correlation", entries, f"allowed is {allowed}")
         if isinstance(rho, bool) or not isinstance(rho, int | float) or not RHO.contains(rho):
             raise section.error("correlation", rho, f"allowed is {RHO}")
