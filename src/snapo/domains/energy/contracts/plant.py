@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.case.limits import CaseInput
+from snapo.case.given import CaseInput
 
 from ...gas_storage.prices.process import use
 from ..core.contract import (
