@@ -73,6 +73,7 @@ def test_cost_of_fuel(folder):
     assert expected[7] == pytest.approx(row.index.fuel.forward + 0.2 * 14.0, rel=1e-12)
 
 
+@pytest.mark.prove
 def test_without_volatility_it_is_a_fixed_price(folder):
     """At forward prices and on the lattice."""
     case, fixed = with_market(folder, 0.0), plant(end=END)

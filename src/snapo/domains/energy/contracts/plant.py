@@ -47,7 +47,7 @@ class PlantContract(EnergyContract):
       is on.
     - `start_limit`: how many starts there may be; 0 without a limit.
     - `ramp`, `power_before`: MW an hour up or down, and MW in the hour before the first one; None
-      without. `steps`: the powers that a ramp leads to; `powers` [moves]: that of each move.
+      without. `steps`: the powers with a ramp; `powers` [moves]: that of each move.
     """
 
     min_power: CaseInput
@@ -199,7 +199,7 @@ def layout_of(
 
 
 def _reachable(min_up: int, powers: PowerSteps, begins: tuple) -> list[tuple[bool, int, int]]:
-    """The modes on: those that a start or the first hours lead to, by hours and power."""
+    """The modes on: those after a start or after the first hours, by hours and power."""
     reached = {(1, p) for p, possible in enumerate(powers.at_ends) if possible}
     if begins[0]:
         reached.add(begins[1:])

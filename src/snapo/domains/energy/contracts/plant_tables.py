@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, POSITIVE, Quantity, stacked
 from snapo.case.table import CaseTable, TableContext, parse
@@ -118,11 +119,8 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
     off = tuple(start.off for start in starts)
     numbers = table.min_up, table.min_down, off, first, limited
     layout, classes, runs, powers = layout_of(*numbers, steps)
-    states = sum(name.startswith("on") for name in layout.modes)
-    if steps is not None and power.ramp is not None and states > MODES:
-        message = f"with {len(steps.steps)} powers and min_up = {table.min_up} the plant has more "
-        message += f"than {MODES} states; a larger ramp has fewer powers"
-        raise where.error("power.ramp", float(power.ramp.values[0]), message)
+    if steps is not None and sum(name.startswith("on") for name in layout.modes) > MODES:
+        raise _too_many(where, power)
     return PlantContract(  # pyright: ignore[reportCallIssue]
         power.min,
         power.max,
@@ -147,7 +145,7 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
 
 
 def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) -> PowerSteps | None:
-    """The powers that a ramp leads to; None without a ramp."""
+    """The powers of a plant with a ramp; None without a ramp."""
     before_power = None if before.power is None else float(before.power.values[0])
     if before_power is not None and (power.ramp is None or before.on is None):
         message = "allowed is a power only of a plant that is on and has a ramp"
@@ -161,7 +159,16 @@ def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) ->
     if before.on is not None and before_power is None and ramp < high:
         message = "with a ramp it needs the power of that hour, such as { on = 6, power = 80.0 }"
         raise where.error("before", {"on": before.on}, message)
+    if high - low > MODES * ramp:
+        raise _too_many(where, power)
     return power_steps(low, high, ramp, before_power)
+
+
+def _too_many(where: TableContext, power: PowerTable) -> CaseError:
+    """The error of a plant with too many modes on."""
+    ramp = None if power.ramp is None else float(power.ramp.values[0])
+    message = f"the plant has more than {MODES} states on, by hours and power; a larger ramp, or a "
+    return where.error("power.ramp", ramp, f"{message}smaller min_up, has fewer")
 
 
 def _by_class(
