@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
 from tests.domains.energy.energy_cases import HOME, case_at, exact, plant
 
+import snapo
 from snapo.case.error import CaseError
 from snapo.domains.energy.contracts.ramp import power_steps
 from snapo.domains.energy.core.simulator import EnergySimulator
@@ -280,6 +281,8 @@ def test_a_derivative_at_a_kink_is_not_known():
     table = verdicts(reactions(problem, rule, 256, held, engine=engine))
     unknown = {name for name, row in table.items() if row.source == "not known"}
     assert unknown == {"ramp", "power_min", "power_max"}
+    model = snapo.to_onnx(setup.policy, features=problem.features)
+    assert model.graph.output[0].name == "action"
 
 
 @pytest.mark.parametrize(

@@ -95,8 +95,10 @@ class UnitValuePolicy(Policy):
             if layout.fixed_volumes:
                 choices = np.array(layout.choices)
                 after = np.array([layout.moves[m].after for m in layout.choices])
-                by_levels = jnp.sum(changes[choices] * levels, axis=1)
-                return units, base + mode_values[after] + by_levels
+                base = base + mode_values[after]
+                if count:
+                    base = base + jnp.sum(changes[choices] * levels, axis=1)
+                return units, base
             shift = [
                 mode_values[layout.moves[m].after]
                 + sum((changes[m, j] * levels[j] for j in range(count)), jnp.zeros(()))
