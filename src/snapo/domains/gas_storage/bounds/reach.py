@@ -1,4 +1,4 @@
-"""The ends of a day that flows reach, between two grids of inventories, as numbers of nodes."""
+"""The inventories that flows of a day reach, between two grids, as numbers of nodes."""
 
 from typing import NamedTuple
 
