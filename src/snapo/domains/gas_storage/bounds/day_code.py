@@ -228,11 +228,11 @@ class _Day:
         for side in ("buy", "sell"):
             price = self._row(f"{side}_price", "0")
             with self._times(side, 2) as bend:
-                cell, following, met = (
+                cell, next_one, met = (
                     self._integer(f"{side}_bends", bend, i, 3) for i in range(3)
                 )
                 share, keep = (self._number(f"{side}_bend_numbers", bend, i, 2) for i in (0, 1))
-                left, right = self._row("value", cell), self._row("value", following)
+                left, right = self._row("value", cell), self._row("value", next_one)
                 height = code.sub(code.mul(code.sub(left, right), share), left)
                 height = code.add(height, self._scratch(f"{side}_scratch", met))
                 height = code.add(height, code.mul(keep, price))
@@ -241,8 +241,8 @@ class _Day:
         self._set_scratch("excess", "0", self._scratch("excess", "1"))
         self._set_scratch("excess", "%rows", self._scratch("excess", last))
         with code.loop("%rows") as row:
-            following = code.index(f"add i64 {row.i}, 1")
-            gap = self._larger(self._scratch("excess", row.i), self._scratch("excess", following))
+            next_one = code.index(f"add i64 {row.i}, 1")
+            gap = self._larger(self._scratch("excess", row.i), self._scratch("excess", next_one))
             self._set_row("value", row.i, code.add(self._row("value", row.i), gap))
 
     @contextmanager
