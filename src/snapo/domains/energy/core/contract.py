@@ -156,10 +156,14 @@ class Promises(NamedTuple):
 
     The minimum that they serve is `owed` where a level restarts, and is met on every path. Methods
     that compare values charge a missed unit more than any unit costs.
+
+    With `missed`, the sums are joint limits: a flow that lowers one is limited by it, and methods
+    charge each unit by which it is missed after a step, `missed` times more than any unit costs.
     """
 
     weights: Float[Array, "T promises levels"]
     minimum: Float[Array, "T promises modes"]
+    missed: Float[Array, " T"] | None = None
 
 
 class LevelMoney(NamedTuple):

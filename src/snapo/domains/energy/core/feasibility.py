@@ -68,9 +68,11 @@ def charged(steps: StepTerms, forward: Array) -> StepTerms:
         return steps
     price = jnp.abs(steps.price) + (0.0 if steps.index is None else jnp.abs(steps.index))
     unit = jnp.max(price) * jnp.max(jnp.abs(forward)) + jnp.max(jnp.abs(steps.money))
-    return steps._replace(
-        short=jnp.full_like(steps.short, 1.0) * jax.lax.stop_gradient(MISSED * unit)
-    )
+    charge = jax.lax.stop_gradient(MISSED * unit)
+    if steps.promises.missed is not None:
+        missed = steps.promises.missed * charge
+        return steps._replace(promises=steps.promises._replace(missed=missed))
+    return steps._replace(short=jnp.full_like(steps.short, 1.0) * charge)
 
 
 class FeasibleVolumes(NamedTuple):
@@ -107,6 +109,10 @@ def volumes(
             for k in range(len(need)):
                 more = need[k] / jnp.where(effect[k] > 0, effect[k], 1.0)
                 least = smooth.maximum(least, jnp.where(effect[k] > 0, more, 0.0), scale)
+                if promises.missed is not None:
+                    leave = need[k] / jnp.where(effect[k] < 0, effect[k], 1.0)
+                    leave = jnp.where(effect[k] < 0, leave, room)
+                    room = smooth.minimum(room, leave, scale)
         # One feasible volume where rounding leaves the least above the most.
         least, room = jax.lax.optimization_barrier((least, room))
         room = jnp.maximum(room, 0.0)

@@ -120,8 +120,7 @@ def best(
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]
     if step.ways is not None and step.ways.serve(columns):
-        value = step.ways.best(cash, fixed, after)
-        return value if step.end.held is None else value - step.end.held[0][:, None]
+        return _completed(step, step.ways.best(cash, fixed, after))
     value = np.full((len(layout.modes), math.prod(shape), columns), -np.inf)
     room = np.empty(value[0].size)  # of one passage: new memory for each would take longer
     for move, passages, money in zip(layout.every_move, step.passages, fixed):
@@ -139,13 +138,24 @@ def best(
                     reached += weight * there[goal]
                 reached += earned
                 here[rows] = np.maximum(here[rows], reached)
+    return _completed(step, value)
+
+
+def _completed(step: StepGrid, value: np.ndarray) -> np.ndarray:
+    """The value of the best move, less the money of the levels at the start of the step.
+
+    With joint limits a node from which no move keeps the limits has the value of the worst node.
+    """
+    if step.end.missed is not None and not (possible := np.isfinite(value)).all():
+        worst = np.where(possible, value, np.inf).min(axis=(0, 1))
+        value = np.where(possible, value, worst)
     return value if step.end.held is None else value - step.end.held[0][:, None]
 
 
 def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
     """[modes, nodes after, columns] of the value at the start of the next step, after settling."""
     result, money = step.end.settled(value), step.end.money
-    return result if money is None else result + money[:, None]
+    return result if money is None else result + money[..., None]
 
 
 def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.ndarray | None, idle):
