@@ -28,7 +28,7 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, NoPosition
 from snapo.case.load import load
 from snapo.case.quantity import NOT_NEGATIVE, Quantity
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, NotNegative, TableContext, parse
 
 from ...gas_storage.prices.process import use
 from ...gas_storage.read.limits import read_limits
@@ -57,6 +57,14 @@ ONLY: dict[str, Any] = {
 ZERO = "min_injection", "min_withdrawal", "inventory_loss"
 
 
+# Joint limits, by transfers: of both inventories together, of the second one less the joint flow,
+# each from both sides; without transfers from above, and of the second one alone.
+SUMS = {
+    True: ((1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (0.0, 1.0, -1.0), (0.0, -1.0, 1.0)),
+    False: ((-1.0, -1.0, 0.0), (0.0, -1.0, 1.0), (0.0, -1.0, 0.0)),
+}
+
+
 class StoresTable(CaseTable):
     """`[contract]` of kind "stores"."""
 
@@ -66,6 +74,11 @@ class StoresTable(CaseTable):
     net_injection: CaseInput | None = JOINT("largest joint flow into the stores", None)
     net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
     transfers: bool = True
+    inventory: list[NotNegative] | None = Field(
+        None,
+        description="gas in store today in each of the stores, a list like [2000.0, 8000.0]; "
+        "without it that of their files",
+    )
 
 
 class NamedTable(NamedTuple):
@@ -88,6 +101,7 @@ class OpenedStores:
     end: datetime.date
     volume_unit: str
     currency: str
+    inventory: tuple[float | None, ...] = (None,) * STORES
     nomination: None = None
 
 
@@ -226,21 +240,19 @@ class StoresContract(EnergyContract):
 
     def _promises(self, flows: DailyFlows, sets: FeasibleSets) -> Promises:
         """Limits of sums after each step, from which the second store can keep its own limits, the
-        joint ones and those of the sum: of both inventories, from both sides, and of the second one
-        less the joint flow, from both sides; and, without transfers, the most of the second one."""
-        rows = jnp.array([[1, 1, 0], [-1, -1, 0], [0, 1, -1], [0, -1, 1], [0, -1, 0]], float)
+        joint ones and those of the sum; see `SUMS`."""
+        rows = jnp.array(self.layout.sums)
         least, most, low, high = sets.least[1:], sets.most[1:], sets.low[1:, 1], sets.high[1:, 1]
         into, out = flows.into[:, 1], flows.out[:, 1]
         never = -2.0 * (jnp.sum(sets.high[1:] + flows.into + flows.out, axis=1) + sets.most[:-1])
-        late = jnp.stack([least, -most, never, never, never], axis=1)
-        either = [least - into, -most - out, low - flows.net_in, -high - flows.net_out, never]
-        by_mode = [jnp.stack(either, axis=1)]
-        if not self.transfers:
-            inward = jnp.stack([never, -most, never, never, -high], axis=1)
-            outward = jnp.stack([never, -most - out, never, -high - flows.net_out, never], axis=1)
-            by_mode = [inward, inward, outward]
-        early = jnp.stack(by_mode, axis=2)
-        late = jnp.stack([late] * len(by_mode), axis=2)
+        if self.transfers:
+            ends = [least, -most, never, never]
+            modes = [[least - into, -most - out, low - flows.net_in, -high - flows.net_out]]
+        else:
+            ends, inward = [-most, never, never], [-most, never, -high]
+            modes = [inward, inward, [-most - out, -high - flows.net_out, never]]
+        early = jnp.stack([jnp.stack(x, axis=1) for x in modes], axis=2)
+        late = jnp.stack([jnp.stack(ends, axis=1)] * len(modes), axis=2)
         minimum = _by_step(early, late)
         return Promises(
             jnp.broadcast_to(rows, (len(minimum), *rows.shape)), minimum, jnp.ones(len(minimum))
@@ -259,7 +271,7 @@ class StoresContract(EnergyContract):
         return LevelMoney(before, jnp.zeros_like(before))
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
-        raise ValueError("today's inventories are in the files of the stores")
+        return {"inventory": [max(levels[x.name], 0.0) for x in self.layout.levels[:STORES]]}
 
 
 def _by_step(*parts: Array) -> Array:
@@ -305,16 +317,16 @@ def layout_of(names: Sequence[str], unit: str, joint: bool, transfers: bool) -> 
         for verb, sign in (("inject", 1.0), ("withdraw", -1.0)):
             effects = [sign * (i == k) for i in range(STORES)] + [sign] * joint
             flows.append(EnergyFlow(f"{verb} {name}", f"{unit}/day", tuple(effects)))
+    sums = SUMS[transfers] if joint else ()
     if transfers:
-        return ContractLayout(tuple(levels), tuple(flows))
+        return ContractLayout(tuple(levels), tuple(flows), sums=sums)
     none = (0.0,) * len(levels)
     moves = [
         ContractMove(flow.name, before, after, (i,), none)
         for i, (flow, before, after) in enumerate(zip(flows, (0, 0, 1, 2), (1, 2, 0, 0)))
     ]
-    return ContractLayout(
-        tuple(levels), tuple(flows), ("day begins", "injects", "withdraws"), tuple(moves)
-    )
+    modes = "day begins", "injects", "withdraws"
+    return ContractLayout(tuple(levels), tuple(flows), modes, tuple(moves), sums=sums)
 
 
 def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedStores:
@@ -331,11 +343,15 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
         if getattr(second, key) != value:
             message = f"allowed is that of {table.stores[0]}, {value}"
             raise opened[1].where.error(key, getattr(second, key), message)
+    today = table.inventory or [None] * STORES
+    if len(today) != STORES:
+        message = f"allowed is a list of {STORES} numbers, one for each store"
+        raise where.error("inventory", str(today), message)
     unit = f"{first.volume_unit}/day"
     limits = [x and replace(x, unit=unit) for x in (table.net_injection, table.net_withdrawal)]
     return OpenedStores(
         tuple(opened), *limits, table.transfers, first.start, first.end, first.volume_unit,
-        first.currency,
+        first.currency, tuple(today),
     )  # fmt: skip
 
 
@@ -373,7 +389,10 @@ def read_stores(
 ) -> StoresContract:
     """The contract on its decision days, each of which is on two `steps`."""
     days = steps[::STORES]
-    stores = tuple(_read_store(x, days, opened.transfers) for x in opened.stores)
+    stores = tuple(
+        _read_store(x, days, opened.transfers, today, (*where.keys, "inventory", k))
+        for k, (x, today) in enumerate(zip(opened.stores, opened.inventory))
+    )
     limits = [x and x.on(days, where.notes) for x in (opened.net_injection, opened.net_withdrawal)]
     joint = any(limits) or not opened.transfers
     names = [x.name for x in opened.stores]
@@ -385,13 +404,20 @@ def read_stores(
     )
 
 
-def _read_store(opened: NamedTable, days: Sequence[datetime.date], transfers: bool) -> Store:
+def _read_store(
+    opened: NamedTable,
+    days: Sequence[datetime.date],
+    transfers: bool,
+    today: float | None,
+    key: tuple[str | int, ...],
+) -> Store:
+    """The store on these days; `today`: what is in store, which the case gives under `key`."""
     name, table, where = opened
     limits = read_limits(where, table, days)
     low, high = limits.min_inventory, limits.max_inventory
-    start = float(table.inventory.values[0])
-    if table.start >= days[0] and not low.used()[0] <= start <= high.used()[0]:
-        message = f"allowed is {low.used()[0]:g} to {high.used()[0]:g}"
+    start = float(table.inventory.values[0]) if today is None else today
+    if not low.used()[0] <= start <= high.used()[0]:
+        message = f"allowed is {low.used()[0]:g} to {high.used()[0]:g} on {days[0]}"
         raise where.error("inventory", start, message)
     end = None
     if table.end_inventory != "free":
@@ -417,8 +443,11 @@ def _read_store(opened: NamedTable, days: Sequence[datetime.date], transfers: bo
     holding = table.inventory_cost
     rates = (replace(x, index=x.index[:, 0]) for x in (limits.ratchets.injection,
                                                        limits.ratchets.withdrawal))  # fmt: skip
+    stock = named(table.inventory)
+    if today is not None:
+        stock = replace(stock, values=np.array([today]), positions=(key,))
     return Store(
-        named(table.inventory),
+        stock,
         (named(low), named(high)),
         None if end is None else named(end),
         tuple(map(named, rates)),  # pyright: ignore[reportArgumentType]

@@ -102,17 +102,23 @@ def volumes(
             need, leave = (low, high) if effect > 0 else (high, low)
             least = smooth.maximum(least, need / effect, scale)
             room = smooth.minimum(room, leave / effect, scale)
-        if now.terms.promises is not None:
+        for k, weights in enumerate(layout.sums):
+            effect = float(np.dot(weights, layout.flows[flow].effects))
+            if not effect:
+                continue
+            total = sum((w * start[i] for i, w in enumerate(weights) if w), jnp.zeros(()))
+            more = (now.terms.promises.minimum[k, this.after] - total) / effect
+            if effect > 0:
+                least = smooth.maximum(least, more, scale)
+            else:
+                room = smooth.minimum(room, more, scale)
+        if now.terms.promises is not None and not layout.sums:
             promises, effects = now.terms.promises, jnp.asarray(layout.flows[flow].effects)
             need = promises.minimum[:, this.after] - promises.weights @ jnp.stack(start)
             effect = promises.weights @ effects
             for k in range(len(need)):
                 more = need[k] / jnp.where(effect[k] > 0, effect[k], 1.0)
                 least = smooth.maximum(least, jnp.where(effect[k] > 0, more, 0.0), scale)
-                if promises.missed is not None:
-                    leave = need[k] / jnp.where(effect[k] < 0, effect[k], 1.0)
-                    leave = jnp.where(effect[k] < 0, leave, room)
-                    room = smooth.minimum(room, leave, scale)
         # One feasible volume where rounding leaves the least above the most.
         least, room = jax.lax.optimization_barrier((least, room))
         room = jnp.maximum(room, 0.0)

@@ -1,0 +1,205 @@
+"""Two stores behind one connection: an integer program, the stores apart, limits, errors."""
+
+import datetime
+import re
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+from scipy.optimize import LinearConstraint, milp
+from tests.domains.energy.energy_cases import HOME, exact
+
+from snapo.case.error import CaseError
+from snapo.case.load import load
+from snapo.case.toml import to_toml
+from snapo.domains.energy.contracts.stores import STORES
+from snapo.domains.energy.methods.hindsight import EnergyRelaxation
+from snapo.domains.energy.read.case import EnergyCase, read_case
+from snapo.domains.energy.setup import bare_problem, make_setup
+from snapo.domains.energy.summary import lines
+from snapo.domains.gas_storage.contract.schedule import of_prices
+from snapo.domains.gas_storage.read.case import read_case as read_store
+from snapo.domains.gas_storage.references.lattice import lattice as store_lattice
+from snapo.engine import TRAJECTORY
+from snapo.problem.smooth import Exact
+from snapo.solver.bound import bound
+from snapo.solver.evaluate import evaluate
+from snapo.solver.sensitivity import sensitivities
+from snapo.testing.derivatives import wrong_derivatives
+from tests.domains.gas_storage.storage_cases import bare
+
+DAY = datetime.date
+START = DAY(2027, 1, 1)
+# 16 days on which prices fall and rise.
+PRICES = [30, 31, 29, 27, 26, 28, 33, 36, 35, 31, 30, 28, 29, 34, 37, 33]
+FAST = {
+    "start": START, "end": DAY(2027, 1, 17), "inventory": 2.0, "max_inventory": 6.0,
+    "max_injection": 2.0, "max_withdrawal": 2.0, "injection_cost": 0.3, "withdrawal_cost": 0.2,
+}  # fmt: skip
+SLOW = FAST | {
+    "inventory": 5.0, "max_inventory": 12.0, "max_injection": 1.0, "max_withdrawal": 1.0,
+    "injection_cost": 0.1, "withdrawal_cost": 0.1, "injection_fuel": 0.01,
+}  # fmt: skip
+WIDE = {"net_injection": 100.0, "net_withdrawal": 100.0}
+TIGHT = {"net_injection": 1.0, "net_withdrawal": 2.0}
+
+
+def tables(folder: Path, fast=None, slow=None, model=None, **changes: Any):
+    """The file and the tables of a small case, written into a folder."""
+    folder.mkdir(exist_ok=True)
+    for name, table in (("fast", FAST | (fast or {})), ("slow", SLOW | (slow or {}))):
+        (folder / f"{name}.toml").write_text(to_toml({"contract": table}))
+    rows = [f"{START + datetime.timedelta(n)},{price}" for n, price in enumerate(PRICES)]
+    (folder / "curve.csv").write_text("\n".join(["date,price", *rows]))
+    usual = {"kind": "one-factor", "mean_reversion": 12.0, "volatility": 0.9}
+    market = {"valuation_date": START, "forward_curve": "curve.csv", "interest_rate": 0.03}
+    data = {
+        "kind": "stores",
+        "contract": {"stores": ["fast.toml", "slow.toml"]} | changes,
+        "market": market,
+        "model": usual | (model or {}),
+        "evaluation": {"paths": 4096},
+    }
+    (folder / "case.toml").write_text(to_toml(data))
+    return load(folder)
+
+
+def case(folder: Path, **changes: Any) -> EnergyCase:
+    return read_case(*tables(folder, **changes))
+
+
+def best_plan(case: EnergyCase) -> float:
+    """An integer program of what each store takes in and gives out at forward prices."""
+    count, contract = len(case.days) // STORES, case.contract
+    day = case.day[::STORES]
+    price, discount = case.market.forward_curve.used()[::STORES], np.exp(-0.03 * day / 365)
+    below, zero, one = np.tri(count), np.zeros((count, count)), np.eye(count)
+    gains, rows, least, most, highest, constant = [], [], [], [], [], 0.0
+    for k, store in enumerate(contract.stores):
+        held = np.zeros(count) if store.holding is None else store.holding.used() * discount
+        later = np.append(np.cumsum(held[::-1])[::-1][1:], 0.0)
+        start = float(store.inventory.used())
+        constant -= start * held.sum()
+        (cost_in, cost_out), (fuel_in, fuel_out) = (
+            [x.used() for x in pair] for pair in (store.costs, store.fuel)
+        )
+        gains += [discount * (-price * (1 + fuel_in) - cost_in) - later]
+        gains += [discount * (price * (1 - fuel_out) - cost_out) + later]
+        highest += [x.used() * y for x, y in zip(store.rates, store.factors.T)]
+        rows.append(np.hstack([*[zero] * 2 * k, below, -below, *[zero] * (3 - 2 * k)]))
+        low, high = (x.used()[1:].copy() for x in store.limits)
+        if store.end is not None:
+            low[-1] = high[-1] = float(store.end.used())
+        least.append(low - start)
+        most.append(high - start)
+    rows.append(np.hstack([one, -one, one, -one, zero]))
+    net = [
+        np.full(count, 1e3) if x is None else x.used()
+        for x in (contract.net_withdrawal, contract.net_injection)
+    ]
+    least.append(-net[0])
+    most.append(net[1])
+    if not contract.transfers:
+        for k in range(4):  # nothing flows out on a day of injections, and nothing in on others
+            side = [one if i == k else zero for i in range(4)]
+            largest = np.diag(highest[k])
+            rows.append(np.hstack([*side, -largest if k % 2 == 0 else largest]))
+            least.append(np.full(count, -np.inf))
+            most.append(np.zeros(count) if k % 2 == 0 else highest[k])
+    whole = np.repeat([0, 1], [4 * count, count])
+    bounds = np.concatenate([*highest, np.ones(count)])
+    result = milp(
+        -np.concatenate([*gains, np.zeros(count)]),
+        integrality=whole,
+        bounds=(np.zeros(5 * count), bounds),
+        constraints=LinearConstraint(
+            np.concatenate(rows), np.concatenate(least), np.concatenate(most)
+        ),
+        options={"mip_rel_gap": 1e-9},
+    )
+    assert result.status == 0, result.message
+    return constant - result.fun
+
+
+VARIANTS = [
+    {},
+    TIGHT,
+    WIDE,
+    {"net_withdrawal": 1.0},
+    {"net_injection": 0.0, "net_withdrawal": 0.5},
+    TIGHT | {"fast": {"inventory_cost": 0.02}, "slow": {"inventory_cost": 0.05}},
+    TIGHT | {"fast": {"end_inventory": 4.0}, "slow": {"end_inventory": 1.0}},
+    TIGHT | {"fast": {"end_inventory": "free"}, "slow": {"min_inventory": 1.0, "end_inventory": 1.0}},
+    TIGHT | {"slow": {"outages": ["2027-01-04/2027-01-08"], "withdrawal_fuel": 0.02}},
+    {"net_injection": 1.5, "net_withdrawal": 0.75, "inventory": [0.5, 3.0]},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", VARIANTS)
+def test_without_volatility_a_linear_program(changes, tmp_path):
+    """With transfers."""
+    this = case(tmp_path, **changes)
+    assert exact(this, forward=True) == pytest.approx(best_plan(this), rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("changes", [{}, *VARIANTS[1:6], *VARIANTS[8:]])
+def test_without_volatility_an_integer_program(changes, tmp_path):
+    """Without transfers: not both directions on one day; worth no more than with them."""
+    this = case(tmp_path, **changes, transfers=False)
+    value = exact(this, forward=True)
+    assert value == pytest.approx(best_plan(this), rel=1e-6, abs=1e-6)
+    assert value <= exact(case(tmp_path, **changes), forward=True) + 1e-9
+
+
+def alone(folder: Path, name: str) -> float:
+    """The value of one of the stores by the lattice of a gas store, which shares no code with
+    this one."""
+    file, data = load(folder)
+    store = load(folder / f"{name}.toml")[1]
+    data = {k: v for k, v in data.items() if k in ("market", "model")} | store
+    simulator, _, schedule = bare(read_store(file, data | {"kind": "gas-storage"}))
+    factors = simulator.process.factors(of_prices(schedule))
+    assert simulator.horizon == len(PRICES)
+    return store_lattice(schedule, factors, "linear", step=1.0, spacing=0.15).value
+
+
+@pytest.mark.prove
+def test_without_a_joint_limit_the_sum_of_both_stores(tmp_path):
+    """With limits that never bind, and with none; exact values, and derivatives on paths."""
+    values = [exact(case(tmp_path, **limits)) for limits in (WIDE, {})]
+    both = alone(tmp_path, "fast") + alone(tmp_path, "slow")
+    np.testing.assert_allclose(values, both, rtol=2e-5)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("changes", [TIGHT, TIGHT | {"transfers": False}])
+def test_policy_and_bound_enclose_the_exact_value(changes, tmp_path):
+    """The fitted rule at most 0.5 % below, the bound at most 1 % above; and the derivatives."""
+    this = case(tmp_path, **changes)
+    setup, value = make_setup(this, "native"), exact(this)
+    problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
+    result = evaluate(problem, rule, paths=16384, engine=engine)
+    print(value, result)
+    assert result.standard_error < 0.5e-2 / 3 * value
+    assert value * 0.995 <= result.value + 3 * result.standard_error
+    assert result.value <= value + 3 * result.standard_error
+    relaxation = EnergyRelaxation(problem)
+    upper = bound(problem, rule, relaxation=relaxation, engine=engine, paths=1024).upper
+    print(upper)
+    assert value <= upper.value + 3 * upper.standard_error
+    assert upper.value - 3 * upper.standard_error <= value * 1.01
+    assert wrong_derivatives(problem, rule, paths=16) == []
+    draws = problem.sources.evaluation.draws(np.arange(2048), problem.simulator)
+    rollout = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY)
+    net = rollout.record["state"].levels[1::2, :, 2]
+    flows = rollout.record["outputs"]
+    net = sum(
+        sign * np.asarray(flows[f"{verb} {name}"]).reshape(-1, STORES, 2048).sum(axis=1)
+        for name in ("fast", "slow")
+        for verb, sign in (("inject", 1.0), ("withdraw", -1.0))
+    )
+    assert net.max() <= 1.0 + 1e-5 and net.min() >= -2.0 - 1e-5
+    np.testing.assert_allclose(np.asarray(rollout.state.levels)[:, :2], 0.0, atol=1e-4)
