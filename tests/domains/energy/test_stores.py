@@ -1,7 +1,7 @@
 """Two stores behind one connection: an integer program, the stores apart, limits, errors."""
 
 import datetime
-import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,11 @@ from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.read.case import EnergyCase, read_case
 from snapo.domains.energy.setup import bare_problem, make_setup
 from snapo.domains.energy.summary import lines
+from snapo.domains.gas_storage.bounds.relaxation import StoreRelaxation
 from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.read.case import read_case as read_store
 from snapo.domains.gas_storage.references.lattice import lattice as store_lattice
+from snapo.domains.gas_storage.setup import make_setup as store_setup
 from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
 from snapo.solver.bound import bound
@@ -135,6 +137,7 @@ VARIANTS = [
     TIGHT | {"fast": {"end_inventory": "free"}, "slow": {"min_inventory": 1.0, "end_inventory": 1.0}},
     TIGHT | {"slow": {"outages": ["2027-01-04/2027-01-08"], "withdrawal_fuel": 0.02}},
     {"net_injection": 1.5, "net_withdrawal": 0.75, "inventory": [0.5, 3.0]},
+    {"net_injection": 0.0, "net_withdrawal": 2.0, "inventory": [0.0, 12.0]},
 ]  # fmt: skip
 
 
@@ -147,11 +150,17 @@ def test_without_volatility_a_linear_program(changes, tmp_path):
 
 @pytest.mark.parametrize("changes", [{}, *VARIANTS[1:6], *VARIANTS[8:]])
 def test_without_volatility_an_integer_program(changes, tmp_path):
-    """Without transfers: not both directions on one day; worth no more than with them."""
+    """Without transfers: not both directions on one day."""
     this = case(tmp_path, **changes, transfers=False)
     value = exact(this, forward=True)
     assert value == pytest.approx(best_plan(this), rel=1e-6, abs=1e-6)
-    assert value <= exact(case(tmp_path, **changes), forward=True) + 1e-9
+
+
+def test_transfers_fill_the_fast_store(tmp_path):
+    """Nothing is bought: what the fast store gives out at the highest prices is from the slow one."""
+    changes = VARIANTS[-1]
+    values = [exact(case(tmp_path, **changes, transfers=x), forward=True) for x in (False, True)]
+    assert values[1] > values[0] + 5.0
 
 
 def alone(folder: Path, name: str) -> float:
@@ -203,3 +212,98 @@ def test_policy_and_bound_enclose_the_exact_value(changes, tmp_path):
     )
     assert net.max() <= 1.0 + 1e-5 and net.min() >= -2.0 - 1e-5
     np.testing.assert_allclose(np.asarray(rollout.state.levels)[:, :2], 0.0, atol=1e-4)
+
+
+@pytest.mark.prove
+def test_without_a_joint_limit_value_deltas_and_bounds_are_sums(tmp_path):
+    """Measured on paths, both stores apart by the methods of a gas store: within two errors."""
+    measured = []
+    this = case(tmp_path, **WIDE)
+    setups = [make_setup(this, "native")]
+    file, data = load(tmp_path)
+    for name in ("fast", "slow"):
+        contract = load(tmp_path / f"{name}.toml")[1]
+        tables = {k: data[k] for k in ("market", "model", "evaluation")} | contract
+        setups.append(store_setup(read_store(file, tables | {"kind": "gas-storage"}), "native"))
+    for setup in setups:
+        problem, engine = setup.problem, setup.engines.evaluate
+        rule = setup.policy.value_rule
+        value = evaluate(problem, rule, paths=4096, engine=engine)
+        held = sensitivities(problem, rule, paths=4096, engine=engine).held["forward_curve"]
+        relaxation = EnergyRelaxation(problem) if setup is setups[0] else StoreRelaxation(problem)
+        upper = bound(problem, rule, relaxation=relaxation, engine=engine, paths=512).upper
+        weeks = np.asarray(held.value).reshape(2, -1).sum(axis=1)
+        errors = np.sqrt(np.sum(np.square(held.standard_error).reshape(2, -1), axis=1))
+        numbers = np.array([value.value, upper.value, *weeks])
+        measured.append((numbers, np.array([value.standard_error, upper.standard_error, *errors])))
+    (joint, error), *apart = measured
+    together = np.sqrt(error**2 + sum(x[1] ** 2 for x in apart))
+    assert np.all(np.abs(joint - sum(x[0] for x in apart)) < 2 * together)
+
+
+@pytest.mark.prove
+@hypothesis.settings(max_examples=8, deadline=None)
+@hypothesis.given(st.integers(0, 6), st.integers(0, 6), st.booleans())
+def test_a_wider_joint_limit_is_worth_more(into, out, transfers):
+    with tempfile.TemporaryDirectory() as folder:
+        values = [
+            exact(
+                case(
+                    Path(folder), net_injection=x / 2, net_withdrawal=y / 2, transfers=transfers,
+                    inventory=[0.0, 1.0],
+                ),
+                forward=True,
+            )
+            for x, y in ((into, 1 + out), (into + 1, 1 + out), (into, 2 + out))
+        ]  # fmt: skip
+    assert values[0] <= min(values[1:]) + 1e-9
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("transfers", [True, False])
+def test_the_order_of_the_stores_does_not_matter(transfers, tmp_path):
+    values = [
+        exact(case(tmp_path, **TIGHT, stores=[f"{x}.toml" for x in names], transfers=transfers))
+        for names in (("fast", "slow"), ("slow", "fast"))
+    ]
+    assert values[0] == pytest.approx(values[1], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"stores": ["fast.toml"]}, "contract.stores: .*2 stores"),
+        ({"stores": ["fast.toml", "fast.toml"]}, "two different files"),
+        ({"stores": ["fast.toml", "other.toml"]}, "contract.stores: .*no such file"),
+        ({"stores": ["fast.toml", "../slow.toml"]}, "next to the case"),
+        ({"slow": {"end": DAY(2027, 1, 16)}}, r"slow.toml, contract.end: .*fast.toml, 2027-01-17"),
+        ({"slow": {"ratchets": "r.csv"}}, r"slow.toml, contract.ratchets"),
+        ({"fast": {"min_injection": 1.0}}, r"fast.toml, contract.min_injection"),
+        ({"fast": {"inventory": 7.0}}, r"fast.toml, contract.inventory: .*0 to 6"),
+        ({"inventory": [1.0]}, "contract.inventory: .*list of 2"),
+        ({"net_injection": -1.0}, "contract.net_injection"),
+        ({"transfers": False, "fast": {"end_inventory": 1.0}}, r"fast.toml, contract.end_inventory"),
+        ({"model": {"kind": "one-factor-jumps"}}, "model.kind"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_named(changes, where, tmp_path):
+    with pytest.raises(CaseError, match=where):
+        case(tmp_path, **changes)
+
+
+def test_what_cannot_be_met_or_has_no_nodes_is_refused(tmp_path):
+    with pytest.raises(CaseError, match=r"contract: (fast|slow): .*cannot be met"):
+        lines(case(tmp_path, net_withdrawal=0.25))
+    with pytest.raises(CaseError, match="contract: .*common divisor"):
+        lines(case(tmp_path, net_withdrawal=1.0001))
+
+
+def test_a_plan_goes_on_with_the_inventories_of_its_day(tmp_path):
+    """The keys of a state are those of a case that begins there."""
+    keys = case(tmp_path).contract.keys_at({"fast": 1.0, "slow": 4.0, "joint flow": 0.0}, "", None)
+    later = case(tmp_path, **keys)
+    schedule = bare_problem(later).schedule
+    assert schedule.constants.start.tolist() == [1.0, 4.0]
+    assert [x.inventory.positions[0] for x in later.contract.stores] == [
+        ("contract", "inventory", 0), ("contract", "inventory", 1)
+    ]  # fmt: skip

@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from snapo.case.error import CaseError
+
 from ..core.contract import ContractLayout
 from .corners import corners
 from .idle import at_rest, extremes, idle_levels, with_idle, without
@@ -107,6 +109,24 @@ def grid_of(
         passages, ways = by_volumes[key]
         steps.append(StepGrid(passages, before[t], after[t], end, ways))
     return ContractGrid(layout, steps, before[-1], exact)
+
+
+def check_nodes(case: Any, schedule: Any) -> None:
+    """Refuses joint limits between coarse nodes; `schedule`: with NumPy leaves.
+
+    **Raises:** `CaseError` where volumes have no common divisor with few enough nodes.
+    """
+    layout = case.contract.layout
+    if not layout.sums or grid_of(layout, schedule).exact:
+        return
+    measure = measures_of(layout, schedule.steps.terms, schedule.constants.start)[0]
+    divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
+    message = (
+        "inventories, limits and rates need a common divisor with at most about "
+        f"{int(min(TOGETHER, 2 * LONG / len(case.days))):,} multiples together: of the inventories "
+        f"of both stores, times those of the joint flow; theirs is {divisor}"
+    )
+    raise CaseError(str(case.file), "contract", None, message)
 
 
 def best(
