@@ -65,7 +65,7 @@ MINIATURES = {
         Miniature(
             "stores",
             assignments=(
-                "market.valuation_date=2027-02-21",
+                "market.valuation_date=2027-01-22",
                 "contract.inventory=[2000.0, 3000.0]",
                 "training.steps=4",
                 "evaluation.judge_paths=0",

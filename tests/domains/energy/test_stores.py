@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 from scipy.optimize import LinearConstraint, milp
-from tests.domains.energy.energy_cases import HOME, exact
+from tests.domains.energy.energy_cases import exact
+from tests.domains.gas_storage.storage_cases import bare
 
+from snapo.book.file import contents
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.case.toml import to_toml
@@ -30,8 +32,8 @@ from snapo.problem.smooth import Exact
 from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate
 from snapo.solver.sensitivity import sensitivities
+from snapo.study.positions.files import read_files
 from snapo.testing.derivatives import wrong_derivatives
-from tests.domains.gas_storage.storage_cases import bare
 
 DAY = datetime.date
 START = DAY(2027, 1, 1)
@@ -127,8 +129,8 @@ def best_plan(case: EnergyCase) -> float:
 
 
 VARIANTS = [
-    {},
     TIGHT,
+    {},
     WIDE,
     {"net_withdrawal": 1.0},
     {"net_injection": 0.0, "net_withdrawal": 0.5},
@@ -141,14 +143,19 @@ VARIANTS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("changes", VARIANTS)
+def sets(every: list) -> list:
+    """The first one in the quick suite."""
+    return [every[0], *(pytest.param(x, marks=pytest.mark.prove) for x in every[1:])]
+
+
+@pytest.mark.parametrize("changes", sets(VARIANTS))
 def test_without_volatility_a_linear_program(changes, tmp_path):
     """With transfers."""
     this = case(tmp_path, **changes)
     assert exact(this, forward=True) == pytest.approx(best_plan(this), rel=1e-6, abs=1e-6)
 
 
-@pytest.mark.parametrize("changes", [{}, *VARIANTS[1:6], *VARIANTS[8:]])
+@pytest.mark.parametrize("changes", sets([*VARIANTS[:6], *VARIANTS[8:]]))
 def test_without_volatility_an_integer_program(changes, tmp_path):
     """Without transfers: not both directions on one day."""
     this = case(tmp_path, **changes, transfers=False)
@@ -156,6 +163,7 @@ def test_without_volatility_an_integer_program(changes, tmp_path):
     assert value == pytest.approx(best_plan(this), rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.prove
 def test_transfers_fill_the_fast_store(tmp_path):
     """Nothing is bought: what the fast store gives out at the highest prices is from the slow one."""
     changes = VARIANTS[-1]
@@ -191,19 +199,16 @@ def test_policy_and_bound_enclose_the_exact_value(changes, tmp_path):
     setup, value = make_setup(this, "native"), exact(this)
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     result = evaluate(problem, rule, paths=16384, engine=engine)
-    print(value, result)
     assert result.standard_error < 0.5e-2 / 3 * value
     assert value * 0.995 <= result.value + 3 * result.standard_error
     assert result.value <= value + 3 * result.standard_error
     relaxation = EnergyRelaxation(problem)
     upper = bound(problem, rule, relaxation=relaxation, engine=engine, paths=1024).upper
-    print(upper)
     assert value <= upper.value + 3 * upper.standard_error
     assert upper.value - 3 * upper.standard_error <= value * 1.01
     assert wrong_derivatives(problem, rule, paths=16) == []
     draws = problem.sources.evaluation.draws(np.arange(2048), problem.simulator)
     rollout = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY)
-    net = rollout.record["state"].levels[1::2, :, 2]
     flows = rollout.record["outputs"]
     net = sum(
         sign * np.asarray(flows[f"{verb} {name}"]).reshape(-1, STORES, 2048).sum(axis=1)
@@ -294,8 +299,18 @@ def test_mistakes_are_named(changes, where, tmp_path):
 def test_what_cannot_be_met_or_has_no_nodes_is_refused(tmp_path):
     with pytest.raises(CaseError, match=r"contract: (fast|slow): .*cannot be met"):
         lines(case(tmp_path, net_withdrawal=0.25))
-    with pytest.raises(CaseError, match="contract: .*common divisor"):
+    with pytest.raises(CaseError, match=r"contract: .*common divisor"):
         lines(case(tmp_path, net_withdrawal=1.0001))
+
+
+def test_the_files_of_the_stores_go_with_the_case(tmp_path):
+    """To a folder of the live page, and to the workers of a book."""
+    file, data = tables(tmp_path / "a")
+    (tmp_path / "a" / "other.toml").write_text("x = 1")
+    copied = read_files(file.parent, data).write(tmp_path / "b")
+    assert len(read_case(*load(copied)).days) == STORES * len(PRICES)
+    assert not (tmp_path / "b" / "other.toml").exists()
+    assert set(contents(file.parent, data)) == {"curve.csv", "fast.toml", "slow.toml"}
 
 
 def test_a_plan_goes_on_with_the_inventories_of_its_day(tmp_path):

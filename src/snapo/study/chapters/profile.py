@@ -87,7 +87,7 @@ def profile(
     """The chapter "profile".
 
     - `without`: names of states that are left out.
-    - `together`: steps of a period: its first state, its sums of outputs and no decisions are shown.
+    - `together`: steps of a period: its first state and its sums of outputs are shown.
     - `factor`: by which the numbers of a series are multiplied in the report.
     """
     return Chapter(

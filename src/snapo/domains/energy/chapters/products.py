@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from snapo.study.study import StudyRun
@@ -19,7 +20,7 @@ def measure(run: StudyRun) -> ProductDeltas:
     case, problem = case_of(run.setup), run.setup.problem
     simulator = simulator_of(problem)
     rate = simulator.rate.in_numpy({x: y.value for x, y in problem.inputs_by_name.items()})
-    discount = np.asarray(simulator.paid(rate))[:: KINDS[case.kind].steps]
+    discount = np.asarray(simulator.paid(jnp.asarray(rate)))[:: KINDS[case.kind].steps]
     return deltas_by_product(run, case.products, case.market.forward_curve.name, discount)
 
 

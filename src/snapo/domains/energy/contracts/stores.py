@@ -12,9 +12,7 @@ kind, are added to them (generalised polymatroids; A. Frank, E. Tardos, "General
 and submodular flows", Mathematical Programming 42 (1988), 489-563).
 """
 
-import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,17 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from pydantic import Field
 
-from snapo.case.error import CaseError
-from snapo.case.given import CaseInput, NoPosition
-from snapo.case.load import load
-from snapo.case.quantity import NOT_NEGATIVE, Quantity
-from snapo.case.table import CaseTable, NotNegative, TableContext, parse
+from snapo.case.given import CaseInput
 
 from ...gas_storage.prices.process import use
-from ...gas_storage.read.limits import read_limits
-from ...gas_storage.read.tables import ContractTable, FileName
 from ..core.contract import (
     ContractLayout,
     ContractMove,
@@ -45,64 +36,14 @@ from ..core.contract import (
     Terms,
 )
 
+JOINT_FLOW = "joint flow"  # its level
 STORES = 2  # with their joint flow three volumes are counted
-JOINT = Quantity("{volume_unit}/day", NOT_NEGATIVE, "contract", move=1.0, by="date")
-KEEPS = "in, out and nothing on each day"
-# Keys of a gas store that this contract does not have, and the only value of each.
-ONLY: dict[str, Any] = {
-    "ratchets": None, "ratchet_interpolation": "linear", "fixed_costs": None,
-    "injection_cost_settlement": "flow", "withdrawal_cost_settlement": "flow",
-    "first_decision": "valuation-date", "nomination": None,
-}  # fmt: skip
-ZERO = "min_injection", "min_withdrawal", "inventory_loss"
-
-
 # Joint limits, by transfers: of both inventories together, of the second one less the joint flow,
 # each from both sides; without transfers from above, and of the second one alone.
 SUMS = {
     True: ((1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (0.0, 1.0, -1.0), (0.0, -1.0, 1.0)),
     False: ((-1.0, -1.0, 0.0), (0.0, -1.0, 1.0), (0.0, -1.0, 0.0)),
 }
-
-
-class StoresTable(CaseTable):
-    """`[contract]` of kind "stores"."""
-
-    stores: list[FileName] = Field(
-        description='two files like ["fast.toml", "slow.toml"], each the `[contract]` of a gas store'
-    )
-    net_injection: CaseInput | None = JOINT("largest joint flow into the stores", None)
-    net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
-    transfers: bool = True
-    inventory: list[NotNegative] | None = Field(
-        None,
-        description="gas in store today in each of the stores, a list like [2000.0, 8000.0]; "
-        "without it that of their files",
-    )
-
-
-class NamedTable(NamedTuple):
-    """The table of a store: its name, the table, its place in messages."""
-
-    name: str
-    table: ContractTable
-    where: TableContext
-
-
-@dataclass(frozen=True)
-class OpenedStores:
-    """The contract with the tables of its stores, which have the same dates and units."""
-
-    stores: tuple[NamedTable, ...]
-    net_injection: CaseInput | None
-    net_withdrawal: CaseInput | None
-    transfers: bool
-    start: datetime.date
-    end: datetime.date
-    volume_unit: str
-    currency: str
-    inventory: tuple[float | None, ...] = (None,) * STORES
-    nomination: None = None
 
 
 class Store(eqx.Module):
@@ -311,7 +252,7 @@ def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> Fe
 def layout_of(names: Sequence[str], unit: str, joint: bool, transfers: bool) -> ContractLayout:
     """The inventories and, with joint limits, the joint flow of the day; a flow in and out of each
     store. Without transfers the first store decides whether the day is one of injections."""
-    levels = [Level(name, unit) for name in names] + [Level("joint flow", unit)] * joint
+    levels = [Level(name, unit) for name in names] + [Level(JOINT_FLOW, unit)] * joint
     flows = []
     for k, name in enumerate(names):
         for verb, sign in (("inject", 1.0), ("withdraw", -1.0)):
@@ -327,132 +268,3 @@ def layout_of(names: Sequence[str], unit: str, joint: bool, transfers: bool) -> 
     ]
     modes = "day begins", "injects", "withdraws"
     return ContractLayout(tuple(levels), tuple(flows), modes, tuple(moves), sums=sums)
-
-
-def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedStores:
-    """The tables of the stores, from their files; `market`: the table of the case."""
-    if len(table.stores) != STORES:
-        message = f"allowed are {STORES} stores: their inventories and the joint flow are counted"
-        raise where.error("stores", ", ".join(table.stores), message)
-    opened = [_open(where, name, market) for name in table.stores]
-    first, second = (x.table for x in opened)
-    if opened[0].name == opened[1].name:
-        raise where.error("stores", ", ".join(table.stores), "allowed are two different files")
-    for key in ("start", "end", "volume_unit", "currency"):
-        value = getattr(first, key)
-        if getattr(second, key) != value:
-            message = f"allowed is that of {table.stores[0]}, {value}"
-            raise opened[1].where.error(key, getattr(second, key), message)
-    today = table.inventory or [None] * STORES
-    if len(today) != STORES:
-        message = f"allowed is a list of {STORES} numbers, one for each store"
-        raise where.error("inventory", str(today), message)
-    unit = f"{first.volume_unit}/day"
-    limits = [x and replace(x, unit=unit) for x in (table.net_injection, table.net_withdrawal)]
-    return OpenedStores(
-        tuple(opened), *limits, table.transfers, first.start, first.end, first.volume_unit,
-        first.currency, tuple(today),
-    )  # fmt: skip
-
-
-def _open(where: TableContext, name: str, market: Any) -> NamedTable:
-    path = where.file.parent / name
-    if path.suffix.lower() != ".toml" or path.parent.resolve() != where.file.parent.resolve():
-        message = "allowed is the name of a TOML file next to the case"
-        raise where.error("stores", name, message)
-    if not path.is_file():
-        raise where.error("stores", name, "there is no such file next to the case")
-    data = load(path)[1]
-    if list(data) != ["contract"]:
-        message = "allowed is the table [contract] alone; market and prices are those of the case"
-        raise CaseError(str(path), ", ".join(data), None, message)
-    inner = TableContext(path, "contract", where.notes)
-    table = parse(ContractTable, data["contract"], str(path), "contract", where.notes)
-    for key, only in ONLY.items():
-        if (value := getattr(table, key)) != only:
-            allowed = "no such key in a store of several" if only is None else f'"{only}"'
-            raise inner.error(key, str(value), f"allowed is {allowed}")
-    for key in ZERO:
-        if np.any(getattr(table, key).values):
-            raise inner.error(key, getattr(table, key).written, "allowed is 0 in a store of several")
-    if table.end_value not in (None, 0.0):
-        raise inner.error("end_value", table.end_value, "allowed is 0 in a store of several")
-    costs = table.injection_cost, table.withdrawal_cost, table.inventory_cost
-    if market.settlement != "flow" and any(np.any(x.values) for x in costs):
-        message = 'with costs, which are paid on the day of the flow, allowed is "flow"'
-        raise CaseError(str(where.file), "market.settlement", str(market.settlement), message)
-    return NamedTable(path.stem, table, inner)
-
-
-def read_stores(
-    where: TableContext, opened: OpenedStores, steps: Sequence[datetime.date]
-) -> StoresContract:
-    """The contract on its decision days, each of which is on two `steps`."""
-    days = steps[::STORES]
-    stores = tuple(
-        _read_store(x, days, opened.transfers, today, (*where.keys, "inventory", k))
-        for k, (x, today) in enumerate(zip(opened.stores, opened.inventory))
-    )
-    limits = [x and x.on(days, where.notes) for x in (opened.net_injection, opened.net_withdrawal)]
-    joint = any(limits) or not opened.transfers
-    names = [x.name for x in opened.stores]
-    return StoresContract(  # pyright: ignore[reportCallIssue]
-        stores,  # pyright: ignore[reportArgumentType]
-        *limits,
-        layout_of(names, opened.volume_unit, joint, opened.transfers),
-        opened.transfers,
-    )
-
-
-def _read_store(
-    opened: NamedTable,
-    days: Sequence[datetime.date],
-    transfers: bool,
-    today: float | None,
-    key: tuple[str | int, ...],
-) -> Store:
-    """The store on these days; `today`: what is in store, which the case gives under `key`."""
-    name, table, where = opened
-    limits = read_limits(where, table, days)
-    low, high = limits.min_inventory, limits.max_inventory
-    start = float(table.inventory.values[0]) if today is None else today
-    if not low.used()[0] <= start <= high.used()[0]:
-        message = f"allowed is {low.used()[0]:g} to {high.used()[0]:g} on {days[0]}"
-        raise where.error("inventory", start, message)
-    end = None
-    if table.end_inventory != "free":
-        quantity = ContractTable.model_fields["inventory"].metadata[-1]
-        end = quantity.input("end_inventory", [table.end_inventory])
-        end = replace(end, unit=table.volume_unit, meaning="gas owed at the end")
-    if not transfers:
-        if end is not None and table.end_inventory:
-            message = 'without transfers allowed is 0 or "free"'
-            raise where.error("end_inventory", table.end_inventory, message)
-        if np.any(np.diff(low.used()) > 0):
-            message = "without transfers it may not rise"
-            raise where.error("min_inventory", table.min_inventory.written, message)
-    reason = NoPosition(f"it is in {where.file.name}")
-
-    def named(numbers: CaseInput) -> CaseInput:
-        positions = tuple(x if x is None else reason for x in numbers.positions)
-        return replace(numbers, name=f"{name}_{numbers.name}", positions=positions)
-
-    def daily(numbers: CaseInput) -> CaseInput:
-        return named(numbers.on(days, where.notes))
-
-    holding = table.inventory_cost
-    rates = (replace(x, index=x.index[:, 0]) for x in (limits.ratchets.injection,
-                                                       limits.ratchets.withdrawal))  # fmt: skip
-    stock = named(table.inventory)
-    if today is not None:
-        stock = replace(stock, values=np.array([today]), positions=(key,))
-    return Store(
-        stock,
-        (named(low), named(high)),
-        None if end is None else named(end),
-        tuple(map(named, rates)),  # pyright: ignore[reportArgumentType]
-        np.stack([limits.injection_factor, limits.withdrawal_factor], axis=1),
-        (daily(table.injection_cost), daily(table.withdrawal_cost)),
-        (daily(table.injection_fuel), daily(table.withdrawal_fuel)),
-        daily(holding) if np.any(holding.values) else None,
-    )

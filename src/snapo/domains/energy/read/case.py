@@ -52,7 +52,7 @@ from ..contracts.plant_tables import (
     StartTable,
     read_plant,
 )
-from ..contracts.stores import StoresTable, open_stores, read_stores
+from ..contracts.stores_tables import StoresTable, open_stores, read_stores
 from ..contracts.swing_tables import (
     AnnualTable,
     CarryTable,
