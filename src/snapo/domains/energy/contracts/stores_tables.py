@@ -38,7 +38,7 @@ class StoresTable(CaseTable):
     )
     net_injection: CaseInput | None = JOINT("largest joint flow into the stores", None)
     net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
-    transfers: bool = True
+    transfers: bool = Field(True, description="true or false")
     inventory: list[NotNegative] | None = Field(
         None,
         description="gas in store today in each of the stores, a list like [2000.0, 8000.0]; "
