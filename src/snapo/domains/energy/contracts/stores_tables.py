@@ -13,7 +13,7 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, NoPosition
 from snapo.case.load import load
 from snapo.case.quantity import NOT_NEGATIVE, Quantity
-from snapo.case.table import CaseTable, NotNegative, TableContext, parse
+from snapo.case.table import CaseTable, TableContext, parse
 
 from ...gas_storage.read.limits import read_limits, small_move
 from ...gas_storage.read.tables import ContractTable, FileName
@@ -39,7 +39,7 @@ class StoresTable(CaseTable):
     net_injection: CaseInput | None = JOINT("largest joint flow into the stores", None)
     net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
     transfers: bool = Field(True, description="true or false")
-    inventory: list[NotNegative] | None = Field(
+    inventory: list[float] | None = Field(
         None,
         description="gas in store today in each of the stores, a list like [2000.0, 8000.0]; "
         "without it that of their files",
@@ -102,9 +102,7 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
         message = "allowed is the name of a TOML file next to the case"
         raise where.error("stores", name, message)
     if not re.fullmatch(r"\w[\w -]*", path.stem) or path.stem == JOINT_FLOW:
-        message = (
-            "allowed is a name of letters, digits, spaces, - and _"
-        )
+        message = "allowed is a name of letters, digits, spaces, - and _"
         raise where.error("stores", name, message)
     if not path.is_file():
         raise where.error("stores", name, "there is no such file next to the case")

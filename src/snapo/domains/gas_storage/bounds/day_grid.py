@@ -26,6 +26,7 @@ from ..references.day_terms import (
 from ..references.intrinsic import values_after
 from ..references.lattice_day import inventory_nodes
 from ..references.piecewise import PiecewiseLine, visited
+from . import day_code
 
 BENDS = 0.5  # most nodes at bends of the intrinsic value, of the regular ones
 SLIGHT = 1e-3  # bends below this part of the sharpest one are left out
@@ -70,7 +71,7 @@ class DayGrid(NamedTuple):
 
     - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: the gas without
       a flow, and the present value of keeping it.
-    - `buy`, `sell`, and the bends of each.
+    - `buy`, `sell`, and the bends of each; `code`: the same for machine code.
     """
 
     nodes: np.ndarray
@@ -81,6 +82,7 @@ class DayGrid(NamedTuple):
     sell: ReachableLevels
     buy_bends: Bends | None
     sell_bends: Bends | None
+    code: day_code.DayCode
 
 
 def day_grids(
@@ -167,6 +169,7 @@ def one_day(
         _reach(after, np.minimum(np.maximum(down, keep), up), up, up >= keep - near),
         _reach(after, down, np.maximum(np.minimum(up, keep), down), down <= keep + near),
         *(_bends(schedule, day_rates, t, nodes, after) if bends else (None, None)),
+        day_code.DayCode(),
     )
 
 
@@ -259,6 +262,8 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
     - `above`: the result, linear between nodes, is never below the value of the best flow from
       there; otherwise it equals that value at the nodes, and may be below it in between.
     """
+    if day_code.serves(after.shape[1]):
+        return day_code.best_value(day, prices.pay, prices.earn, after, above)
     keep = day.keep[:, None]
     buying = _less(after, day.after, prices.pay)
     selling = _less(after, day.after, prices.earn)
