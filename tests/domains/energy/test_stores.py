@@ -81,7 +81,7 @@ def best_plan(case: EnergyCase) -> float:
     day = case.day[::STORES]
     price, discount = case.market.forward_curve.used()[::STORES], np.exp(-0.03 * day / 365)
     below, zero, one = np.tri(count), np.zeros((count, count)), np.eye(count)
-    gains, rows, least, most, highest, constant = [], [], [], [], [], 0.0
+    gains, rows, lower, upper, highest, constant = [], [], [], [], [], 0.0
     for k, store in enumerate(contract.stores):
         held = np.zeros(count) if store.holding is None else store.holding.used() * discount
         later = np.append(np.cumsum(held[::-1])[::-1][1:], 0.0)
@@ -97,22 +97,22 @@ def best_plan(case: EnergyCase) -> float:
         low, high = (x.used()[1:].copy() for x in store.limits)
         if store.end is not None:
             low[-1] = high[-1] = float(store.end.used())
-        least.append(low - start)
-        most.append(high - start)
+        lower.append(low - start)
+        upper.append(high - start)
     rows.append(np.hstack([one, -one, one, -one, zero]))
     net = [
         np.full(count, 1e3) if x is None else x.used()
         for x in (contract.net_withdrawal, contract.net_injection)
     ]
-    least.append(-net[0])
-    most.append(net[1])
+    lower.append(-net[0])
+    upper.append(net[1])
     if not contract.transfers:
         for k in range(4):  # nothing flows out on a day of injections, and nothing in on others
             side = [one if i == k else zero for i in range(4)]
             largest = np.diag(highest[k])
             rows.append(np.hstack([*side, -largest if k % 2 == 0 else largest]))
-            least.append(np.full(count, -np.inf))
-            most.append(np.zeros(count) if k % 2 == 0 else highest[k])
+            lower.append(np.full(count, -np.inf))
+            upper.append(np.zeros(count) if k % 2 == 0 else highest[k])
     whole = np.repeat([0, 1], [4 * count, count])
     bounds = np.concatenate([*highest, np.ones(count)])
     result = milp(
@@ -120,7 +120,7 @@ def best_plan(case: EnergyCase) -> float:
         integrality=whole,
         bounds=(np.zeros(5 * count), bounds),
         constraints=LinearConstraint(
-            np.concatenate(rows), np.concatenate(least), np.concatenate(most)
+            np.concatenate(rows), np.concatenate(lower), np.concatenate(upper)
         ),
         options={"mip_rel_gap": 1e-9},
     )

@@ -70,8 +70,8 @@ class FeasibleSets(NamedTuple):
 
     low: Array
     high: Array
-    least: Array
-    most: Array
+    total_low: Array
+    total_high: Array
 
 
 class DailyFlows(NamedTuple):
@@ -102,7 +102,7 @@ class StoresContract(EnergyContract):
         flows = self._daily_flows(inputs)
         sets = _feasible(flows, *self._limits(inputs), self.transfers)
         count, levels = len(daily), len(self.layout.levels)
-        most = jnp.stack([flows.into, flows.out], axis=2)  # [T, stores, 2]
+        rates = jnp.stack([flows.into, flows.out], axis=2)  # [T, stores, 2]
         nothing = jnp.zeros((count, 2))
         price, money, largest = [], [], []
         for k, store in enumerate(self.stores):
@@ -111,10 +111,13 @@ class StoresContract(EnergyContract):
             cost = jnp.stack([use(inputs, x) for x in store.costs], axis=1)
             price.append((sign - fuel) * daily[:, None])
             money.append(-cost * daily[:, None])
-            largest.append([nothing] * k + [most[:, k]] + [nothing] * (STORES - 1 - k))
+            largest.append([nothing] * k + [rates[:, k]] + [nothing] * (STORES - 1 - k))
         low, high = self._level_limits(flows, sets)
-        none, again = jnp.zeros((count * STORES, levels)), np.zeros((count * STORES, levels), bool)
-        again[STORES - 1 :: STORES, STORES:] = True
+        none, restarts = (
+            jnp.zeros((count * STORES, levels)),
+            np.zeros((count * STORES, levels), bool),
+        )
+        restarts[STORES - 1 :: STORES, STORES:] = True
         steps = StepTerms(
             jnp.zeros((count * STORES, 2 * STORES)),
             _by_step(*(jnp.concatenate(x, axis=1) for x in largest)),
@@ -122,9 +125,9 @@ class StoresContract(EnergyContract):
             _by_step(*[jnp.concatenate(money, axis=1)] * STORES),
             low,
             high,
-            jnp.where(again, low, none),
+            jnp.where(restarts, low, none),
             none,
-            jnp.asarray(again),
+            jnp.asarray(restarts),
             jnp.zeros((count * STORES, len(self.layout.every_move))),
             promises=self._promises(flows, sets) if self.joint else None,
             of_levels=self._holding(inputs, daily),
@@ -169,11 +172,11 @@ class StoresContract(EnergyContract):
         """[steps, levels] after each step: of the first store those of the end of the day, of the
         second one those of its start until it has decided."""
         sides = []
-        for limit, own, net, sign in (
+        for limit, rate, net, sign in (
             (sets.low, flows.out, flows.net_out, -1.0),
             (sets.high, flows.into, flows.net_in, 1.0),
         ):
-            early = [limit[1:, 0], limit[:-1, 1], sign * own[:, 0]]
+            early = [limit[1:, 0], limit[:-1, 1], sign * rate[:, 0]]
             late = [limit[1:, 0], limit[1:, 1], sign * net]
             count = len(self.layout.levels)
             sides.append(_by_step(*(jnp.stack(x[:count], axis=1) for x in (early, late))))
@@ -183,17 +186,24 @@ class StoresContract(EnergyContract):
         """Limits of sums after each step, from which the second store can keep its own limits, the
         joint ones and those of the sum; see `SUMS`."""
         rows = jnp.array(self.layout.sums)
-        least, most, low, high = sets.least[1:], sets.most[1:], sets.low[1:, 1], sets.high[1:, 1]
+        bottom, top, low, high = (
+            sets.total_low[1:],
+            sets.total_high[1:],
+            sets.low[1:, 1],
+            sets.high[1:, 1],
+        )
         into, out = flows.into[:, 1], flows.out[:, 1]
-        never = -2.0 * (jnp.sum(sets.high[1:] + flows.into + flows.out, axis=1) + sets.most[:-1])
+        never = -2.0 * (
+            jnp.sum(sets.high[1:] + flows.into + flows.out, axis=1) + sets.total_high[:-1]
+        )
         if self.transfers:
-            ends = [least, -most, never, never]
-            modes = [[least - into, -most - out, low - flows.net_in, -high - flows.net_out]]
+            late_limits = [bottom, -top, never, never]
+            modes = [[bottom - into, -top - out, low - flows.net_in, -high - flows.net_out]]
         else:
-            ends, inward = [-most, never, never], [-most, never, -high]
-            modes = [inward, inward, [-most - out, -high - flows.net_out, never]]
+            late_limits, inward = [-top, never, never], [-top, never, -high]
+            modes = [inward, inward, [-top - out, -high - flows.net_out, never]]
         early = jnp.stack([jnp.stack(x, axis=1) for x in modes], axis=2)
-        late = jnp.stack([jnp.stack(ends, axis=1)] * len(modes), axis=2)
+        late = jnp.stack([jnp.stack(late_limits, axis=1)] * len(modes), axis=2)
         minimum = _by_step(early, late)
         return Promises(
             jnp.broadcast_to(rows, (len(minimum), *rows.shape)), minimum, jnp.ones(len(minimum))
@@ -224,13 +234,13 @@ def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> Fe
     """[T + 1] at the start of each day, and at the end. Without transfers nothing must be injected:
     limits are then kept by withdrawing, or by no flow."""
 
-    def tight(low: Array, high: Array, least: Array, most: Array) -> FeasibleSets:
-        least, most = jnp.maximum(least, jnp.sum(low)), jnp.minimum(most, jnp.sum(high))
+    def tight(low: Array, high: Array, bottom: Array, top: Array) -> FeasibleSets:
+        bottom, top = jnp.maximum(bottom, jnp.sum(low)), jnp.minimum(top, jnp.sum(high))
         return FeasibleSets(
-            jnp.maximum(low, least - high[::-1]),
-            jnp.minimum(high, most - low[::-1]),
-            least,
-            most,
+            jnp.maximum(low, bottom - high[::-1]),
+            jnp.minimum(high, top - low[::-1]),
+            bottom,
+            top,
         )
 
     def back(later: FeasibleSets, row):
@@ -239,8 +249,8 @@ def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> Fe
         now = tight(
             jnp.maximum(later.low - into, low),
             jnp.minimum(later.high + day.out, high),
-            later.least - net_in,
-            later.most + day.net_out,
+            later.total_low - net_in,
+            later.total_high + day.net_out,
         )
         return now, now
 
