@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.domains.gas_storage.references import reference_schedules as cases
 
-from snapo.domains.gas_storage.bounds import day_code
+from snapo.domains.gas_storage.bounds import day_code, day_grid
 from snapo.domains.gas_storage.bounds.day_grid import best_value, day_grids
 from snapo.domains.gas_storage.bounds.value_iteration import regular_grids
 from snapo.domains.gas_storage.references.day_terms import UnitPrices
@@ -19,7 +19,7 @@ def both(day, columns: int, above: bool, draw, monkeypatch) -> list[np.ndarray]:
     after = 20 * day.after[:, None] + 40 * draw.normal(size=(len(day.after), columns)).cumsum(0)
     results: list[np.ndarray] = []
     for serves in (day_code.serves, lambda columns: False):
-        monkeypatch.setattr(day_code, "serves", serves)
+        monkeypatch.setattr(day_grid, "serves", serves)
         results.append(best_value(day, prices, after.copy(), above))
     return results
 
