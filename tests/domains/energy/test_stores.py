@@ -191,8 +191,13 @@ def test_without_a_joint_limit_the_sum_of_both_stores(tmp_path):
     np.testing.assert_allclose(values, both, rtol=2e-5)
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("changes", [TIGHT, TIGHT | {"transfers": False}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        pytest.param(TIGHT, marks=pytest.mark.prove),
+        pytest.param(TIGHT | {"transfers": False}, marks=pytest.mark.study),
+    ],
+)
 def test_policy_and_bound_enclose_the_exact_value(changes, tmp_path):
     """The fitted rule at most 0.5 % below, the bound at most 1 % above; and the derivatives."""
     this = case(tmp_path, **changes)
@@ -219,7 +224,7 @@ def test_policy_and_bound_enclose_the_exact_value(changes, tmp_path):
     np.testing.assert_allclose(np.asarray(rollout.state.levels)[:, :2], 0.0, atol=1e-4)
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_without_a_joint_limit_value_deltas_and_bounds_are_sums(tmp_path):
     """Measured on paths, both stores apart by the methods of a gas store: within two errors."""
     measured = []
