@@ -106,7 +106,7 @@ def test_a_wrong_axis_says_how_it_is_written(axis, message):
 
 
 def test_axes_of_sobol_points_have_one_number_of_them():
-    with pytest.raises(CaseError, match="allowed is 5"):
+    with pytest.raises(CaseError, match="it must be 5"):
         sobol(sobol=6)
     with pytest.raises(CaseError, match="two axes have this key"):
         sobol(key="a.x")
@@ -239,7 +239,7 @@ def test_a_stress_moves_a_key_once_and_labels_are_no_results(tmp_path):
     stress = f'[[stress]]\nname = "a"\nset = {{ "{COST}" = 1.0 }}\nshift = {{ "{COST}" = 1.0 }}\n'
     with pytest.raises(CaseError, match="cannot be scaled or shifted as well"):
         read_book(write_book(tmp_path / "a", ROWS[:1], stresses=stress))
-    with pytest.raises(CaseError, match="give that of the table another one"):
+    with pytest.raises(CaseError, match="rename the column of the table"):
         read_book(write_book(tmp_path / "b", [{"name": "a", "value": 3}]))
 
 

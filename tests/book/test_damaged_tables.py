@@ -16,7 +16,7 @@ MOVES = (
     b"set contract.injection_cost,probability\nup,1.1,,,0.1\nwinter,,2.5,,0.2\ndear,,,0.07,0.3\n"
 )
 SAME = "the same numbers"
-NUMBER = "allowed is a finite number"
+NUMBER = "it must be a finite number"
 DATE = "there is no such day or month in the calendar"
 PERIOD = "two months or days with a slash"
 
@@ -57,7 +57,7 @@ FORMS = {
     "table twice": (lambda x: x + x, "line ., column .*: got '"),
     "cell missing": (lambda x: x.rstrip().rpartition(b",")[0], "line .: got . cells; the header"),
     "open quotation mark": (lambda x: x + b'"a', "line .: "),
-    "column twice": (headed(lambda x: x + b"," + x.rpartition(b",")[2]), "column is there twice"),
+    "column twice": (headed(lambda x: x + b"," + x.rpartition(b",")[2]), "column appears twice"),
 }
 PRICES = {
     "decimal commas": (lambda x: x.replace(b",", b";").replace(b".", b","), SAME),

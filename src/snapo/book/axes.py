@@ -188,7 +188,7 @@ def _sobol(
     count = tables[selected[0][0]].sobol or 0
     for i, _ in selected:
         if tables[i].sobol != count:
-            message = f"allowed is {count}, as above: the axes share their Sobol points"
+            message = f"it must be {count}, as above: the axes share their Sobol points"
             raise CaseError(file, f"{where[i]}.sobol", tables[i].sobol, message)
     engine = qmc.Sobol(len(selected), scramble=True, rng=np.random.default_rng(seed))
     # Sobol points come in powers of two.

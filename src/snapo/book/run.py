@@ -176,7 +176,7 @@ def _compute(
                 progress(f"{done:,} of {size:,} orders, {now - began:,.0f} s")
     except OSError as error:
         message = (
-            f"an answer cannot be written ({error.strerror}); --resume goes on from the others"
+            f"a result cannot be written ({error.strerror}); --resume continues from the others"
         )
         raise CaseError(str(driver.folder.path), "", None, message) from None
 

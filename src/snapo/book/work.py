@@ -166,7 +166,7 @@ def valuation(contract: OrderContract) -> "_Decided | _Calculated":
     if study.recalculated is not None:
         return _Calculated(contract, study.recalculated())
     raise ValueError(
-        f'a case of kind "{study.kind}" has neither a policy nor a process that a book values'
+        f'a case of kind "{study.kind}" has neither a policy nor a process that a book can value'
     )
 
 

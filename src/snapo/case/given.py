@@ -121,7 +121,7 @@ class CaseInput:
     - `positions`: [n] the position of each number in the files of the case; () where no reader
       recorded it.
     - `starts`: [n] day numbers from which the numbers hold, where they change with time.
-    - `quantity`: its declaration (`snapo.case.quantity`), where it has one.
+    - `quantity`: its declaration (`snapo.case.quantity`), if it has one.
     """
 
     name: str

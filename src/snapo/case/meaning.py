@@ -32,10 +32,10 @@ class Only:
 
     def why(self, tables: Tables) -> str:
         """The reason for a refusal."""
-        reason = f"this key has a meaning only {self.when}"
+        reason = f"this key is used only {self.when}"
         if self.instead is None:
             return reason
-        return f"{self.instead(tables)} does not use this key; it has a meaning only {self.when}"
+        return f"{self.instead(tables)} does not use this key; it is used only {self.when}"
 
 
 def conditions(field: FieldInfo) -> Iterator[Only]:

@@ -282,7 +282,7 @@ def _check_sizes(table: CaseTable, file: str, name: str) -> None:
     """Numbers that would overflow and overlong texts are a mistake in every key."""
     for key in table.model_fields_set:
         where = f"{name}.{key}" if name else key
-        message = f"allowed is {type(table).model_fields[key].description}"
+        message = f"it must be {type(table).model_fields[key].description}"
         for item in _plain(getattr(table, key)):
             if isinstance(item, str) and len(item) > LONGEST:
                 message += f"; no text of a case has more than {LONGEST:,} characters"
@@ -317,4 +317,4 @@ def _explain(table, data, file, name, item) -> CaseError:
         allowed += ", without quotation marks"
     if isinstance(value, float) and not math.isfinite(value):
         allowed += ", and finite"
-    return CaseError(file, where, value, f"allowed is {allowed}")
+    return CaseError(file, where, value, f"it must be {allowed}")

@@ -115,12 +115,12 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
             if step == len(here):
                 here.append(empty)
             elif last:
-                raise Unreadable(f"{key} is there twice")
+                raise Unreadable(f"{key} appears twice")
         else:
             if not isinstance(here, dict):
                 raise Unreadable(f"{key}: an entry of a list has a number, [0]")
             if last and step in here:
-                raise Unreadable(f"{key} is there twice")
+                raise Unreadable(f"{key} appears twice")
             here.setdefault(step, empty)
         here = here[step]  # pyright: ignore
         if not last and not isinstance(here, dict | list):

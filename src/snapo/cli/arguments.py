@@ -19,7 +19,7 @@ def seeds(text: str) -> int | tuple[int, ...]:
     if len(parts) > 1:
         return seeds
     if not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} seeds are none; allowed is 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} seeds are none; use 1 or more")
     return int(text)
 
 
@@ -95,7 +95,7 @@ def add_past(commands) -> None:
     )
     backtest = commands.add_parser(
         "backtest",
-        help="decide a gas store on past prices, with the prices until each day",
+        help="operate a gas store on past prices, with those up to each day",
         epilog="snapo backtest mystore --history prices",
     )
     backtest.add_argument(

@@ -131,7 +131,7 @@ class Workers:
                 self._fill(order_to_give, repeated, work, flight)
                 if not flight:
                     while self._are_broken() and (order := order_to_give()) is not None:
-                        yield order, Lost("the executor is broken, and cannot be made again")
+                        yield order, Lost("the executor is broken, and cannot be restarted")
                     return
                 done, _ = wait(flight, return_when=FIRST_COMPLETED)
                 blamed: set[_Worker] = set()

@@ -109,7 +109,7 @@ async def served(
     try:
         await server.start(port)
     except OSError as error:
-        subject = f"this machine cannot be listened to there ({error.strerror})"
+        subject = f"this machine cannot listen on that port ({error.strerror})"
         raise CaseError("--port", "", port, subject) from None
     ready()
     try:

@@ -205,7 +205,7 @@ class SavedScenarios:
             raise Refused("a scenario needs a name")
         result = slug(metadata)
         if not (self.folder / result).exists() and len(self.all()) >= MAXIMUM:
-            raise Refused(f"a run keeps {MAXIMUM} scenarios at most; forget one first")
+            raise Refused(f"a run keeps {MAXIMUM} scenarios at most; delete one first")
         made = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         record = {"id": result, "name": metadata, "made": made, "values": dict(values)}
         record |= {key: tables[key] for key in KEPT if key in tables}

@@ -197,7 +197,7 @@ def _no_value(name: str, values: Input, new: np.ndarray, invalid: int, paths: in
     where = np.flatnonzero(new.ravel() != values.value.ravel())
     i = int(where[np.argmax(np.abs(new.ravel() - values.value.ravel())[where])])
     message = (
-        "allowed is a number with which the simulator can calculate, such as the run's "
+        "it must be a number with which the simulator can calculate, such as the run's "
         f"{_said(values, values.value, i)}: here {_share(invalid, paths)} have no finite "
         "total, so there is no value"
     )

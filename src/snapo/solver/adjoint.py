@@ -63,7 +63,7 @@ def value_and_gradient(
     **Raises:** `ValueError` for other `decisions`.
     """
     if decisions not in ("held", "reacting"):
-        message = "allowed is 'held' or 'reacting'"
+        message = "it must be 'held' or 'reacting'"
         raise ValueError(f"value_and_gradient: decisions is {decisions!r}; {message}.")
     held = decisions == "held"
     bound = (engine or Xla(precision="float64")).bind(problem)

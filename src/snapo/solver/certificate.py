@@ -150,7 +150,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
         results.append(
             {
                 "family": name,
-                "inputs": "all by 1 %, in the mean",
+                "inputs": "all by 1 %, on average",
                 "worst_error": error / step,
                 "allowed": allowed / step,
                 "passed": verdict.source != UNKNOWN,

@@ -254,7 +254,7 @@ def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
     try:
         results = [checkpoint.load_named(run / GROUPS) for run in (first, second)]
     except checkpoint.CheckpointError:
-        return None, "independent: no values by group of paths are kept in one of the runs"
+        return None, "independent: one of the runs has no values by group of paths"
     (one, ours), (other, theirs) = results
     for key, text in (("source", "scenarios"), ("noise", "noise"), ("paths", "numbers of paths")):
         if ours[key] != theirs[key]:

@@ -45,7 +45,7 @@ class SuppliedPolicy:
     """A policy to begin with, before it is known whether it fits.
 
     - `source`: the run folder or the file, as the command names it; `file`: where it was read.
-    - `content`: the bytes of the file; `value`: that of its run, where it has one.
+    - `content`: the bytes of the file; `value`: that of its run, if it has one.
     - `arrays`: all of its numbers, in order; `text`: {place: kinds, sizes, functions}.
     """
 
@@ -190,7 +190,7 @@ def _seen(has: list[tuple[int, ...]], needs: list[tuple[int, ...]]) -> str:
     return f": its network takes {first[0]} numbers, and here there are {first[1]}"
 
 
-KEPT, GAIN = "given policy", "gain over the given policy"
+KEPT, GAIN = "given policy", "gain over the initial policy"
 
 
 def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:

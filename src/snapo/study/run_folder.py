@@ -193,7 +193,7 @@ def read(out: Path) -> dict[str, Any]:
         raise CaseError(str(file), "", None, message) from None
     if layout != LAYOUT:
         message = (
-            f"allowed is {LAYOUT}; another version of snapo wrote this run: solve the case again"
+            f"it must be {LAYOUT}; another version of snapo wrote this run: solve the case again"
         )
         raise CaseError(str(file), "layout", layout, message)
     return record

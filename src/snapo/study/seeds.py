@@ -298,7 +298,7 @@ def _trained(
 def _is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
     """Whether a folder has such a run of several seeds, or some of its trainings.
 
-    **Raises:** `CaseError` where it has one that differs by more than its seed.
+    **Raises:** `CaseError` if it has one that differs by more than its seed.
     """
     decides, _ = decided(loaded, out, requested)
     records = [out / run_folder.RUN, *sorted(out.glob(f"{TABLE}/*/{run_folder.RUN}"))]

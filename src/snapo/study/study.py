@@ -237,7 +237,7 @@ class Study:
         names = [part.name for part in self.parts]
         for position, part in enumerate(self.parts):
             if part.name in names[:position]:
-                raise ValueError(f"Study: two parts are called {part.name!r}.")
+                raise ValueError(f"Study: two parts are named {part.name!r}.")
             if unknown := set(part.needs) - set(names[:position]):
                 raise ValueError(f"Study: {part.name!r} needs {sorted(unknown)} before it.")
 

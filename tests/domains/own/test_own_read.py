@@ -128,10 +128,10 @@ MISTAKES = {
     "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "utility of a cost": (
         PLACE, '[objective]\n', '[[objective]]\nkind = "crra"\nrisk_aversion = 2\nwealth = 1\nweight = -1\n',
-        "objective.1.weight: got -1; a utility is of a quantity to be maximised",
+        "objective.1.weight: got -1; a utility is for a quantity to maximise",
     ),
     "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input is a"),
-    "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; allowed is a"),
+    "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; it must be a"),
     "no value": (PLACE, "value = 1,", "", "inputs.cost.value: this key is missing; give value ="),
     "both": (PLACE, "value = 1,", 'value = 1, file = "demand.csv",', "a value or a file, not both"),
     "column": (PLACE, 'column = "mean"', 'column = "median"', "column median is missing"),
@@ -139,7 +139,7 @@ MISTAKES = {
     "outside": (PLACE, '"demand.csv"', '"../demand.csv"', "must be in the folder of the case"),
     "key": (PLACE, "words = ", "word = ", "inputs.stock.word", "the nearest known key is words"),
     "table": (PLACE, "[training]", "[trainings]", "trainings", "the nearest known key is training"),
-    "move": (PLACE, "move = 1 ", "move = 0 ", "inputs.stock.move: got 0; allowed is a number other"),
+    "move": (PLACE, "move = 1 ", "move = 0 ", "inputs.stock.move: got 0; it must be a number other"),
     "own table": (PLACE, "[units]", "[simulator]\ndays = 3\n[units]", "no class method from_case"),
     "steps": (PLACE, "steps = 30", "steps = -30", "training.steps: got -30"),
 }  # fmt: skip

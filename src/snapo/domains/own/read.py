@@ -119,7 +119,7 @@ def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, P
         raise CaseError(str(file), where, data, message)
     table = parse(InputTable, data, str(file), where)
     if table.move == 0:
-        raise CaseError(str(file), f"{where}.move", 0.0, "allowed is a number other than 0")
+        raise CaseError(str(file), f"{where}.move", 0.0, "it must be a number other than 0")
     section = TableContext(file, where, notes)
     values, labels, locations = (_from_csv if table.file else _in_file)(section, table)
     attributes = {name: getattr(table, key) for key, name in ATTRIBUTES.items()}
@@ -156,7 +156,7 @@ def _from_csv(section: TableContext, table: InputTable) -> InputParts:
     if table.labels is not None:
         raise section.error("labels", table.labels, "a file labels its numbers by a column: label")
     if not table.column:
-        raise section.error("column", table.column, "allowed is the name of a column of the file")
+        raise section.error("column", table.column, "it must be the name of a column of the file")
     column, label = table.column.lower(), (table.label or "").lower()
     rows = read_rows(FileReference(section, "file", table.file), [c for c in (column, label) if c])
     values = np.array([row.number(column) for row in rows])
@@ -284,6 +284,6 @@ def _made(
     with importable(position.parent), readable(position):
         made: Any = maker(data, file.parent) if maker else simulator()  # pyright: ignore
     if not isinstance(made, Simulator):
-        message = f"from_case must return a simulator, and returns a {type(made).__name__}"
+        message = f"from_case must return a simulator, but returned a {type(made).__name__}"
         raise CaseError(str(position), "", None, message)
     return made

@@ -55,7 +55,7 @@ class Distributed:
     def note(self) -> str:
         """Why workers computed nothing; empty where they did."""
         if self.lost:
-            return f"Workers were not used after one order had no answer: {self.lost}."
+            return f"Workers were not used after one order returned no result: {self.lost}."
         if self.runs or not self.longest:
             return ""
         return (

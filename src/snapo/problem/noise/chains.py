@@ -88,7 +88,7 @@ class Empirical(Noise):
         values = concrete(self.values)
         if values is not None and (values.ndim not in (1, 2) or not len(values)):
             raise ValueError(
-                f"Empirical: values have shape {values.shape}; allowed is [n] or [n, K]."
+                f"Empirical: values have shape {values.shape}; it must be [n] or [n, K]."
             )
 
     def prepare(self) -> "Empirical":

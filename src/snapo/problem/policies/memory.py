@@ -75,7 +75,7 @@ class GRU(Memory):
         hidden: int | None = None,
     ):
         if hidden is not None and (not isinstance(hidden, int) or hidden < 1):
-            raise ValueError(f"GRU: hidden is {hidden!r}; allowed is a whole number above 0.")
+            raise ValueError(f"GRU: hidden is {hidden!r}; it must be a whole number above 0.")
         if hidden is None and action is not None:
             hidden = widths(action)[0] // 2
         self.hidden, self.action = hidden, action
@@ -139,7 +139,7 @@ class LastObservations(Memory):
     def __init__(self, steps: int, policy: Policy | None = None, width: int = 0):
         if not isinstance(steps, int) or steps < 2:
             raise ValueError(
-                f"LastObservations: steps is {steps!r}; allowed is a whole number of 2 or more."
+                f"LastObservations: steps is {steps!r}; it must be a whole number of 2 or more."
             )
         self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
         if isinstance(self.policy, Memory):

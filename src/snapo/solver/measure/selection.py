@@ -62,7 +62,7 @@ class Evaluation:
     def __post_init__(self):
         if self.scenarios not in SCENARIOS:
             allowed = " or ".join(map(repr, SCENARIOS))
-            raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; allowed is {allowed}.")
+            raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; it must be {allowed}.")
         for name in MINIMUM:
             count(f"Evaluation: {name}", getattr(self, name), MINIMUM[name])
 

@@ -99,7 +99,7 @@ class ConstantDecision(NamedTuple):
 
     @property
     def suffix(self) -> str:
-        """Its name behind a space, where it has one."""
+        """Its name behind a space, if it has one."""
         return f" ({self.name})" if self.name else ""
 
     @property

@@ -37,7 +37,7 @@ LONGEST = 15  # bars of the tornado
 ROWS = 400  # derivatives in the table; sensitivities.csv has all of them
 CAVEAT = (
     "To first order. The derivative is that of the best policy's value. Held: the exact simulator "
-    "with the decisions held, which is that derivative where decisions are optimal, see the whole "
+    "with the decisions held, which is that derivative where decisions are optimal, see the full "
     "state and cause no jump. Through the policy: a bump of the exact simulator by one percent, "
     "or by the step of the input, with the policy reacting, where it refutes the held one (at a "
     "level of 1 % for all inputs together). Range: at a kink, between the derivatives for less and "

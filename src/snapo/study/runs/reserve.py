@@ -45,7 +45,7 @@ def _check_links(home: Path, out: Path | None) -> None:
     try:
         same = out is not None and out.resolve() == home.resolve()
     except (OSError, RuntimeError):  # links in a circle
-        message = "this cannot be the name of a folder: its links go in a circle"
+        message = "this cannot be the name of a folder: its links form a circle"
         raise CaseError(str(out), "", None, message) from None
     if same:
         message = "this is the folder of the case; a run needs a separate folder"

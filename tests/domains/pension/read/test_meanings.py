@@ -189,7 +189,7 @@ def test_every_key_is_refused_where_it_means_nothing_and_only_there(mode):
 def test_tables_without_a_meaning_are_refused(table, case):
     places, message = refusal(MODES[case][0] | {table: CASES["everything"][table]})
     assert places == [table]
-    assert "does not use this key; it has a meaning only for" in message
+    assert "does not use this key; it is used only for" in message
 
 
 def test_all_mistakes_are_named_at_once():
@@ -197,7 +197,7 @@ def test_all_mistakes_are_named_at_once():
     places, message = refusal(FLOWS | {"plan": terms})
     assert places == ["plan.spouse_share", "plan.married_share", "plan.indexation.cap"]
     assert len(message.splitlines()) == 3
-    assert '0.05; "none" does not use this key; it has a meaning only with kind "capped"' in message
+    assert '0.05; "none" does not use this key; it is used only with kind "capped"' in message
 
 
 @pytest.mark.parametrize("size", DOMAIN.templates)

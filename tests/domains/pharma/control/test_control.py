@@ -158,7 +158,7 @@ def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
     head = page.partition("Quality attributes of one batch")[0]
     assert "Best fixed recipe" in page and result["verdict"] in head
     assert "All limits, best fixed recipe" in head
-    assert "Out of specification, recipe as given" in head
+    assert "Out of specification, original recipe" in head
     assert "reactor.temperature, K" in page and "Policy, median" in page
     # The controller on the same batches, as given and trained.
     first, tuned = loop["rules"]

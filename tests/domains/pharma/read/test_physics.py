@@ -30,10 +30,10 @@ REFUSED = {
         '"5000 K"', "from 100 to 1,000 K (25 degC is 298.15 K)"),
     "Celsius typed as kelvin": (
         'temperature = "323.15 K"\nrate', 'temperature = "25 K"\nrate', "25 degC is 298.15 K"),
-    "porosity 0.99": ("porosity = 0.4", "porosity = 0.99", "allowed is a number from 0.1 to 0.95"),
+    "porosity 0.99": ("porosity = 0.4", "porosity = 0.99", "it must be a number from 0.1 to 0.95"),
     "seed that fills the vessel": (
         'loading = "0.02 kg/m^3"', 'loading = "2000 kg/m^3"',
-        "units.crystalliser.seed: the seed takes 166.7 % of the volume; allowed is less than 50 %"),
+        "units.crystalliser.seed: the seed takes 166.7 % of the volume; it must be less than 50 %"),
     "negative solubility": (
         "coefficients = [226.9, -1.88, 3.89e-3]", "coefficients = [216.9, -1.88, 3.89e-3]",
         "units.crystalliser.solubility: at 278.15 K, which crystalliser reaches, it is -5."),

@@ -95,7 +95,7 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
         Column("Policy earns more", lambda x: WithError(x.less, x.less_error), sign=True),
     )
     blocks: list[Block] = [
-        ladder("rivals-ladder", bars, "Mean reward of an episode; more is better.", digits),
+        ladder("rivals-ladder", bars, "Mean reward of an episode; higher is better.", digits),
         table(rules, columns, "Classical rules on the paths of the policy", decimal_places=digits),
     ]
     if (best := result.optimum) is not None:

@@ -37,8 +37,8 @@ class MountainCar(Plant):
         "power": PlantParameter(0.0015, "1/step2", "acceleration of the engine at full power"),
         "gravity": PlantParameter(0.0025, "1/step2", "steepest pull of the hill"),
         "max_speed": PlantParameter(0.07, "1/step", "largest speed"),
-        "left": PlantParameter(-1.2, "1", "place of the left wall", False),
-        "right": PlantParameter(0.6, "1", "place of the right wall", False),
+        "left": PlantParameter(-1.2, "1", "position of the left wall", False),
+        "right": PlantParameter(0.6, "1", "position of the right wall", False),
         "goal": PlantParameter(0.45, "1", "place of the goal", False),
     }
     weights: ClassVar = {
@@ -56,7 +56,7 @@ class MountainCar(Plant):
         yield from super().faults(values)
         plant = values["plant"]
         if not plant["left"] < BOTTOM < plant["goal"] <= plant["right"]:
-            message = f"allowed is left < {BOTTOM:.3f} (the bottom of the valley) < goal <= right"
+            message = f"it must be left < {BOTTOM:.3f} (the bottom of the valley) < goal <= right"
             yield "plant.goal", float(plant["goal"]), message
 
     def initial(self, constants, noise):

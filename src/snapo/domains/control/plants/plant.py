@@ -169,7 +169,7 @@ class Plant(Simulator):
 
     def from_twin(self, p: PlantValues, observed: np.ndarray) -> np.ndarray:
         """[N, features] from the twin's observations [N, k]."""
-        raise NotImplementedError(f"{self.type} has no twin in Gymnasium.")
+        raise NotImplementedError(f"{self.type} has no counterpart in Gymnasium.")
 
     def to_twin(self, p: PlantValues, action: np.ndarray) -> np.ndarray:
         """[N, m] the twin's actions from decisions."""

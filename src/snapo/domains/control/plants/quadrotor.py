@@ -19,7 +19,7 @@ class Quadrotor(Plant):
     """
 
     type: ClassVar = "quadrotor"
-    description: ClassVar = "a quadrotor in the plane, flown to its place"
+    description: ClassVar = "a quadrotor in the plane, flown to its target"
     steps: ClassVar = 80
     parameters: ClassVar = {
         "mass": PlantParameter(0.5, "kg", "mass"),
@@ -30,7 +30,7 @@ class Quadrotor(Plant):
         "step": PlantParameter(0.03, "s", "time step"),
     }
     weights: ClassVar = {
-        "place": PlantParameter(1.0, "1/m2", "weight of the squared distance to the place", False),
+        "place": PlantParameter(1.0, "1/m2", "weight of the squared distance to the target", False),
         "speed": PlantParameter(0.1, "s2/m2", "weight of the squared speed", False),
         "tilt": PlantParameter(0.1, "1/rad2", "weight of the squared tilt", False),
         "spin": PlantParameter(0.01, "s2/rad2", "weight of the squared spin", False),

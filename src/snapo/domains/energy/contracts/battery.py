@@ -211,7 +211,7 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         intraday = replace(intraday.half_spread, unit=unit)
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
-        raise where.error("stored", stored, f"allowed is at most energy, {energy:g}")
+        raise where.error("stored", stored, f"it must be at most energy, {energy:g}")
     steps = bumps(energy, stored, (charge, discharge), cycles)
     day, term = (x and replace(x, judge_bump=steps[1]) for x in (cycles.day, cycles.term))
     ends = [one != following for one, following in zip(days, [*days[1:], None])]

@@ -91,10 +91,10 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
     )
     low, high = (float(x.values[0]) for x in (power.min, power.max))
     if low > high:
-        raise where.error("power.min", low, f"allowed is at most power.max, {high:g}")
+        raise where.error("power.min", low, f"it must be at most power.max, {high:g}")
     starts, before = _starts(where, table), where.nested(BeforeTable, table.before or {}, "before")
     if before.on is not None and before.off is not None:
-        raise where.error("before", table.before, "allowed is `off` or `on`, not both")
+        raise where.error("before", table.before, "it must be `off` or `on`, not both")
     first = (False, before.off or LONGEST) if before.on is None else (True, before.on)
     # A limit that no plant of these minimum times can reach is none.
     possible = -(-(len(days) + table.min_down) // (table.min_up + table.min_down))
@@ -138,10 +138,10 @@ def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
     for i, start in enumerate(starts):
         if not i and start.off > table.min_down:
             message = (
-                f"allowed is at most min_down = {table.min_down}, so that every start has a class"
+                f"it must be at most min_down = {table.min_down}, so that every start has a class"
             )
             raise where.error("starts.1.off", start.off, message)
         if i and start.off <= starts[i - 1].off:
-            message = f"allowed is more than that of the class before, {starts[i - 1].off}"
+            message = f"it must be more than that of the class before, {starts[i - 1].off}"
             raise where.error(f"starts.{i + 1}.off", start.off, message)
     return starts

@@ -213,11 +213,11 @@ class SwingContract(EnergyContract):
             raise where.error("nomination", None, message)
         if prices.kind not in ONE_FACTOR:
             allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
-            message = f"with an indexed strike allowed is {allowed}"
+            message = f"with an indexed strike it must be {allowed}"
             raise CaseError(str(where.file), "model.kind", prices.kind, message)
         first, month = delivery.dates[0], delivery.dates[0].replace(day=1)
         if delivery.end.day != 1:
-            message = "with an indexed strike allowed is the first day of a month"
+            message = "with an indexed strike it must be the first day of a month"
             raise where.error("end", delivery.end, message)
         if self.fixing is None and first != month:
             message = f"the index of {first:%Y-%m} was fixed before today: give it as `fixing`"

@@ -213,7 +213,7 @@ def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _origin(layout: ContractLayout, terms, i: int) -> float:
-    """A point of evenly spaced nodes: the limit of a level that only rises, where it has one, since
+    """A point of evenly spaced nodes: the limit of a level that only rises, if it has one, since
     the value bends wherever whole volumes lead to that limit; else zero."""
     limit, effects = terms.high[:, i], [flow.effects[i] for flow in layout.flows]
     effects += [move.changes[i] for move in layout.every_move]

@@ -250,7 +250,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     if second is None:
         if kind.hourly and top.model.get("kind") not in BY_HOUR:
             allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
-            raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
+            raise section.error("kind", top.model.get("kind"), f"by the hour it must be {allowed}")
         model = read_prices(section, top.model, delivery)
         check_curve(_curve_file(market_table), model, delivery)
         model = contract.priced(where, model, delivery)

@@ -96,7 +96,7 @@ def hours_of(where: TableContext, table: Any, valuation: datetime.date) -> Hours
     try:
         zone = ZoneInfo(table.time_zone)
     except (ZoneInfoNotFoundError, ValueError):
-        message = 'this is no name of a time zone such as "Europe/Berlin"'
+        message = 'this is not the name of a time zone, such as "Europe/Berlin"'
         raise where.error("time_zone", table.time_zone, message) from None
     first = max(_instant(where, "start", table.start, zone), _utc(valuation, zone))
     last = _instant(where, "end", table.end, zone)
@@ -125,11 +125,11 @@ def _instant(where: TableContext, key: str, value: Any, zone: ZoneInfo) -> datet
     """A date or a local time of the TOML file, in UTC."""
     if isinstance(value, datetime.datetime) and value.tzinfo is None:
         if value.minute or value.second:
-            raise where.error(key, value, f"allowed is {TIME}")
+            raise where.error(key, value, f"it must be {TIME}")
         return value.replace(tzinfo=zone).astimezone(datetime.UTC)
     if isinstance(value, datetime.date) and not isinstance(value, datetime.datetime):
         return _utc(value, zone)
-    raise where.error(key, value, f"allowed is {TIME}")
+    raise where.error(key, value, f"it must be {TIME}")
 
 
 def read_hourly(

@@ -98,12 +98,12 @@ def _correlation(section: TableContext, entries: list[Any]) -> float:
     if not entries:
         return 0.0
     if len(entries) > 1 or not isinstance(entries[0], list) or len(entries[0]) != 3:
-        raise section.error("correlation", entries, f"allowed is {CORRELATIONS}")
+        raise section.error("correlation", entries, f"it must be {CORRELATIONS}")
     one, other, rho = entries[0]
     if {one, other} != {FIRST, SECOND} if _texts(one, other) else True:
-        raise section.error("correlation", entries, f"allowed is {CORRELATIONS}")
+        raise section.error("correlation", entries, f"it must be {CORRELATIONS}")
     if isinstance(rho, bool) or not isinstance(rho, int | float) or not RHO.contains(rho):
-        raise section.error("correlation", rho, f"allowed is {RHO}")
+        raise section.error("correlation", rho, f"it must be {RHO}")
     return float(rho)
 
 

@@ -166,7 +166,7 @@ def run_backtest(
         if models is not None and start in due:
             estimate = models.estimate(date)
             if estimate.reason:
-                progress(f"note: {date}: the model before is kept: {estimate.reason}")
+                progress(f"note: {date}: the previous model is used: {estimate.reason}")
         if start:
             progress(f"{date}: solving again")
         tables = data if models is None else models.data

@@ -83,7 +83,7 @@ def _letters(result: StoreBacktest) -> dict[str, str]:
 def _outcome(result: StoreBacktest, case: StorageCase) -> Section:
     currency, digits = case.currency, decimals([result.realised, result.expected], 6)
     less = percent(result.share, 0)
-    note = f"{less} of drawn histories bring less; discounted to {long_date(case.valuation_date)}"
+    note = f"{less} of drawn histories have less; discounted to {long_date(case.valuation_date)}"
     difference, half = measured(result.realised - result.expected, result.error, digits, sign=True)
     context = f"{difference} {half} against the expectation; {PLUS_MINUS}."
     realised = money(result.realised, currency, digits)
@@ -351,14 +351,14 @@ def _estimates(result: StoreBacktest) -> Section:
         Column("Parameter", "parameter"),
         Column("Estimate", "estimate"),
         Column("95 % interval", "interval"),
-        Column("Why the model before was kept", "reason"),
+        Column("Why the previous model was used", "reason"),
     ]
     unchanged = [x for x in result.estimates if x.reason and not x.parameters]
     blocks: list[Block] = []
     if rows:
         caption = "The model, estimated again from the prices until each date"
         blocks.append(table(rows, columns, caption, by_row=True, folded=_folded(len(rows))))
-    blocks += [Text(f"{_day(x.date)}: the model before is kept: {x.reason}.") for x in unchanged]
+    blocks += [Text(f"{_day(x.date)}: the previous model is used: {x.reason}.") for x in unchanged]
     return Section("estimates", "Estimates of the model", "Model", blocks)
 
 

@@ -156,7 +156,7 @@ def summary(answer: Mapping[str, Any]) -> str:
 
 def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     yield f"{answer['days']} days from {answer['first']} to {answer['last']}"
-    less = f"{answer['share']:.0%} of drawn histories bring less"
+    less = f"{answer['share']:.0%} of drawn histories have less"
     yield f"{'realised':<20}{answer['realised']:>16,.2f}   {less}"
     interval = plus_minus(answer["standard_error"])
     spread = f"{interval} (95 %); standard deviation of one history {answer['deviation']:,.2f}"
@@ -191,7 +191,7 @@ def _estimates(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         text = "".join(f"{_interval(cells.get(name)):<32}" for name in names)
         yield f"{row['date']:<14}{row['prices']:>8,}  {text}".rstrip()
         if row["reason"]:
-            yield f"{'':<24}the model before is kept: {row['reason']}"
+            yield f"{'':<24}the previous model is used: {row['reason']}"
 
 
 def _interval(row: Mapping[str, Any] | None) -> str:

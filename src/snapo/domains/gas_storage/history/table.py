@@ -17,7 +17,7 @@ from snapo.case.table import CaseTable, Range, TableContext, parse
 
 NEVER, SPOT, BOTH = "never", "spot", "spot and curves"
 PERIODS = {"month": 1, "quarter": 3, "year": 12}  # in months
-ALLOWED = 'allowed is "never", "month", "quarter", "year", or a number of days'
+ALLOWED = 'it must be "never", "month", "quarter", "year", or a number of days'
 
 
 class BacktestTable(CaseTable):

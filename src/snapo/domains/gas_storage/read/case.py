@@ -74,7 +74,9 @@ def _forward(
         raise section.error("quotes", table.quotes, f"{message}quotes, one with product,price")
     if table.forward_curve is not None:
         if table.curve is not None:
-            raise section.error("curve", None, "it makes a curve from quotes; there are none")
+            raise section.error(
+                "curve", None, "this key makes a curve from quotes, but the case has none"
+            )
         return read_curve(section, table.forward_curve, days, unit), None
     assert table.quotes is not None
     forward = replace(FORWARD, unit=unit)

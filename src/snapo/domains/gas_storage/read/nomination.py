@@ -52,7 +52,7 @@ def check_nomination(where: TableContext, table: Any, objective: str, products: 
     if objective != "mean":
         message = (
             "a flow is paid at the forward price of its nomination, so that the "
-            f'objective "{objective}" is not known; allowed is the objective "mean"'
+            f'objective "{objective}" is not known; the objective must be "mean"'
         )
         raise where.error("nomination", None, message)
     if products is not None:

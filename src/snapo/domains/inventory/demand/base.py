@@ -79,7 +79,7 @@ class Demand(eqx.Module):
 
     def probabilities(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
         """The probabilities of demand 0, 1, …, without a tail of 1e-8."""
-        raise NotImplementedError(f"demand {self.kind!r} does not come in whole units.")
+        raise NotImplementedError(f"demand {self.kind!r} is not in whole units.")
 
     def integral(self) -> bool:
         """Whether every demand is a whole number."""

@@ -197,7 +197,7 @@ def _glossary() -> Table:
     rows = [
         ("P, Q", "real-world and risk-neutral scenarios; next to everything simulated"),
         ("Funding ratio F", "assets over liability, both at the same instant"),
-        ("Certainty equivalent", "the certain ratio with the same utility as the policy"),
+        ("Certainty equivalent", "the certainty-equivalent ratio of the policy"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),
         ("Hedge ratio", "rate sensitivity of assets and swaps over that of the liability"),
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),

@@ -41,7 +41,7 @@ CAPTION = (
     "Every point is the best policy for its mixture of both aims on the validation paths, of all"
     " that were trained on the way up and down, and measured on the same fresh paths; bars are"
     " 95 % intervals. Up and left is better. CVaR: mean of min(F − 1, 0) over the worst paths at"
-    " the horizon. Efficient: no other point asks for less and leaves less of a shortfall."
+    " the horizon. Efficient: no other point has both lower contributions and a smaller shortfall."
 )
 
 

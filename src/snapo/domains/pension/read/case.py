@@ -149,7 +149,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     if pots is not None:  # rights are earned no more: contributions go into pots
         rules = replace(rules, accruing=False)
     if supplied is not None and market["overlay"] is not None and market["overlay"].inflation:
-        message = "ready-made scenarios hold no break-evens: swaps of inflation need the models"
+        message = "ready-made scenarios contain no break-evens: swaps of inflation need the models"
         raise CaseError(str(file), "overlay.file", None, message)
     case = PensionCase(
         file=file,

@@ -247,7 +247,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     rows = [
         ("Trained policy", *_share(result.value, result.standard_error)),
         ("Best fixed recipe", *_share(result.baseline, result.baseline_error)),
-        ("Recipe as given", *_share(result.given, result.given_error)),
+        ("Original recipe", *_share(result.given, result.given_error)),
         ("Policy less best recipe", *_share(result.gain, result.gain_error)),
     ]
     head = [("", ""), ("Probability of all limits", "%"), ("", "")]
@@ -319,7 +319,7 @@ def _course(result: ControlCourse) -> Chart:
     lines = [
         ("Policy, median", result.policy),
         ("Best fixed recipe", result.values),
-        ("Recipe as given", result.given),
+        ("Original recipe", result.given),
     ]
 
     def paint(axes):
@@ -329,7 +329,7 @@ def _course(result: ControlCourse) -> Chart:
         axes.set_xlabel("Time at the end of each decision, min")
 
     svg = draw(f"course-{result.input}", "A control over time: the policy's median and its band "
-               "over batches, the best fixed recipe, and the recipe as given.", paint,
+               "over batches, the best fixed recipe, and the original recipe.", paint,
                220)  # fmt: skip
     text = "The band holds the middle four fifths of the policy's decisions over batches."
     return Chart(svg, f"{result.input}: {text}")

@@ -179,7 +179,7 @@ def _map(result: SpaceMap, at: Any, position: str, names: list[str]) -> Chart:
                "attribute that most often breaks its limits.", paint, 560, (1.2, 1.0))  # fmt: skip
     where = f" at {position}" if position else ""
     caption = (
-        f"Above: probability that a batch keeps all limits{where}, deeper is better, with its "
+        f"Above: probability that a batch keeps all limits{where}, darker is better, with its "
         "contours; the boundary of the required probability lies between the dotted lines at 95 %: "
         "it is certain within the inner one, and possible up to the outer one. Below: the "
         "attribute that most often breaks its limits."

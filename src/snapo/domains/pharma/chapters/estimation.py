@@ -305,7 +305,7 @@ def validation(run: RunFiles) -> Section:
         text = (
             f"A correct model exceeds the chi² of the fit with probability {percent(result.tail)}"
         )
-        end = "." if valid else ": the errors of the measurements, or the model, fall short."
+        end = "." if valid else ": the errors of the measurements, or the model, are inadequate."
         blocks.append(Text(text + end))
     return Section("validation", title, short, blocks)
 

@@ -280,7 +280,7 @@ def verification(run: RunFiles) -> Section:
     batch, attribution = ONE_BATCH.of(run), ATTRIBUTION.of(run)
     loops = [
         Text(
-            f"The loop {x.loop} is at its steady state: one more turn changes its torn "
+            f"The loop {x.loop} is at its steady state: one more iteration changes its tear "
             f"streams by a relative {power(x.change)}, after {x.rounds} rounds of "
             "Newton's method."
         )

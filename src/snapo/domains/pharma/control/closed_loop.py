@@ -145,7 +145,7 @@ def objective(case: PharmaCase) -> Objective:
 
 
 def in_words(goal: Goal) -> str:
-    """The objective as text, in the unit of the goal's attribute where it has one."""
+    """The objective as text, in the unit of the goal's attribute if it has one."""
     if goal.kind == "probability":
         return "probability of all limits"
     which = f"mean of the worst {1 - goal.level:.3g}" if goal.kind == "cvar" else "mean"

@@ -65,7 +65,7 @@ def read_rules(
         section = TableContext(file, f"control.rules[{i}]", notes)
         table = parse(RuleTable, item, str(file), section.name)
         if table.name in [rule.name for rule in rules]:
-            raise section.error("name", table.name, "this name is there twice")
+            raise section.error("name", table.name, "this name appears twice")
         read = _Loops(section, numbers, manipulated, sensors, units, timed)
         loops = tuple(read.loop(loop, k) for k, loop in enumerate(table.loops))
         for k, loop in enumerate(loops):
@@ -117,7 +117,7 @@ class _Loops:
         if table.gain is not None:
             gain = number(section, "gain", table.gain, per(manipulated, local), difference=True)
             if gain == 0:
-                raise section.error("gain", table.gain, f"allowed is {NOT_ZERO}")
+                raise section.error("gain", table.gain, f"it must be {NOT_ZERO}")
         if table.integral_time is not None:
             integral = number(section, "integral_time", table.integral_time, "s", POSITIVE)
         if setpoint is not None:

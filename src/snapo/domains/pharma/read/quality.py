@@ -210,7 +210,7 @@ def read_uncertainty(
         table = parse(UncertaintyTable, correlation, str(file), section.name)
         for entry in numbers.all(section, "of", table.of):
             if entry in which:
-                raise section.error("of", table.of, "this number is there twice")
+                raise section.error("of", table.of, "this number appears twice")
             if entry in fit.entries:
                 message = (
                     "the uncertainty of this number is part of its fit, from the file `fitted`"

@@ -97,7 +97,7 @@ def _read_moments(read: Reader) -> CaseInput:
     """[6] moments that some distribution of sizes has."""
     table, units = read.table, ["1/m3", *(f"m^{k}/m3" for k in range(1, 6))]
     if len(table.moments) != 6:
-        raise read.section.error("moments", table.moments, "allowed are six moments, 0 to 5")
+        raise read.section.error("moments", table.moments, "it must be six moments, 0 to 5")
     values = [
         quantity(read.section, f"moments[{k}]", raw, unit, POSITIVE)
         for k, (raw, unit) in enumerate(zip(table.moments, units))
