@@ -104,7 +104,7 @@ class BookTable(CaseTable):
 
 class Origin(NamedTuple):
     """Where the numbers of a contract are: the file of its case, the row of the table that changes
-    it, and the file of its market; None where it has none."""
+    it, and the file of its market; None if it has none."""
 
     case: Path
     row: Row | None = None

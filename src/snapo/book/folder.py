@@ -290,7 +290,7 @@ class BookFolder:
             raise
 
     def read(self, name: str) -> tuple[OrderAnswer, Cost] | None:
-        """The answer to the order of this name; None where there is no whole one."""
+        """The answer to the order of this name; None if there is no whole one."""
         try:
             data, cost = opened(self._answer(name).read_bytes())
             return OrderAnswer.unpack(data), cost

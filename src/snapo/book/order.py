@@ -202,7 +202,7 @@ class Delta(NamedTuple):
     """The held derivatives with respect to the `n` numbers of one input.
 
     - `labels`, `unit`: of the input; `blocks`: [32 to 64, n] of independent blocks of paths.
-    - `trusted`: whether no bump of the input refuted them; None where none was made.
+    - `trusted`: whether no bump of the input refuted them; None if none was made.
     """
 
     input: str
@@ -213,7 +213,7 @@ class Delta(NamedTuple):
 
     @classmethod
     def of_table(cls, table: Sensitivities | None) -> "tuple[Delta, ...]":
-        """The held derivatives of a table, none of none."""
+        """The held derivatives of a table; none if there is no table."""
         if table is None:
             return ()
         verdicts = table.verdicts or {}

@@ -22,7 +22,7 @@ MIN_JUDGED = 3  # of similar contracts
 def similarity_key(contract: BookContract) -> str:
     """Equal for contracts that most probably share compiled code: all but their numbers is equal.
 
-    It decides no more than the sequence; the shape of an answer is that of compiled code.
+    It only affects the sequence; the shape of an answer is that of compiled code.
     """
     term = contract.tables.get("contract", {})
     days = "start" in term and "end" in term and _days(term["start"], term["end"])
@@ -126,8 +126,8 @@ class BookPlan:
         return by_contract * sum(map(len, self.similar.values())) + tests
 
     def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
-        """All whose orders some contracts need, equal cases once: first those for whose answers
-        similar contracts wait, then the others."""
+        """All contracts whose orders are needed, equal cases once: first those that similar
+        contracts wait for."""
         first_of_case = {self.first_of_case[contract.name].name for contract in contracts}
         kinds = {self.similarity_keys[name] for name in first_of_case}
         groups = [
@@ -217,7 +217,7 @@ class BookPlan:
         return replace(order, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
 
     def further(self, base: BookOrder, answer: OrderAnswer) -> Iterator[BookOrder]:
-        """The other orders of a contract, in the sequence of the stresses; none where its base
+        """The other orders of a contract, in the sequence of the stresses; none if its base
         failed. `answer`: to the order `base`."""
         if answer.points[0].status != "ok":
             return

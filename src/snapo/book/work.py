@@ -208,7 +208,7 @@ class _Decided:
         return setup.solve(bar=False, check=isinstance(self.contract.domain, RunsCode))
 
     def _adopted(self) -> Policy | None:
-        """The policy with the trained numbers of a similar contract; None where there is none, or
+        """The policy with the trained numbers of a similar contract; None if there is none, or
         it does not fit."""
         if self.order.adopted is None:
             return None

@@ -109,7 +109,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 @dataclass(frozen=True)
 class FileReference:
-    """Where a case names a file: the table, the key, and the name itself."""
+    """A reference of a case to a file: the table, the key, and the name."""
 
     section: TableContext
     key: str

@@ -39,7 +39,7 @@ class Only:
 
 
 def conditions(field: FieldInfo) -> Iterator[Only]:
-    """All that must hold for a key to have a meaning."""
+    """All conditions for a key to have an effect."""
     return (item for item in field.metadata if isinstance(item, Only))
 
 

@@ -301,7 +301,7 @@ class CaseFiles:
             yield Cell(".".join(path), _terms(".".join(path)), (), number)
 
     def _table(self, name: str, path: tuple[str, ...]) -> Iterator[Cell]:
-        """The cells of a CSV that the case names; none where it cannot be read as one."""
+        """The cells of a CSV that the case names; none if it cannot be read as one."""
         section = TableContext(self.file, ".".join(path[:-1]), [])
         try:
             if (self.file.parent / name).stat().st_size > LARGEST:

@@ -141,8 +141,8 @@ def read_objective(
 def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) -> float:
     """`weight` of one of several objectives that are added up, 1 where it is left out.
 
-    A negative one makes of a measure of risk that of a cost (see `snapo.problem.objective`), which
-    a utility has not.
+    A negative weight turns a risk measure into that of a cost (see `snapo.problem.objective`), but
+    not a utility.
     """
     weight = data.get("weight", 1.0)
     if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:

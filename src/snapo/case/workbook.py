@@ -54,7 +54,7 @@ def _quoted(key: str) -> str:
 
 
 def is_kept(number: float) -> bool:
-    """Whether sixteen digits, as many as openpyxl writes, are all of a number's."""
+    """Whether a number is exact with sixteen digits, which is what openpyxl writes."""
     return float(f"{number:.16g}") == number
 
 

@@ -83,7 +83,7 @@ class Adjoint(NamedTuple):
 
     - `totals`: {output: [N]} of the forward sweep.
     - `policy`, `schedule`, `start`: derivatives of sum over paths and outputs of weight x total,
-      shaped like the policy, the schedule and the starting states (None where nothing is
+      shaped like the policy, the schedule and the starting states (None if nothing is
       differentiable). With weights [K, N] every leaf has a leading axis K.
     """
 

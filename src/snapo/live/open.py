@@ -35,7 +35,7 @@ class AboutRun(NamedTuple):
 
     @property
     def times(self) -> list[str] | None:
-        """The days of the steps, or the hours; None where they have only numbers."""
+        """The days of the steps, or the hours; None if they have only numbers."""
         if not self.local_times:
             return self.days
         hourly = self.step == "hour"

@@ -36,7 +36,7 @@ class MovedValue(NamedTuple):
 
 
 class PageTables(NamedTuple):
-    """The tables of a page or a scenario: None where one is not known.
+    """The tables of a page or a scenario: None if one is not known.
 
     - `values`, `chosen`: the moved inputs and choices by name; `policy`: its number or file.
     - `value`, `deltas`, `fans`, `today`, `sections`: the tables of `Moves.stages`.
@@ -54,7 +54,7 @@ class PageTables(NamedTuple):
 
     @property
     def choices(self) -> dict[str, Any]:
-        """The moved choices, none where they are not known."""
+        """The moved choices, none if they are not known."""
         return self.chosen or {}
 
 

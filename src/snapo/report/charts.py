@@ -1,4 +1,4 @@
-"""The charts of a report, each painted into given axes; numbers in, no knowledge of a domain."""
+"""The charts of a report, drawn into existing axes, without knowledge of a domain."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

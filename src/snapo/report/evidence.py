@@ -32,7 +32,7 @@ TOTAL = "of all parts, before this page"
 
 
 def check_marks(verdicts: Sequence[tuple[str, bool]], noun: str = "checks") -> list[Mark]:
-    """The verdict on all checks, with the names of those that fail; none where there are none.
+    """The verdict on all checks, with the names of those that fail; none if there are none.
 
     `verdicts`: (name, whether it holds); `noun`: for the reader.
     """
@@ -113,7 +113,7 @@ def with_verdicts(first: Section, run: RunFiles) -> Section:
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
-    """Whether training could still improve the policy, by its gradient; none where that is
+    """Whether training could still improve the policy, by its gradient; none if that is
     not known."""
     norm, noise = run.result.policy_gradient_norm, run.result.policy_gradient_noise
     if norm is None or noise is None:

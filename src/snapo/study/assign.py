@@ -62,7 +62,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def value_at(data: Mapping[str, Any], path: str) -> Any:
-    """The value of a key of a case; None where the case does not have it."""
+    """The value of a key of a case; None if the case does not have it."""
     position: Any = data
     for key in path.split("."):
         try:

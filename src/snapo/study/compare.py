@@ -47,7 +47,7 @@ class DerivativePair(NamedTuple):
 class Comparison:
     """How the second run differs from the first.
 
-    - `values`, `errors`: of the two; None where a run has no value.
+    - `values`, `errors`: of the two; None if a run has no value.
     - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.
     - `why`: one clause on why the runs are paired or not.
     - `settings`: everything that affects the numbers and differs.

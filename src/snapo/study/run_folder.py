@@ -140,7 +140,7 @@ def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dic
 
 
 def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The record of the run to resume in a folder, None where there is none yet.
+    """The record of the run to resume in a folder, None if there is none yet.
 
     **Raises:** `CaseError` where it was started with something else, or by an earlier version.
     """
@@ -316,7 +316,7 @@ def write_part(out: Path, part: Part, tables: Mapping[str, Any]) -> dict[str, An
 
 
 def read_part(out: Path, part: Part) -> dict[str, Any] | None:
-    """The tables of a part that was done before; None where its file is not there or damaged."""
+    """The tables of a part that was done before; None if its file is not there or damaged."""
     return read_table(out / PARTS / part.file)
 
 

@@ -48,7 +48,7 @@ class Trained(NamedTuple):
 class SeedRow(NamedTuple):
     """One seed in the table.
 
-    - `value`, `standard_error`: on the paths that all seeds share; None where training failed.
+    - `value`, `standard_error`: on the paths that all seeds share; None if training failed.
     - `below_best`, `below_best_error`: the difference to the best, paired path by path.
     - `within`: whether all limits of the problem are met, or nearly, on the run's paths.
     """
@@ -138,7 +138,7 @@ def _measured_on_others(setup: Setup) -> tuple[Problem, bool]:
 
 
 def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
-    """The values of independent groups of paths under a seed's policy; None where it has none."""
+    """The values of independent groups of paths under a seed's policy; None if it has none."""
     try:
         policy = Solution.load(item.folder, like=_setup(item.study).policy).policy
     except CheckpointError:

@@ -237,7 +237,7 @@ FORMATS = {
 
 
 def read_case(file: Path, data: Mapping[str, Any], position: tuple[str, str]) -> OwnCase:
-    """Reads all tables, then the code, so that a mistake in the file is found first."""
+    """Reads all tables, then the code, so that a mistake in the file is reported first."""
     table, name = parse(OwnTable, data, str(file), ""), str(file)
     parse(ReportTable, table.report, name, "report")
     notes: list[str] = []

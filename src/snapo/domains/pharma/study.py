@@ -84,7 +84,7 @@ def open_parts(case: PharmaCase) -> list[Part]:
 
 
 def sound(run: StudyRun) -> dict[str, Any]:
-    """Nothing else can be found out about a batch that could not be integrated."""
+    """A batch that could not be integrated has no other results."""
     batch = ONE_BATCH.of(run)
     if batch is None or batch.status != "ok":
         raise ArithmeticError(batch.status if batch else "there is no batch")

@@ -99,7 +99,7 @@ class Distributed:
     def _from_workers(
         self, runner: Runner, inputs: KernelInputs, edges: np.ndarray
     ) -> KernelMemory | None:
-        """The rows of all blocks and groups; None where an order was lost."""
+        """The rows of all blocks and groups; None if an order was lost."""
         groups = len(edges) - 1
         count = min(groups, self.workers.parallel)
         cuts = (groups * np.arange(count + 1) // count).tolist()

@@ -24,7 +24,7 @@ def binding() -> Any:
 
 
 def unavailable() -> str | None:
-    """The reason why there is no LLVM; None where there is one."""
+    """The reason why there is no LLVM; None if there is one."""
     try:
         version = importlib.import_module("llvmlite").__version__
         if tuple(int(part) for part in re.findall(r"\d+", version)[:2]) < OLDEST:

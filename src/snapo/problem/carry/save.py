@@ -273,9 +273,9 @@ class PolicyFileError(ValueError):
 class StoredPolicy(NamedTuple):
     """The content of a policy's file.
 
-    - `policy`: None where its class is user code, of which no file has the code.
+    - `policy`: None if its class is user code, of which no file has the code.
     - `described`: {position: text} of its kinds, sizes and functions; `leaves`: its arrays.
-    - `features`: the length of its observation, None where that is unknown.
+    - `features`: the length of its observation, None if that is unknown.
     """
 
     policy: Any

@@ -40,7 +40,7 @@ class _NoTextError(Exception):
 
 
 def described(*trees: Any) -> str | None:
-    """The text of some trees of JAX; None where a part of them has none."""
+    """The text of some trees of JAX; None if a part of them has none."""
     try:
         return "\n".join(part for tree in trees for part in _tree(tree))
     except _NoTextError:
@@ -48,7 +48,7 @@ def described(*trees: Any) -> str | None:
 
 
 def settings() -> str:
-    """JAX's settings and version, and the sources of snapo: what every trace depends on."""
+    """JAX's settings and version, and the sources of snapo: all that a trace depends on."""
     values = [f"{name}={getattr(jax.config, name, None)}" for name in SETTINGS]
     values.append(str(jax.dtypes.canonicalize_dtype(np.float64)))
     versions = [library.__version__ for library in (jax, jaxlib, eqx, np)]

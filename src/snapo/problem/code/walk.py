@@ -339,7 +339,7 @@ def _is_hashable(x: Any) -> bool:
 
 
 def _marshalled(items: tuple) -> bytes | None:
-    """A digest of plain numbers and texts; None where there is anything else."""
+    """A digest of plain numbers and texts; None if there is anything else."""
     try:
         return blake2b(marshal.dumps(items, 2)).digest()
     except ValueError:

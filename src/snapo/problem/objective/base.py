@@ -94,7 +94,7 @@ class Objective(abc.ABC):
         return functional.influence(self, self.used(totals))
 
     def certainty_equivalent(self, value: float) -> float | None:
-        """The certainty equivalent; None where the objective does not declare one."""
+        """The certainty equivalent; None if the objective does not declare one."""
         return None
 
     def used(self, totals: Totals) -> dict[str, np.ndarray]:

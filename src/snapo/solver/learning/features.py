@@ -150,7 +150,7 @@ def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
 
 
 def fixed(problem: Problem) -> FeatureScale | None:
-    """Over time and paths, of the features that no decision moves; None where there is none."""
+    """Over time and paths, of the features that no decision moves; None if there is none."""
     moved = _moved(problem)
     if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
         return None

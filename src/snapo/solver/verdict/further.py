@@ -176,7 +176,7 @@ def room(
     bounds: Mapping[str, Any] | None = None,
     exact: float | None = None,
 ) -> Room | None:
-    """What is known of a value; None where nothing is, or no more than `USEFUL` could say.
+    """What is known of a value; None if nothing is, or no more than `USEFUL` could say.
 
     - `bounds`: as `Bound.row` has it; `exact`: the exact value, which no policy exceeds.
     """

@@ -48,7 +48,7 @@ CAVEAT = (
 
 
 class ReportedInterval:
-    """The interval of a record with `low` and `high`, None where it is unknown."""
+    """The interval of a record with `low` and `high`, None if it is unknown."""
 
     low: float | None
     high: float | None
@@ -61,7 +61,7 @@ class ReportedInterval:
 
 @dataclass(frozen=True)
 class InputMove(ReportedInterval):
-    """The effect on the value when all numbers of an input move together; None where unknown.
+    """The effect on the value when all numbers of an input move together; None if unknown.
 
     - `words`, `group`: of the input; `numbers`: how many it has.
     - `amount`, `unit`: by how much every number moves, in the unit of the trade; `amount` is None
@@ -133,7 +133,7 @@ def direction(entry: Input) -> np.ndarray:
 
 
 def interval(table: Sensitivities, name: str, along: np.ndarray) -> dict[str, float | None]:
-    """The reported derivative along a direction as numbers of a table; None where unknown."""
+    """The reported derivative along a direction as numbers of a table; None if unknown."""
     names = ("effect", "low", "high", "sampling", "policy")
     numbers = table.along(name, along)
     return {key: float(x) if np.isfinite(x) else None for key, x in zip(names, numbers)}

@@ -64,7 +64,7 @@ def _explicit(home: Path, out: Path, resume: bool) -> Path:
 
 
 def _to_resume(home: Path, same: Callable[[Path], bool]) -> Path | None:
-    """The latest run that the command describes; None where there is no run at all.
+    """The latest run that the command describes; None if there is no run at all.
 
     **Raises:** `CaseError` where all runs are of another description, or it is being worked on.
     """

@@ -138,7 +138,7 @@ def samples():
 
 
 def with_key(data, name, key, value):
-    """The case with one more key; None where it has that key, or not that table."""
+    """The case with one more key; None if it has that key, or not that table."""
     above, _, inner = name.rpartition(".")
     table = data.get(above or inner) or {}
     table = (table.get(inner) or {}) if above else table

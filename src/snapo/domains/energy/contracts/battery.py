@@ -182,7 +182,7 @@ def bumps(
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
     """The least energy and cycles that keep volumes, halfway too, on the common measure of
-    all, on whose multiples methods have their nodes; of at least 1 %. None where they are more than
+    all, on whose multiples methods have their nodes; of at least 1 %. None if they are more than
     `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
     limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]

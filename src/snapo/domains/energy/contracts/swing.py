@@ -49,7 +49,7 @@ class SwingContract(EnergyContract):
     - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
     - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up from last year;
-      `older`: from the year before, None where units are lost after one year; `carry_max`,
+      `older`: from the year before, None if units are lost after one year; `carry_max`,
       `carried`: the most that is carried forward, and the amount by which this year's minimum is
       lower. None without that clause.
     - `sign`: 1 where the volume is bought at the strike, -1 where it is sold.

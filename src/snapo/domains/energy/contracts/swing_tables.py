@@ -276,7 +276,7 @@ def _check_bank(
 
 
 def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
-    """Least and most of a year, None where there is none, with their units."""
+    """Least and most of a year, None if there is none, with their units."""
     if annual is None:
         return None, None
     unit = f"{table.volume_unit}/year"

@@ -241,7 +241,7 @@ def _settled(after: list[np.ndarray], restarts) -> list[np.ndarray]:
 
 
 def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
-    """All levels to which extreme flows lead; None where they are too many.
+    """All levels to which extreme flows lead; None if they are too many.
 
     The nodes of a step are led to those of the next one and back until none is missing.
     """

@@ -36,7 +36,7 @@ class Settling(NamedTuple):
 
     @property
     def money(self) -> np.ndarray | None:
-        """[nodes after] that levels, settling and units made up earn; None where there is none."""
+        """[nodes after] that levels, settling and units made up earn; None if there is none."""
         if self.held is not None:
             return self.held[1] - self.lost
         return -self.lost if self.lost.any() else None
@@ -76,7 +76,7 @@ def settling(
 
 
 def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarray] | None:
-    """Money of the nodes before and after step t; None where levels have none."""
+    """Money of the nodes before and after step t; None if levels have none."""
     result = [np.zeros(1), np.zeros(1)]
     if terms.bank is not None:
         bank = terms.bank.at(t)

@@ -174,7 +174,7 @@ class EnergyCase:
     - `kind`: of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
       [T]: in years; `first_step`: steps from the valuation date to the first.
-    - `products`: the traded products; None where the case names none.
+    - `products`: the traded products; None if the case names none.
     - `scheduled`: the prices at auctions, of a contract that trades differences from its schedules
       intraday; else None, and `model` is the prices of all decisions.
     - `sources`: numbers of the case from which inputs are made.

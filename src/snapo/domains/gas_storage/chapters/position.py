@@ -47,7 +47,7 @@ class LowHigh:
     high: Floats = floats()
 
     def until(self, length: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """The first `length` of both; None where there are none."""
+        """The first `length` of both; None if there are none."""
         return (self.low[:length], self.high[:length]) if self.low.size else None
 
 

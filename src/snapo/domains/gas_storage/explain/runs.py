@@ -30,7 +30,7 @@ FIXED = "snapo explain needs flows that are decided at delivery: leave this key 
 class ValuedRun:
     """A run that came to its end: its case, and the value in its result.json.
 
-    - `shares` [G]: of independent groups of paths in the value, None where they are not saved.
+    - `shares` [G]: of independent groups of paths in the value, None if they are not saved.
     """
 
     folder: Path
@@ -171,7 +171,7 @@ class LaterPaths(Pseudo):
 def later_paths(
     source: Scenarios, earlier: Simulator, later: Simulator, passed: int
 ) -> LaterPaths | None:
-    """The paths of `earlier` after the first `passed` of its days; None where no shift gives
+    """The paths of `earlier` after the first `passed` of its days; None if no shift gives
     them."""
     if type(source) is not Pseudo:
         return None

@@ -1,4 +1,4 @@
-"""The report of a back-test: what was realised against the expectation, with and without hedges."""
+"""The report of a back-test: realised result against expectation, with and without hedges."""
 
 import datetime
 from string import ascii_uppercase

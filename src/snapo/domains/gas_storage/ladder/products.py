@@ -1,4 +1,4 @@
-"""`[products]`: the traded products, until when, and what a trade costs.
+"""`[products]`: the traded products, the last trading days, and the cost of a trade.
 
     [products]
     day_ahead = { bid_offer = 0.05 }

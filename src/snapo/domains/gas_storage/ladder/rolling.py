@@ -88,7 +88,7 @@ class FlatContract(Protocol):
         ...
 
     def end_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray | None:
-        """The same of levels at its end, before settling; None where there is none."""
+        """The same of levels at its end, before settling; None if there is none."""
         ...
 
     def discount(self, first: int, after: int) -> np.ndarray:

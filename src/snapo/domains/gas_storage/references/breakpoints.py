@@ -23,7 +23,7 @@ def breakpoints(
 ) -> list[np.ndarray] | None:
     """[T + 1] rising inventories of each day and of the end date, with both ends of each interval.
 
-    `low`, `high`: [T + 1] of these intervals, see `piecewise.visited`. None where rates depend on
+    `low`, `high`: [T + 1] of these intervals, see `piecewise.visited`. None if rates depend on
     the inventory, where gas is lost, and where a day has more than `maximum`.
     """
     steps = schedule.steps

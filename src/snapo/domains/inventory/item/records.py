@@ -22,7 +22,7 @@ class Item:
       limited.
     - `holding`, `shortage`, `purchase`, `ordering`: costs by unit held, unit short, unit ordered,
       order.
-    - `stock`, `coming`: at the start, None where the start is the usual one.
+    - `stock`, `coming`: at the start, None if the start is the usual one.
     """
 
     lost: bool

@@ -199,7 +199,7 @@ def _check(
 def _pools(
     file: Path, notes: list[str], tables: list[Any], rows: list[PlaceTable], money: str
 ) -> tuple[tuple[Pool, ...], CaseInput | None]:
-    """The pools of stores, and the cost of a unit moved in each; None where there are none."""
+    """The pools of stores, and the cost of a unit moved in each; None if there are none."""
     names, sell = [row.name for row in rows], [row.name for row in rows if row.demand is not None]
     pools, costs = [], {}
     for i, item in enumerate(tables):

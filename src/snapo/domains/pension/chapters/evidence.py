@@ -73,7 +73,7 @@ def measure(run: StudyRun) -> tuple[MarketTest, ...]:
     """Discounted values and their expectations, with the trained policy.
 
     The scenarios are "Q" for any measure of the case, without the cost of hedging currencies,
-    which is paid to no one. Costs count where they are paid. None where scenarios are supplied;
+    which is paid to no one. Costs count where they are paid. None if scenarios are supplied;
     appraised values and bases with a spread are no prices.
     """
     case, setup = case_of(run), run.setup

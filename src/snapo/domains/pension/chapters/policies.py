@@ -64,7 +64,7 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
     standard error comes from the differences path by path. The classical policies take as many
     steps of training as the network did, those that follow the funding ratio on top of the
-    constant mix from which they start; of each the best along the way is kept. The present mix,
+    constant mix from which they start; of each the best one is used. The present mix,
     rebalanced at every step and yearly, is held unchanged: it may leave the bounds.
     """
     return tuple(compare(run.setup, run.solution, run.progress))

@@ -63,7 +63,7 @@ def usual_move(entry: Input) -> UsualMove:
 
 @dataclass(frozen=True)
 class MoveEffect(ReportedInterval):
-    """The effect of a usual move on the objective; None where not known.
+    """The effect of a usual move on the objective; None if not known.
 
     - `effect`, `low`, `high`, `sampling`, `policy`, `source`: of the reported derivative, as in
       `study.chapters.sensitivities.InputMove`.

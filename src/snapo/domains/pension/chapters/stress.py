@@ -160,7 +160,7 @@ def _by_tenor(curve: MarketCurve, lines: Sequence[Shock], rates: np.ndarray) -> 
 def stressed(
     case: PensionCase, before: dict[str, Any], scenario: Stressed, notional: np.ndarray
 ) -> StressedBalance:
-    """Assets, liabilities and funding ratio at once after a shock, present holdings kept."""
+    """Assets, liabilities and funding ratio immediately after a shock, with present holdings."""
     after = before | {
         name: np.asarray(values, np.float64) for name, values in scenario.values.items()
     }

@@ -53,7 +53,7 @@ class Projection(NamedTuple):
     - `accrued`: [N] money paid in each step out of rights accrued by time 0.
     - `fresh`: [T, N], row t: out of the accrual of step t, per unit of wages over indexation.
     - `payroll`: [T+1] salaries of each step at wages of time 0.
-    - `streams`: their components; None where the case gives cash flows.
+    - `streams`: their components; None if the case gives cash flows.
     """
 
     accrued: Array

@@ -112,7 +112,7 @@ def _risk(row: Row, of: AssetClass) -> str:
 
 
 def _limit(rows: Sequence[Row], column_name: str, default: float) -> np.ndarray | None:
-    """A column of shares from 0 to 1; None where no row has one."""
+    """A column of shares from 0 to 1; None if no row has one."""
     if not any(row.cells.get(column_name) for row in rows):
         return None
     return np.array([number(row, column_name, default, 0.0, 1.0) for row in rows])

@@ -108,7 +108,7 @@ class _Reader:
         return result
 
     def optional_table(self, kind: type[AnyTable], name: str) -> AnyTable | None:
-        """The table `name`, or None where the case has none."""
+        """The table `name`, or None if the case has none."""
         return self.table(kind, name) if name in self.read else None
 
 

@@ -108,7 +108,7 @@ def read_indexation(section: TableContext, table: IndexationTable) -> Indexation
 
 
 def read_revaluation(section: TableReader, table: RevaluationTable | None) -> Revaluation | None:
-    """Rates of increase before payment; None where rights grow as pensions in payment do."""
+    """Rates of increase before payment; None if rights grow as pensions in payment do."""
     if table is None:
         return None
 
@@ -223,5 +223,5 @@ def read_frontier(
 
 
 def read_reconcile(table: ReconcileTable | None) -> Reconcile | None:
-    """The actuary's figures, where given."""
+    """The actuary's figures, if specified."""
     return None if table is None else Reconcile(table.liability, table.duration, table.tolerance)

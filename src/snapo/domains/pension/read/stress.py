@@ -50,7 +50,7 @@ def read_shocks(case: PensionCase) -> tuple[Shock, ...]:
 
 
 def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
-    """The same for the table of a TOML file that was read already; None where it has none."""
+    """The same for the table of a TOML file that was read already; None if it has none."""
     if data is None:
         return ()
     table = parse(StressTable, data, str(case.file), "stress")

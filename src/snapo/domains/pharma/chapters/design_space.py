@@ -33,7 +33,7 @@ class SpaceMap:
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
-    - `levels`: of contours; `required`: probability. `box`: the largest inside, None where the set
+    - `levels`: of contours; `required`: probability. `box`: the largest inside, None if the set
       point itself does not do. `ends`: of the space along the lines of the map.
     """
 

@@ -147,7 +147,7 @@ def optimal(request: Optimise, values: Sequence[float]) -> dict[Entry, float]:
 
 def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecipe:
     """Decisions, limits and ramps with their multipliers, the probability to keep all limits before
-    and after, and how the answer was found. User units."""
+    and after, and how the solution was computed. User units."""
     recipe, conditions = optimum.recipe, optimum.recipe.conditions
     start = np.array([decision.start for decision in request.decisions])
     (first, before), (last, after) = (_at(run, request, x) for x in (start, recipe.x))

@@ -38,7 +38,7 @@ def measure_pairs(run: StudyRun) -> tuple[Pair, ...]:
 
 
 def _ends(parameter: Parameter, proven: AcceptableRange) -> tuple[float, float] | None:
-    """The ends of a range in the domain's unit; None where the set point itself fails."""
+    """The ends of a range in the domain's unit; None if the set point itself fails."""
     if proven.low is None or proven.high is None:
         return None
     scale, offset = parameter.scale, parameter.offset

@@ -135,7 +135,7 @@ def largest_box(
     """The largest box between grid points that holds the set point and only good points.
 
     Exact search: every pair of grid points on each axis that encloses `nominal` (the case's units),
-    points counted by a summed-area table. None where the set point's cell is not good.
+    points counted by a summed-area table. None if the set point's cell is not good.
     """
     invalid = np.pad(
         (result.at.probability < required).astype(np.int64), [(1, 0)] * len(result.axes)

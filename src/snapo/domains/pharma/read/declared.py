@@ -79,7 +79,7 @@ class UnitQuantity(Quantity):
         return text + (nodes if self.form == "profile" else "")
 
     def read(self, raw: Any, key: KeyContext) -> Any:
-        """What the field holds; None where the key has no value."""
+        """What the field holds; None if the key has no value."""
         if raw is None:
             return None
         table, bounds = key.table, self.range

@@ -27,7 +27,7 @@ class Seed(TableRecord):
 
     One of the two is None; moments are m^k/m3, k = 0..5.
     `size` is the mean by number and `spread` the standard deviation as a share of it, of a
-    lognormal distribution; None where all are of one size.
+    lognormal distribution; None if all are of one size.
     """
 
     loading: CaseInput | None = CONCENTRATION("loading", None, example="0.02 kg/m^3")
