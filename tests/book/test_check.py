@@ -109,8 +109,8 @@ def test_a_book_is_not_a_case(tmp_path, capsys, command):
 
 
 RESULTS = {
-    "": "result.json, line 1: this is not JSON",
-    '{"sums": [': "result.json, line 1: this is not JSON",
+    "": "result.json, line 1: this is not valid JSON",
+    '{"sums": [': "result.json, line 1: this is not valid JSON",
     "[1]": "result.json: got [1]; a table is expected; this file was changed",
     "{}": "result.json, title: this key is missing; this file was changed",
 }
@@ -144,7 +144,7 @@ def test_a_damaged_folder_says_what_is_wrong(valued, tmp_path, monkeypatch):
         assert message(lambda text=text: result.write_text(text)).startswith(expected)
     assert message(result.unlink).startswith("result.json: this book has no results yet")
     assert message(record.unlink) == "book.json: this is not the folder of a book."
-    assert "book.json, line 1: this is not JSON" in message(lambda: record.write_text("x"))
+    assert "book.json, line 1: this is not valid JSON" in message(lambda: record.write_text("x"))
     assert "book.json, layout: got 7; it must be 1" in message(
         lambda: record.write_text('{"layout": 7}')
     )

@@ -188,7 +188,7 @@ def test_scale_and_shift_of_a_row_in_either_order(folders):
     [
         (
             'table = "moves.csv"\nname = "a"',
-            r"stress\[1\]\.name: got 'a'; a stress with a table has",
+            r"stress\[1\]\.name: got 'a'; a stress with a table takes",
         ),
         ('name = "a"\nset = { "a.b" = 1 }\nwhen = "2025-01/2025-01"', r"stress\[1\]\.when: got"),
         ('name = "base"\nset = { "a.b" = 1 }', "the name of the unstressed point"),

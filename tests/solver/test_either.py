@@ -109,8 +109,8 @@ def test_bounds_and_imitations_take_either():
     [
         ({"horizon": 5.0}, "horizon is 5.0; it must be a whole number of at least 1"),
         ({"horizon": "5"}, "horizon is '5'; it must be a whole number of at least 1"),
-        ({"horizon": -1}, "horizon is -1; allowed"),
-        ({"horizon": True}, "horizon is True; allowed"),
+        ({"horizon": -1}, "horizon is -1; it must be"),
+        ({"horizon": True}, "horizon is True; it must be"),
         ({"noise_size": 1.5}, "noise_size is 1.5; it must be a whole number of at least 0"),
     ],
 )

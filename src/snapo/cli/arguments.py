@@ -91,7 +91,7 @@ def add_past(commands) -> None:
         "--run",
         metavar="RUN",
         type=Path,
-        help="a run with this model, whose value gets the interval due to the estimates",
+        help="a run with this model: adds the interval of its value due to the estimates",
     )
     backtest = commands.add_parser(
         "backtest",

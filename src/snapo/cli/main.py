@@ -147,7 +147,7 @@ def _add_solve(commands) -> None:
         "--policy",
         metavar="RUN",
         type=Path,
-        help="start from the policy of this run, or of a file of policy.save",
+        help="start from the policy of this run, or of a file that policy.save wrote",
     )
     solve.add_argument(
         "--seeds",
@@ -282,7 +282,7 @@ def _add_export(commands) -> None:
     export.add_argument("run", metavar="RUN", type=Path, help=RUN)
     export.add_argument("--onnx", action="store_true", help="as an ONNX graph, policy.onnx")
     export.add_argument(
-        "--table", action="store_true", help="decisions at observations of a run, policy.csv"
+        "--table", action="store_true", help="as a table of observations and decisions, policy.csv"
     )
     export.add_argument(
         "--python", action="store_true", help="as a Python file that needs NumPy only, policy.py"
@@ -327,7 +327,7 @@ def _add_runs(commands) -> None:
         help="runs to remove: their names, or the last four characters of these",
     )
     runs.add_argument(
-        "--keep", metavar="N", type=whole_number, help="remove all but the last N, and the latest"
+        "--keep", metavar="N", type=whole_number, help="remove all but the last N; the latest stays"
     )
 
 

@@ -287,8 +287,8 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (
-            f"; their standard deviation is {spread}, and {half} comes from these paths, for all "
-            "of them alike"
+            f"; their standard deviation is {spread}, and {half} of it is due to these "
+            "paths, which are common to all"
         )
     return f"{text}. This page is the run of seed {result['best']}."
 

@@ -158,7 +158,7 @@ def test_blocks_follow_the_local_clock():
         ({"contract.auction": {"step": "5h"}}, "auction.step: got '5h'; it must be .1h., .2h"),
         ({"contract.auction": {"at": "00:00"}}, "auction.step"),
         ({"contract.auction": {"step": "4h"}, "objective": {"kind": "cvar", "level": 0.1}},
-         'it must be the objective "mean"'),
+         'the objective must be "mean"'),
     ],
 )  # fmt: skip
 def test_mistakes_of_auctions_are_named(changes, message):

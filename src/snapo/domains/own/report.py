@@ -17,7 +17,7 @@ from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
 CAVEAT = (
-    "Met nearly: missed by less than the half width of the interval, or by a thousandth of one "
+    "Nearly met: missed by less than the half width of the interval, or by a thousandth of one "
     "path's deviation. Level raised by one unit changes the objective by its shadow price, from "
     "derivatives on fresh paths with respect to the policy; a limit with slack has none. "
     "Sensitivities are those of the best value within the limits."

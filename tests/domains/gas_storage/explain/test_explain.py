@@ -241,7 +241,7 @@ def test_a_run_without_a_value(tmp_path, monkeypatch):
 def test_runs_of_two_currencies():
     first, second = run_of("quick"), run_of("quick")
     other = replace(second, case=replace(second.case, currency="USD"))
-    with pytest.raises(CaseError, match="it must be the same unit"):
+    with pytest.raises(CaseError, match="both must have the same unit"):
         check_pair(first, other)
 
 

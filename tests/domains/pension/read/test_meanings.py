@@ -175,7 +175,7 @@ def test_every_key_is_refused_where_it_means_nothing_and_only_there(mode):
             where = f"{name}.{key}"
             assert len(places) == 1 and places[0] in (where, name), message
             assert f"case.toml, {places[0]}:" in message
-            assert "has a meaning only" in message, message
+            assert "is used only" in message, message
             found.add(where)
     assert tried > 60
     assert found == expected

@@ -45,7 +45,7 @@ def test_what_is_measured_must_be_known_in_time():
 @pytest.mark.parametrize(
     ("of", "low", "high", "words"),
     [
-        ("charge.volume", "50 L", "70 L", "none of a unit"),
+        ("charge.volume", "50 L", "70 L", "does not belong to a unit"),
         ("crystalliser.seed.size", "10 um", "30 um", "fields that change over time"),
     ],
 )

@@ -182,7 +182,7 @@ MISTAKES = {
     ),
     "shares that do not rise": (
         'ramp = "0.6 K/min" }', 'at = [0, 0.6, 0.5, 1] }',
-        "units.crystalliser.temperature.at: got [0, 0.6, 0.5, 1]; the shares must rise from 0 "
+        "units.crystalliser.temperature.at: got [0, 0.6, 0.5, 1]; the shares must increase from 0 "
         "to 1.",
     ),
     "ramp that is a temperature": (

@@ -122,8 +122,8 @@ def show(run: RunFiles, plane: Plane) -> Sequence[Block]:
     caption = f"{count} paths; a dot is an initial state, a ring a terminal one."
     if plane.action.size:
         caption += (
-            " Behind them the decision of the first step: blue is the lowest, orange the highest, "
-            "paper the middle."
+            " The background is the decision of the first step: blue is the lowest, orange "
+            "the highest, no colour the middle."
         )
     blocks: list[Block] = [Chart(svg, caption)]
     if any(plane.turn):

@@ -45,7 +45,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
     if table.intraday is None:
         where.notes.append(
             "contract.auction: flows are fixed at the auctions. Prices and money on paths are "
-            "those seen then, and spread less than the spot prices of the hours."
+            "those at that time, and vary less than the spot prices of the hours."
         )
     zone, step = ZoneInfo(table.time_zone), int(auction.step[:-1])
     instants = (*hours.instants, hours.instants[-1] + datetime.timedelta(hours=1))

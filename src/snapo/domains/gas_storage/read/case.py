@@ -70,7 +70,7 @@ def _forward(
 ) -> tuple[CaseInput, QuotedCurve | None]:
     """The forward price of each of `days`, from a curve or from quotes."""
     if (table.forward_curve is None) == (table.quotes is None):
-        message = "[market] has one of the two: forward_curve, a CSV file of date,price, or "
+        message = "[market] needs exactly one of: forward_curve, a CSV file of date,price, or "
         raise section.error("quotes", table.quotes, f"{message}quotes, one with product,price")
     if table.forward_curve is not None:
         if table.curve is not None:
@@ -179,10 +179,10 @@ def _by_price(case: StorageCase) -> Iterator[Plausible]:
     yield Plausible(low, high, hint, names=("forward_curve",), ratio=APART, by_size=True)
     highest = float(np.max(np.abs(case.market.forward_curve.values), initial=0.0))
     if highest > 0:
-        paid = f"a cost is in {name}, and the most expensive gas costs {highest:.6g}"
+        paid = f"a cost is in {name}, and the highest gas price is {highest:.6g}"
         names = ("injection_cost", "withdrawal_cost")
         yield Plausible(0.0, 3 * highest, paid, names=names, by_size=True)
-        paid = f"it is in {name} a day, and the most expensive gas costs {highest:.6g}"
+        paid = f"it is in {name} a day, and the highest gas price is {highest:.6g}"
         yield Plausible(0.0, highest / 20, paid, names=("inventory_cost",), by_size=True)
 
 

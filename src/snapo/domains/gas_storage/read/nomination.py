@@ -35,7 +35,7 @@ def nominated_on(
     nomination = where.nested(NominationTable, table.nomination, "nomination")
     where.notes.append(
         "contract.nomination: flows are fixed days before them. Prices and cash flows on paths are "
-        "those seen then, and spread less than on the days of the flows."
+        "those at that time, and vary less than on the days of the flows."
     )
     if nomination.calendar == "every-day":
         return tuple(date - datetime.timedelta(nomination.days) for date in dates)

@@ -194,7 +194,7 @@ def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block
     head = [("Scenario", ""), ("Assets", unit), ("Liability", unit), ("Surplus", unit)]
     head += [("Funding ratio", "%"), ("Change", "points")]
     caption = (
-        "Instantaneous and fully revalued, with unchanged holdings and swaps. Classes with a "
+        "Instantaneous shocks, fully revalued, with unchanged holdings and swaps. Classes with a "
         "separate shock do not react to rates."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]

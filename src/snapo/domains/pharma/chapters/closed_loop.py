@@ -308,8 +308,9 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
     return [
         Table(head, shares, "Rules on the same batches, paired"),
         Table([(name, "") for name in local], settings, "Settings of the rules", 2),
-        Text("“First settings” are those of the case or of its formula; the rule without this "
-             "label was trained from there, with its recipe, for as many steps as the policy."),
+        Text("“First settings” are those of the case or of a tuning formula; the rule "
+             "without this label was trained from these, with its recipe, in as many steps as the "
+             "policy."),
     ]  # fmt: skip
 
 

@@ -201,7 +201,7 @@ def boundary(result: SpaceMap, names: list[str]) -> list[Block]:
     if not rows:
         text = (
             f"On the lines of the map next to the set point the probability crosses {required} "
-            "nowhere: there the space does not end within the studied ranges, or does not begin."
+            "nowhere: the space contains all or none of the studied ranges there."
         )
         return [Text(text + f" {ENDS} has the other lines." * bool(result.ends))]
     head = ("Along", "At", "Ends", "Limit beyond it", "Boundary", "95 % interval")
