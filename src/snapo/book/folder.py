@@ -35,7 +35,7 @@ LAYOUT = 1
 
 
 class BookRecord(NamedTuple):
-    """Tables of book.json: the axes of a sweep, none of a book, and the versions."""
+    """Tables of book.json: the axes of a sweep (a book has none), and the versions."""
 
     axes: Sequence[Mapping[str, str]] = ()
     versions: Mapping[str, str] = EMPTY

@@ -93,7 +93,7 @@ class Plausible:
     It is of the inputs among `names`, of its `group` and `unit`, and with a name that ends in one
     of `endings`, as far as these are set.
 
-    - `hint`: a clause on the unit that is meant.
+    - `hint`: a clause on the unit that is expected.
     - `ratio`: the largest ratio between a number and its neighbours along the curve.
     - `by_size`: the range is of absolute values: the sign means something else.
     """

@@ -152,7 +152,7 @@ def add_explain(commands) -> None:
         "--flows",
         metavar="FILE",
         type=Path,
-        help="of a gas store, CSV of the flows on the days between the two valuation dates: "
+        help="for a gas store: CSV of the flows on the days between the two valuation dates: "
         "date,volume,price, volumes into the store above 0 (default: from the inventories, at "
         "forward prices)",
     )
@@ -160,7 +160,7 @@ def add_explain(commands) -> None:
         "--cash",
         metavar="AMOUNT",
         type=float,
-        help="of other contracts, the cash flow of the days between (default: as planned)",
+        help="for other contracts: cash flow of the days between (default: as planned)",
     )
     explain.add_argument(
         "--out",

@@ -125,8 +125,8 @@ def _add_solve(commands) -> None:
         "--out",
         metavar="DIR",
         type=Path,
-        help="folder of the run, which replaces one that is there (default: a new one in runs, "
-        "next to the case, to which run points)",
+        help="folder of the run, instead of a run that is there (default: a new folder in runs, next "
+        "to the case; run points to it)",
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     solve.add_argument(
@@ -254,7 +254,8 @@ def _add_certify(commands) -> None:
         "--penalty",
         choices=PENALTIES,
         default="value",
-        help="for foresight: none, a fitted value function, or one scaled to minimise the bound",
+        help="the penalty for foresight: none, a fitted value function, or one scaled to minimise "
+        "the bound",
     )
     certify.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     _add_simulator(certify)

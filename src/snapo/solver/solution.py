@@ -289,7 +289,7 @@ class Solution:
         try:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
-            message = f"{folder / SOLUTION}: this is another kind of file ({error})."
+            message = f"{folder / SOLUTION}: this is not a file of this kind ({error})."
             raise checkpoint.CheckpointError(message) from None
 
     @classmethod

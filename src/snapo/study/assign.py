@@ -14,7 +14,7 @@ OPTION = "--set"
 def assigned(data: Mapping[str, Any], assignments: Iterable[str]) -> tuple[dict, set[str]]:
     """A copy of the tables of a case with each "path=value" put in; and the paths.
 
-    A path is made of keys; an element of an array is meant by its number from 0, or by its `name`.
+    A path is made of keys; an array's element is identified by its number from 0, or its `name`.
     A value is written as in TOML. The domain decides whether a new key is allowed.
 
     **Raises:** `CaseError` for a path that does not exist, and for a value that is not TOML.

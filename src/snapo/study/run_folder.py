@@ -259,7 +259,7 @@ def _no_run(out: Path) -> CaseError:
         return CaseError(str(out), "", None, message)
     message = "this is not the folder of a run: `snapo solve` writes run.json into it"
     if (out / BOOK).is_file():
-        message = f"this is the folder of a book: its report is report.html, of snapo report {out}"
+        message = f"this is the folder of a book: snapo report {out} writes its report.html"
     elif out.is_file() and OF_A_BOOK.search(out.read_text(encoding="utf-8", errors="replace")):
         message = f"this is a book, which has contracts and no page: snapo book {out}"
     elif out.is_file() or any((out / name).is_file() for name in ("case.toml", "case.xlsx")):

@@ -105,10 +105,10 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
     """The ranges of shares: those that are shown as percentage points, or in basis points."""
     for entry in entries:
         if entry.display_factor == 100 and PERCENT.search(entry.display_unit):
-            hint = "a fraction is meant; the display unit is one percent of it"
+            hint = "a fraction is expected; the display unit is one percent of it"
             yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
         if entry.display_factor == 1e4 and entry.display_unit == "bp":
-            hint = "a fraction is meant, 0.0001 is 1 bp"
+            hint = "a fraction is expected, 0.0001 is 1 bp"
             yield Plausible(0.0, 0.5, hint, names=(entry.name,), by_size=True)
 
 

@@ -18,8 +18,8 @@ from snapo.study.domain import Report
 
 CAVEAT = (
     "Nearly met: missed by less than the half width of the interval, or by a thousandth of one "
-    "path's deviation. Level raised by one unit changes the objective by its shadow price, from "
-    "derivatives on fresh paths with respect to the policy; a limit with slack has none. "
+    "path's deviation. Raising the level by one unit changes the objective by its shadow price, "
+    "from derivatives on fresh paths with respect to the policy; a limit with slack has none. "
     "Sensitivities are those of the best value within the limits."
 )
 

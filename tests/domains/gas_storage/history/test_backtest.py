@@ -1,4 +1,4 @@
-"""`snapo backtest`: no decision sees the future, and the mean over drawn histories is the value."""
+"""`snapo backtest`: no decision sees the future, and the mean over simulated histories is the value."""
 
 import datetime
 import json

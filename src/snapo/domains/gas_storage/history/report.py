@@ -36,7 +36,7 @@ from ..contract.records import StorageCase
 from .hedged import HedgeDay, HedgedStore, HedgePosition
 from .results import StoreBacktest
 
-TAIL = 0.025  # of drawn histories, below or above which the realised cash flow is improbable
+TAIL = 0.025  # of simulated histories, below or above which the realised cash flow is improbable
 COLOURS = ("withdraw", "good", "inject", "limit", "other")  # of the hedges in a chart
 FEW = len(COLOURS)  # hedges that a chart can show
 METHOD = (
@@ -83,7 +83,7 @@ def _letters(result: StoreBacktest) -> dict[str, str]:
 def _outcome(result: StoreBacktest, case: StorageCase) -> Section:
     currency, digits = case.currency, decimals([result.realised, result.expected], 6)
     less = percent(result.share, 0)
-    note = f"{less} of drawn histories have less; discounted to {long_date(case.valuation_date)}"
+    note = f"{less} of simulated ones are below; discounted to {long_date(case.valuation_date)}"
     difference, half = measured(result.realised - result.expected, result.error, digits, sign=True)
     context = f"{difference} {half} against the expectation; {PLUS_MINUS}."
     realised = money(result.realised, currency, digits)
@@ -115,7 +115,7 @@ def _marks(result: StoreBacktest, case: StorageCase, digits: int) -> list[Mark]:
     better."""
     probable = TAIL <= result.share <= 1 - TAIL
     where = "within" if probable else "outside"
-    marks = [Mark(probable, f"{where} the range of 95 % of drawn histories")]
+    marks = [Mark(probable, f"{where} the range of 95 % of simulated histories")]
     if result.rolling is not None and result.rolling > result.realised:
         more = money(result.rolling - result.realised, case.currency, digits)
         marks.append(Mark(False, f"rolling intrinsic brought {more} more"))
@@ -197,10 +197,10 @@ def _cash(result: StoreBacktest, case: StorageCase) -> Section:
 
     alt = (
         f"Cash flow so far by day: realised {number(cash[-1])} at the end, expected "
-        f"{number(expected[-1])}, with a band of 90 % of drawn histories."
+        f"{number(expected[-1])}, with a band of 90 % of simulated histories."
     )
     caption = (
-        "Cash flow so far: realised, and its mean on drawn histories with the band of 90 % of them"
+        "Cash flow so far: realised, and its mean on simulated histories with a band of 90 %"
         + ("; with the gains of hedges so far." if gains else ".")
         + " The value of gas left and fixed costs are not in it."
     )
@@ -224,7 +224,7 @@ def _marked(result: StoreBacktest, case: StorageCase) -> Chart:
     svg = draw("marked", alt, lambda axes: charts.lines(axes, when, lines, case.currency), 260)
     caption = (
         "Cash flow so far and the expectation of the rest, marked to the curve of each solution. "
-        "A hedge that fits holds it level."
+        "A good hedge keeps it level."
     )
     return Chart(svg, caption)
 

@@ -29,7 +29,7 @@ class BacktestTable(CaseTable):
         '"quarter" or "year", or after a number of days',
     )
     window: (
-        Annotated[int, Range(30, note=" days of history of an estimate; without it, all")] | None
+        Annotated[int, Range(30, note=" days of history in an estimate; by default all")] | None
     ) = None
     prices: Literal["spot", "spot and curves"] = Field(
         SPOT, description='of the estimates: "spot", or "spot and curves"'
