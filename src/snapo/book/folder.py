@@ -153,7 +153,7 @@ class SharedPolicyForm(JsonTable):
 
 
 class ResultForm(JsonTable):
-    """What the report needs of result.json."""
+    """The part of result.json that the report needs."""
 
     title: str
     cases: dict[Literal["ok", "failed"], int]
@@ -182,7 +182,7 @@ class TasksForm(JsonTable):
 
 
 class RecordForm(JsonTable):
-    """What the report needs of book.json."""
+    """The part of book.json that the report needs."""
 
     cases: list[Any]
     stresses: list[Any]

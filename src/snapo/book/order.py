@@ -243,7 +243,7 @@ class Exposure(NamedTuple):
 
 
 class OrderAnswer(NamedTuple):
-    """What was computed for an order.
+    """The results of an order.
 
     - `points`: the base first where the order has one, then those of its stresses.
     - `policy`: the file of the trained one; `shape`: the hash of all that code is compiled for.
@@ -308,7 +308,7 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
 
 
 class Cost(NamedTuple):
-    """What an answer took, which is no part of it.
+    """The cost of a result, which is not part of it.
 
     - `cpu_seconds`: of all threads of the worker; `peak_mb`: its memory so far at most.
     - `worker`: its process and machine.

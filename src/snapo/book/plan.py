@@ -117,7 +117,7 @@ class BookPlan:
 
     @property
     def size(self) -> int:
-        """How many orders the whole book has, equal cases once."""
+        """The number of orders of the complete book, equal cases once."""
         stresses = len(self.book.stresses)
         by_contract = max(1, math.ceil(stresses / STRESSES))
         if self.book.tasks.policy == "stress":

@@ -156,7 +156,7 @@ class OrderContract:
 
 
 def valuation(contract: OrderContract) -> "_Decided | _Calculated":
-    """What values a contract; its `inputs` are those that a stress may move.
+    """The valuation of a contract; its `inputs` are those that a stress may move.
 
     **Raises:** `ValueError` for a kind of case that a book does not value.
     """

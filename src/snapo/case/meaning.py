@@ -1,4 +1,5 @@
-"""When a key of a case has a meaning: declared at the key, checked when all tables are read.
+"""The conditions for a key of a case to have an effect: declared at the key, checked when all
+tables are read.
 
     spouse_share: Annotated[Share, COHORTS] = Field(0.0, description=SHARE)
 

@@ -1,4 +1,5 @@
-"""What every domain's case format shares: one TOML file, plain files next to it, clear errors.
+"""The common part of the case formats of all domains: one TOML file, plain files next to it, clear
+errors.
 
 A case is data: nothing in it is executed, and the files that it names are in its folder. The
 records here are NumPy and the standard library; pydantic checks the tables at this border.
@@ -42,7 +43,7 @@ class Range(NamedTuple):
     noun: str = ""
 
     def contains(self, number: float) -> bool:
-        """Whether a number is in the range; no NaN is."""
+        """Whether a number is in the range; NaN is not."""
         above = self.low < number if self.endpoints[0] == "(" else self.low <= number
         return above and (number < self.high if self.endpoints[1] == ")" else number <= self.high)
 

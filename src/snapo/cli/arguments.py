@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def seeds(text: str) -> int | tuple[int, ...]:
-    """How many seeds, "5"; or the seeds themselves, "0,3,7"."""
+    """The number of seeds, "5"; or the seeds, "0,3,7"."""
     parts = text.split(",")
     if not all(part.isascii() and part.isdigit() and int(part) < 2**63 for part in parts):
         message = "is neither a number of seeds, such as 5, nor a list of them, such as 0,3,7"
@@ -63,7 +63,7 @@ def simulator_class(text: str) -> tuple[str, str]:
 
 
 def calendar(text: str) -> str | int:
-    """When a back-test estimates its model."""
+    """The schedule of a back-test's estimates of its model."""
     if text in ("never", "month", "quarter", "year"):
         return text
     try:

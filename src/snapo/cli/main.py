@@ -125,8 +125,8 @@ def _add_solve(commands) -> None:
         "--out",
         metavar="DIR",
         type=Path,
-        help="folder of the run, instead of a run that is there (default: a new folder in runs, next "
-        "to the case; run points to it)",
+        help="folder of the run; a run that is there is replaced (default: a new folder in runs, "
+        "next to the case; run points to it)",
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     solve.add_argument(

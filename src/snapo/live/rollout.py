@@ -98,7 +98,8 @@ def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
 
 
 def numbers_of_a_path(problem: Problem) -> int:
-    """How many numbers the trajectory of one path has: states, actions and outputs of all steps."""
+    """The number of entries in the trajectory of one path: states, actions and outputs of all
+    steps."""
     simulator, available = problem.simulator, problem.schedule  # made here, outside of the trace
 
     def step(noise, first, action):

@@ -142,7 +142,7 @@ def spent(run: RunFiles) -> dict[str, float]:
 
 
 def times(run: RunFiles) -> list[Facts]:
-    """What the run took, part by part."""
+    """The cost of the run, part by part."""
     facts = [
         (name.capitalize(), seconds(item), TOTAL if name == "total" else "wall clock")
         for name, item in spent(run).items()

@@ -106,7 +106,7 @@ def weighted_adjoint(
 
 
 def flat_weights(objective: Objective, paths: int) -> Weights:
-    """The weights of a linear objective, which any totals give."""
+    """The weights of a linear objective, which do not depend on the totals."""
     return objective.weights({name: np.zeros(paths) for name in objective.outputs})
 
 

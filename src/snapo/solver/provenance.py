@@ -1,4 +1,4 @@
-"""How a solution came about: seconds by stage, versions, and why a training broke off."""
+"""The origin of a solution: seconds by stage, versions, and why a training was aborted."""
 
 import platform
 import threading
@@ -25,7 +25,8 @@ LIBRARIES = ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "ll
 
 
 def versions() -> dict[str, str]:
-    """What decides the numbers besides the inputs: this package, its libraries and the machine."""
+    """The causes of the numbers in addition to the inputs: this package, its libraries and the
+    machine."""
     return {
         "python": platform.python_version(),
         "machine": platform.machine(),

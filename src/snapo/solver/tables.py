@@ -225,7 +225,7 @@ def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]
 
 
 def histogram(totals: np.ndarray) -> SheetTable:
-    """How many paths have a total between two numbers."""
+    """The number of paths with a total between two numbers."""
     values = np.asarray(totals, np.float64)
     counts, edges = np.histogram(values[np.isfinite(values)], BINS)
     rows = list(zip(edges[:-1].tolist(), edges[1:].tolist(), counts.tolist()))

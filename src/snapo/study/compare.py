@@ -45,7 +45,7 @@ class DerivativePair(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """How the second run differs from the first.
+    """The differences of the second run from the first.
 
     - `values`, `errors`: of the two; None if a run has no value.
     - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.

@@ -196,7 +196,7 @@ _MEMBERS = ("kind", "description", "templates", "read", "check", "study", "repor
 
 
 class CaseRequest(NamedTuple):
-    """What a command asks of a case.
+    """The options of a command for a case.
 
     - `path`: a TOML file, or a folder with case.toml.
     - `assignments`: keys that have another value for this run, "contract.inventory=2000".

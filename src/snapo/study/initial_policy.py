@@ -266,7 +266,7 @@ def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
 
 
 def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
-    """What training began with, and by how much it came further."""
+    """The initial policy of training, and the gain over it."""
     text = f"Training began with the policy of {start['policy']}"
     if start["value"] is not None:
         text += f", whose value there is {number(start['value'])}"

@@ -104,7 +104,7 @@ def copy_case(file: Path, out: Path, logo: str | None = None) -> None:
 
 
 def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything that decides the numbers of a run: a resumed one must have the same.
+    """All settings that determine the numbers of a run; a resumed run must have the same.
 
     The keys of the case as they were read (with `--set`), the bytes of the files next to it, the
     options of the command, the versions of the libraries and the machine.

@@ -49,7 +49,7 @@ CASE = f"{run_folder.CASE}/case.toml"
 
 @dataclass(frozen=True, eq=False)
 class SolvedProblem:
-    """What a case of a solved problem is made of: the problem, its policy, and their settings."""
+    """The parts of the case of a solved problem: the problem, its policy, and their settings."""
 
     problem: Problem
     policy: Policy

@@ -103,7 +103,7 @@ def fingerprint() -> str:
 
 @dataclass(frozen=True)
 class Pipeline:
-    """How code is made: LLVM's vectorisers stay off, as the text consists of vectors.
+    """The stages of code generation: LLVM's vectorisers stay off, as the text consists of vectors.
 
     Code and constants may be mapped far apart: the small code model's 32-bit distances then
     overflow.

@@ -243,7 +243,7 @@ class _Named(NamedTuple):
 
 
 def reduced(module: eqx.Module) -> tuple:
-    """What `__reduce__` of a module with functions in its fields gives."""
+    """The result of `__reduce__` for a module with functions in its fields."""
     held = {field.name: getattr(module, field.name) for field in fields(module)}  # pyright: ignore
     return _unpacked, (type(module), {name: _packed(value) for name, value in held.items()})
 

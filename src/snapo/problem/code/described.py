@@ -1,4 +1,4 @@
-"""What a trace reads of a tree, as text that another process can compare.
+"""The data that a trace reads from a tree, as text that another process can compare.
 
 Arrays are arguments of a trace: their shapes and types are written. All else is compiled in, and is
 written by value: plain values, tuples, objects of snapo with all their attributes, and classes and

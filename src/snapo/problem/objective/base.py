@@ -1,4 +1,4 @@
-"""What an objective is: the value of all paths' totals together, to be maximised.
+"""Objectives: the value of all paths' totals together, to be maximised.
 
 An objective gives a value and the weight of every path and output, its derivative; engines
 take weights, never objectives, so risk measures need no second kind of adjoint. `influence`
@@ -20,7 +20,7 @@ A user-defined objective is one formula in `jax.numpy`; weights and errors follo
 A negative weight on it multiplies its numbers; `as_cost` states where something else is meant.
 
 A comparison with a number is a constraint that holds on average or with a probability:
-`Mean("unserved") <= 0.05`. What never may be exceeded is for the simulator.
+`Mean("unserved") <= 0.05`. A limit that must hold on every path belongs in the simulator.
 """
 
 import abc

@@ -172,7 +172,7 @@ class LastObservations(Memory):
 
 
 def remembered(policy: Policy | None) -> int:
-    """How many numbers a policy remembers; 0 for all without a memory."""
+    """The number of values that a policy remembers; 0 for policies without a memory."""
     return policy.memory if isinstance(policy, Memory) else 0
 
 

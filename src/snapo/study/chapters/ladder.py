@@ -112,7 +112,7 @@ class CommonPaths:
     groups: np.ndarray
 
     def joined(self, of: Callable[[Draws, Rollout], np.ndarray]) -> np.ndarray:
-        """What a function of a block returns, [..., N] of all."""
+        """The results of a function of a block, [..., N] for all blocks."""
         return np.concatenate([of(*rollout) for rollout in self.rollouts], axis=-1)
 
 

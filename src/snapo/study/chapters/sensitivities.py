@@ -126,7 +126,7 @@ def measure(run: StudyRun) -> InputMoves:
 
 
 def direction(entry: Input) -> np.ndarray:
-    """How every number of an input moves, shaped like it."""
+    """The move of every number of an input, in its shape."""
     if entry.move is None:
         return SHARE * entry.value
     return np.full(entry.value.shape, entry.move)

@@ -100,7 +100,7 @@ class Plant(Simulator):
 
     @classmethod
     def faults(cls, values: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-        """What does not fit together in a case: (key, value, allowed). `values`: as the inputs."""
+        """Contradictions in a case: (key, value, allowed). `values`: as the inputs."""
         for name, start in values["start"].items():
             if np.size(_any(start)) > 1:
                 message = "this state is one number"

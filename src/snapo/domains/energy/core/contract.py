@@ -65,7 +65,7 @@ class ContractMove(NamedTuple):
 
 
 class ContractLayout(NamedTuple):
-    """What is fixed in a contract: compiled code depends on it.
+    """The fixed properties of a contract, on which compiled code depends.
 
     - `indexed`: whether its cash depends on an index as well as on the spot price.
     - `banks`: how many of its last levels are balances of a bank of the first one, by age, see

@@ -77,7 +77,7 @@ class ContractGrid:
         return [step.before for step in self.steps] + [self.last]
 
     def size(self, t: int) -> int:
-        """How many nodes there are at the start of a step."""
+        """The number of nodes at the start of a step."""
         return int(np.prod([len(x) for x in self.nodes[t]], dtype=int))
 
 

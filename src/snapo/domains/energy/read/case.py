@@ -90,7 +90,7 @@ class EnergyTable(CaseTable):
 
 
 class ContractKind(NamedTuple):
-    """What a kind of contract brings: its table, its reader, tables within it, a title.
+    """The parts of a kind of contract: its table, its reader, tables within it, a title.
 
     `hourly`: whether its steps are hours of the local calendar, not days; `pair`: whether its cash
     depends on two commodities.

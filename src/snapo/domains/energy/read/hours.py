@@ -83,7 +83,7 @@ class Hours:
 
     @property
     def times(self) -> Times:
-        """When there are prices, in years."""
+        """The times of the prices, in years."""
         years, before = np.array(self.ahead) / HOURS, self.ahead[0]
         rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
         age = (before - 1 - np.arange(max(rows, 1))) / HOURS

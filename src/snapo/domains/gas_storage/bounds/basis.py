@@ -49,7 +49,7 @@ class PolynomialBasis:
 
     @property
     def plain(self) -> int:
-        """How many are without hinges."""
+        """The number of functions without hinges."""
         return len(self.powers) + bool(self.common)
 
     @property

@@ -78,7 +78,7 @@ class MonthDelta:
 
     @property
     def hedge(self) -> str:
-        """What a hedge does with futures of the month."""
+        """The hedging trade in futures of the month."""
         if not np.isfinite(self.undiscounted) or self.undiscounted == 0:
             return ""
         return "sell" if self.undiscounted > 0 else "buy"

@@ -77,7 +77,7 @@ class ObservedPrice(NamedTuple):
     column: str = ""
 
     def error(self, message: str) -> CaseError:
-        """What is wrong with it."""
+        """Its fault."""
         if self.row is None:
             return CaseError(self.series, self.day.isoformat(), self.price, message)
         return self.row.error(self.column, message)

@@ -1,4 +1,4 @@
-"""What a back-test results in: records, tables, and the text for a reader."""
+"""The results of a back-test: records, tables, and text."""
 
 import datetime
 import math

@@ -96,7 +96,7 @@ class FlatContract(Protocol):
         ...
 
     def settled(self, t: int, levels: np.ndarray) -> np.ndarray | None:
-        """What settling takes after a step, where the level is then set to zero; else None."""
+        """The cost of settling after a step, if the level is then set to zero; else None."""
         ...
 
     def final(self, levels: np.ndarray, price: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What every kind of demand can do, and the list of all kinds.
+"""The interface of all kinds of demand, and their list.
 
 Demand of a period is a function of one standard normal and of the demand's parameters, with a
 derivative with respect to them in both simulators. Periods differ by a factor of the mean.

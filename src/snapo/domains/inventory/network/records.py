@@ -144,7 +144,7 @@ class SupplyNetwork:
 
 @dataclass(frozen=True, eq=False)
 class NetworkCase:
-    """What `snapo solve` needs of a case with places.
+    """The data that `snapo solve` needs from a case with places.
 
     - `demands`, `seasons`: of the places with customers, in the order of `network.sellers`; None
       where all periods are equal.

@@ -98,7 +98,8 @@ class FirstAllocation:
 
 @dataclass(frozen=True)
 class PathTables:
-    """What the recorded paths say; `recovery`: before the regulator, where the case has one."""
+    """The results of the recorded paths; `recovery`: before the regulator, where the case has
+    one."""
 
     by_year: YearlyFans
     policy_map: PolicyMap

@@ -83,7 +83,7 @@ def project(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, "
 
 
 def reserved(case: PensionModel, inputs: dict[str, Any]) -> Array:
-    """What is set aside per value of a payment: one, and the loading for expenses."""
+    """The reserve per unit of value of a payment: one plus the loading for expenses."""
     loading = case.liability.loading
     return jnp.ones(()) if loading is None else 1 + use(inputs, loading)
 

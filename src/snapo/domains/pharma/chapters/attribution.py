@@ -160,7 +160,7 @@ class PathShare:
 
 @dataclass(frozen=True)
 class UnitEffect:
-    """How much the parameters of a unit move an attribute, over half their normal ranges."""
+    """The effect of the parameters of a unit on an attribute, over half their normal ranges."""
 
     unit: str
     attribute: str

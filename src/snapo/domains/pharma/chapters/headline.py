@@ -222,7 +222,7 @@ def _table(case: Statement, batch: BatchResult) -> Table:
 
 @dataclass(frozen=True)
 class Making:
-    """How the numbers of a run were made, besides its statement: remarks, versions and hashes."""
+    """The origin of a run's numbers, in addition to its statement: remarks, versions and hashes."""
 
     notes: tuple[str, ...] = ()
     libraries: dict[str, str] | None = None

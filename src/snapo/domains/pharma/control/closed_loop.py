@@ -186,7 +186,8 @@ TOO_LONG = "a step of a process is more than the native engine takes"
 
 
 class ClosedLoop:
-    """What these parts share: the loop, its problem, and the recipes once they are tuned."""
+    """The common part of these parts: the loop, its problem, and the recipes once they are
+    tuned."""
 
     def __init__(self, case: PharmaCase, engine: str):
         self.case, self.engine = case, engine

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Point(NamedTuple):
-    """What n draws say at one set point or more: leading axes are the points'.
+    """The results of n draws at one set point or more: leading axes are the points'.
 
     - `probability`: that all limits hold; `error`: its standard error.
     - `by_attribute`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.

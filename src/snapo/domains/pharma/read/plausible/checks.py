@@ -61,7 +61,7 @@ def check_decided(case: PharmaCase) -> None:
 
 
 def check_moved(case: PharmaCase) -> None:
-    """What is decided or uncertain cannot be held."""
+    """Numbers that are decided or uncertain cannot be held."""
     tables = {
         "optimise.decisions": case.optimise.decisions if case.optimise else (),
         "control.manipulated": case.control.manipulated if case.control else (),
