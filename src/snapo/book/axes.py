@@ -205,7 +205,7 @@ def _sobol(
 def _values(file: str, where: str, values: str | list[Any]) -> list[AxisValue]:
     if isinstance(values, list):
         if not values:
-            raise CaseError(file, where, values, "an axis has at least one value")
+            raise CaseError(file, where, values, "an axis must have at least one value")
         return [AxisValue.of(value) for value in values]
     return list(spaced(file, where, values))
 

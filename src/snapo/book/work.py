@@ -314,7 +314,7 @@ def check_held(policy: Any, at_point: Any) -> None:
     if _text(form_of(policy)) != _text(form_of(at_point)):
         raise ValueError(
             "the policy of the unchanged contract does not fit this one, whose levels or decisions "
-            'differ; train one here: --train of a sweep, or policy = "stress" of a book'
+            'differ; train a policy for it: --train of a sweep, or policy = "stress" of a book'
         )
 
 

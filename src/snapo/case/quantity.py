@@ -34,7 +34,7 @@ FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")
 
 @dataclass(frozen=True)
 class Quantity:
-    """All that is known of a number before its value.
+    """The declaration of a number.
 
     - `unit`: a key of the same table in braces is replaced by its value.
     - `range`: the numbers allowed; `limits`: the possible ones, outside of which a number is

@@ -166,7 +166,7 @@ def read_training(
     if training.exploration and training.temperature_end == training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
         message = (
-            "with exploration, which falls with the temperature, it is below temperature_start"
+            "with exploration, which falls with the temperature, it must be below temperature_start"
         )
         raise CaseError(file, where, value, message)
     return training

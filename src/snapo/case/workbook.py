@@ -304,7 +304,9 @@ def _keys(file: Path, sheet: Any) -> list[tuple[str, Any, str]]:
     rows = list(sheet.iter_rows(values_only=True))
     head = [str(item or "").strip().lower() for item in (rows[0] if rows else ())]
     if head[:2] != list(HEAD[:2]):
-        message = f"a sheet of keys has the columns {', '.join(HEAD)}; one of a CSV ends with .csv"
+        message = (
+            f"a sheet of keys must have the columns {', '.join(HEAD)}; that of a CSV ends in .csv"
+        )
         raise CaseError(str(file), f"sheet {sheet.title}", None, message)
     keys = []
     for number, (key, value, *rest) in enumerate(rows[1:], start=2):
@@ -312,7 +314,7 @@ def _keys(file: Path, sheet: Any) -> list[tuple[str, Any, str]]:
         if key is None and value is None:
             continue
         if key is None or value is None or kind not in ("", "TOML"):
-            message = 'a line has a key, a value, and "TOML" or nothing in the third column'
+            message = 'a line must have a key, a value, and "TOML" or nothing in the third column'
             raise CaseError(str(file), f"sheet {sheet.title}, line {number}", None, message)
         keys.append((str(key).strip(), _value(value), kind))
     return keys

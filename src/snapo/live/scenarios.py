@@ -157,7 +157,7 @@ class PageOrder(NamedTuple):
 def values_of(inputs: Any) -> dict[str, list[float]]:
     """{input: numbers} of a message; the case's reader decides whether they suit the case."""
     if not isinstance(inputs, dict):
-        raise Refused("a move is a table of inputs")
+        raise Refused("moves must be a table of inputs")
     values, size = {}, 0
     for name, numbers in inputs.items():
         if not isinstance(numbers, list):
@@ -177,7 +177,7 @@ def values_of(inputs: Any) -> dict[str, list[float]]:
 def chosen_of(values: Any) -> dict[str, str | bool]:
     """{key: another value} of a message; its reader decides whether the case can have it."""
     if not isinstance(values, Mapping) or len(values) > MAX_CHOICES:
-        raise Refused("choices are a table of texts and switches")
+        raise Refused("choices must be a table of texts and switches")
     for name, value in values.items():
         if not isinstance(value, str | bool) or len(str(value)) > 100:
             raise Refused(f"{name[:60]}: a choice is a word or a switch")

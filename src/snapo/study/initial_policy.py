@@ -187,7 +187,7 @@ def _seen(has: list[tuple[int, ...]], needs: list[tuple[int, ...]]) -> str:
     ]
     if None in first or first[0] == first[1]:
         return ""
-    return f": its network takes {first[0]} numbers, and here there are {first[1]}"
+    return f": its network takes {first[0]} numbers, but the case has {first[1]}"
 
 
 KEPT, GAIN = "given policy", "gain over the initial policy"

@@ -81,7 +81,7 @@ def test_a_wrong_season_is_refused_in_words(folder, season, text, where, allowed
 
 def test_a_place_without_customers_has_no_season(folder):
     store = STORE | {"name": "south"}
-    with pytest.raises(CaseError, match="only a place with customers has a season") as found:
+    with pytest.raises(CaseError, match="only a place with customers can have a season") as found:
         network(CENTRE | {"season": {"file": "s.csv"}}, store, folder=folder)
     assert found.value.where == "place[0].season"
 

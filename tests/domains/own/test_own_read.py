@@ -133,7 +133,7 @@ MISTAKES = {
     "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input is a"),
     "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; it must be a"),
     "no value": (PLACE, "value = 1,", "", "inputs.cost.value: this key is missing; give value ="),
-    "both": (PLACE, "value = 1,", 'value = 1, file = "demand.csv",', "a value or a file, not both"),
+    "both": (PLACE, "value = 1,", 'value = 1, file = "demand.csv",', "either a value or a file"),
     "column": (PLACE, 'column = "mean"', 'column = "median"', "column median is missing"),
     "file": (PLACE, '"demand.csv"', '"demands.csv"', "there is no such file", "(there are demand.csv)"),
     "outside": (PLACE, '"demand.csv"', '"../demand.csv"', "must be in the folder of the case"),

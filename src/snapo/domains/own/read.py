@@ -115,7 +115,7 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
 def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, Positions]:
     where = f"inputs.{name}"
     if not isinstance(data, Mapping):
-        message = f'an input is a table: {name} = {{ value = 60, unit = "hm3" }}'
+        message = f'an input must be a table: {name} = {{ value = 60, unit = "hm3" }}'
         raise CaseError(str(file), where, data, message)
     table = parse(InputTable, data, str(file), where)
     if table.move == 0:
@@ -152,7 +152,7 @@ def _from_csv(section: TableContext, table: InputTable) -> InputParts:
     """The numbers of a column, with the texts of another one as labels."""
     assert table.file is not None
     if table.value is not None:
-        raise section.error("value", table.value, "an input has a value or a file, not both")
+        raise section.error("value", table.value, "an input must have either a value or a file")
     if table.labels is not None:
         raise section.error("labels", table.labels, "a file labels its numbers by a column: label")
     if not table.column:

@@ -37,7 +37,7 @@ def difference(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
     """
     for position, text in now.items():
         if stored.get(position, text) != text:
-            return f"its {position} is {stored[position]}, and here it is {text}"
+            return f"its {position} is {stored[position]}, but {text} is required here"
     return ""
 
 

@@ -120,7 +120,9 @@ class GRU(Memory):
             interface.features,
             interface.action.size,
         ):
-            raise ValueError(f"GRU: it takes {features} features; here are {interface.features}.")
+            raise ValueError(
+                f"GRU: it takes {features} features; the simulator has {interface.features}."
+            )
         return self
 
 

@@ -240,7 +240,7 @@ class Growth(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Growth | None":
-        """From plain data, as JSON gives it."""
+        """From plain data, as read from JSON."""
         if stored is None:
             return None
         step, usual, largest, leaves = stored

@@ -71,7 +71,7 @@ class FeatureScale(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "FeatureScale | None":
-        """From plain data, as JSON gives it."""
+        """From plain data, as read from JSON."""
         return None if stored is None else cls(*map(tuple, stored))
 
     def _applied(self, policy: Policy, work: Callable[..., tuple[Any, Any]]) -> Policy:

@@ -323,7 +323,7 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
         if rebuilt_once(run.problem):
             notes.append(
                 "For the bump of an input the policy's tables were recomputed at one move of the "
-                "input; at its other moves they are to first order."
+                "input; at its other moves they were approximated to first order."
             )
     return [" ".join(notes)]
 

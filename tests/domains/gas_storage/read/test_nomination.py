@@ -126,7 +126,7 @@ def test_a_nominated_swing_is_worth_less():
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ({"objective": {"kind": "cvar", "level": 0.1}}, "it must be the objective \"mean\""),
+        ({"objective": {"kind": "cvar", "level": 0.1}}, "the objective must be \"mean\""),
         ({"contract": {"nomination": {"days": 0}}}, "contract.nomination.days: got 0"),
         ({"contract": {"nomination": {"calendar": "bank"}}}, '"every-day" or "business"'),
         ({"model": {"kind": "regimes", "tightens": 0.05, "eases": 0.2, "premium": 0.4}},

@@ -105,7 +105,7 @@ def test_a_rule_is_read_in_its_units():
         ({"loops": [LOOPS[0] | {"measure": "crystalliser.d32"}]}, "there is no such measurement"),
         ({"loops": [LOOPS[0] | {"gain": "0 K/um"}]}, "a gain that is not 0"),
         ({"loops": [LOOPS[0] | {"gain": "2 K"}]}, r"loops\[0\].gain.*2 K"),
-        ({"loops": LOOPS * 2}, "one control has one loop"),
+        ({"loops": LOOPS * 2}, "a control can have only one loop"),
         ({"loops": [], "tuning": "simc"}, "loops"),
         ({"loops": LOOPS, "tuning": "by hand"}, "ziegler-nichols"),
     ],

@@ -148,7 +148,7 @@ MISTAKES = {
     "limit without a citation": (
         'citation = "own limit, constructed for this example"\n\n[[attributes]]\nname = "mean',
         '\n[[attributes]]\nname = "mean',
-        "attributes[0].citation: a limit needs its source, or a note that you set it.",
+        "attributes[0].citation: a limit needs a source, or a note that you set it.",
     ),
     "nominal outside its range": (
         'range = ["304 K", "311 K"]', 'range = ["309 K", "311 K"]',

@@ -42,7 +42,7 @@ class Quadrotor(Plant):
         "tilt": Variable("rad", "tilt to the left", {"mean": 0.0, "deviation": 0.3}),
         "vx": Variable("m/s", "speed to the right", {"mean": 0.0, "deviation": 0.3}),
         "vz": Variable("m/s", "speed upward", {"mean": 0.0, "deviation": 0.3}),
-        "spin": Variable("rad/s", "speed of turning", {"mean": 0.0, "deviation": 0.3}),
+        "spin": Variable("rad/s", "angular speed", {"mean": 0.0, "deviation": 0.3}),
     }
     actions: ClassVar = {
         "right": Variable("N", "thrust of the right rotor"),

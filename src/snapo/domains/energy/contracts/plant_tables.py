@@ -28,7 +28,7 @@ class PowerTable(CaseTable):
     """{ market = "power", min = 50.0, max = 110.0 }: MW in an hour in which the plant runs."""
 
     market: Literal["power"] = Field("power", description='"power"')
-    min: CaseInput = POWER("least of an hour on", 0.0, name="power_min")
+    min: CaseInput = POWER("minimum power of an hour on", 0.0, name="power_min")
     max: CaseInput = POWER("largest power of an hour on", range=POSITIVE, name="power_max")
 
 

@@ -192,7 +192,7 @@ def _local_hour(row: Row) -> str:
             return f"{datetime.datetime.fromisoformat(match[1]):%Y-%m-%dT%H:%M}"
     except ValueError:
         pass
-    raise row.error("time", "an hour of local time is written 2026-05-01T07:00")
+    raise row.error("time", "an hour of local time must be written like 2026-05-01T07:00")
 
 
 def dated_curve(

@@ -74,5 +74,5 @@ def _hedge(
             allowed = ", ".join(f'"{x}"' for x in families)
             raise section.error(key, name, f"it must be keys of [products] that trade: {allowed}")
     if not entry:
-        raise section.error(key, entry, "a hedge has at least one product")
+        raise section.error(key, entry, "a hedge must have at least one product")
     return DailyHedge(rule, tuple(x for x in families if x in entry))

@@ -153,7 +153,7 @@ class Chains:
             nodes = self._nodes(low, high)
         inside = range(first, after - 1)
         if any(contract.settled(t, np.zeros(1)) is not None for t in inside):
-            raise Infeasible("a product goes across the end of a contract year")
+            raise Infeasible("a product must not extend over the end of a contract year")
         before = self._nodes(*_possible(contract, first, after, low, high))
         minimum, maximum = contract.limits(first, after, before, low, high)
         keep, span = contract.growth(first, after)

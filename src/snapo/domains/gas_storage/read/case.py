@@ -136,7 +136,7 @@ def quotes(rows: Sequence[Row]) -> CurveQuotes:
         price = Quote(FORWARD.cell(row), row.position("price"))
         period = row.period("date")
         if period is None:
-            raise row.error("date", "a day is written YYYY-MM-DD, a whole month YYYY-MM")
+            raise row.error("date", "a day must be written YYYY-MM-DD, a whole month YYYY-MM")
         _once(by_month if isinstance(period, tuple) else by_day, period, price, row)
     return by_day, by_month
 

@@ -248,7 +248,7 @@ def _outages(section: TableContext, values: list[str] | str) -> list[Outage]:
         try:
             first, last = map(_day, text.split("/"))
         except ValueError:
-            message = 'an outage is written "2021-07-01/2021-07-14", first day and last day'
+            message = 'an outage must be written "2021-07-01/2021-07-14", first day and last day'
             raise section.error("outages", text, message) from None
         if last < first:
             raise section.error("outages", text, "the last day cannot be before the first")

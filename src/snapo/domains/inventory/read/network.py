@@ -180,13 +180,13 @@ def _check(
             raise section.error("supplier", row.supplier, f"the places are {', '.join(names)}")
         if (row.demand is None) != (row.shortage is None):
             key = "shortage" if row.shortage is None else "demand"
-            message = "a place with customers has both, demand and shortage; any other has neither"
+            message = "a place with customers needs both demand and shortage, any other neither"
             raise section.error(key, None, message)
         supplying = any(item.supplier == row.name for item in rows)
         if row.demand is None and not supplying:
             raise section.error("demand", None, "this place has no customers and supplies no other")
         if row.demand is not None and supplying:
-            message = "a place that supplies another one has no customers: add a place"
+            message = "a place that supplies another one must not have customers: add a place"
             raise section.error("demand", row.demand, message)
         observed, here = {row.name}, row.supplier
         while here is not None:
@@ -233,7 +233,8 @@ def _place(
     demand, season = None, None
     if row.season is not None:
         if row.demand is None:
-            raise section.error("season", row.season, "only a place with customers has a season")
+            message = "only a place with customers can have a season"
+            raise section.error("season", row.season, message)
         season = read_season(_inner(section, "season"), row.season)
     if row.demand is not None:
         maximum = float(season.values.max()) if season is not None else 1.0

@@ -67,7 +67,7 @@ def read_assets(
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
             raise rows[_cash(classes)].error(
-                column_name, "cash is the rest after all other classes"
+                column_name, "the weight of cash follows from the other classes"
             )
     low, high = _bounds(rows)
     groups = _groups(rows, classes, low, high)

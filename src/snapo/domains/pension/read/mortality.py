@@ -150,7 +150,7 @@ def _gompertz(section: TableContext, table: MortalityTable) -> CaseInput:
             raise section.error(key, None, f'kind "{table.kind}" needs this key')
         alpha, beta, makeham = (*inputs, 0.0)[:3]
         if beta <= 0 or makeham < 0:
-            raise section.error(key, inputs, "beta is above 0 and makeham at least 0")
+            raise section.error(key, inputs, "beta must be above 0 and makeham at least 0")
         values += [alpha, beta, makeham]
         positions += [(*section.keys, key, i) if i < len(inputs) else None for i in range(3)]
     labels = [f"{sex} {part}" for sex in SEX for part in ("alpha", "beta", "makeham")]

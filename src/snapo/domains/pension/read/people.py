@@ -49,10 +49,10 @@ def read_members(
     age = np.array([_age(row, mortality.first_age, last) for row in rows])
     for row, item, old in zip(rows, status, age):
         if item == ACTIVE and old >= retirement_age:
-            raise row.error("age", f"an active member is younger than {retirement_age:g}")
+            raise row.error("age", f"an active member must be younger than {retirement_age:g}")
         row.cells.setdefault("salary", "")
         if item != ACTIVE and number(row, "salary", 0.0) != 0:
-            raise row.error("salary", "only active members have a salary")
+            raise row.error("salary", "only active members can have a salary")
     yearly = f"{grid.currency}/year"
     return FundMembers(
         names=names,

@@ -72,7 +72,7 @@ def shock_sizes(shocks: Iterable[Shock]) -> Iterator[CheckedNumbers]:
 def _shock(case: PensionCase, row: Row) -> Shock:
     target, label = row.cells["input"], row.label("label")
     if not row.cells["scenario"]:
-        raise row.error("scenario", "every line belongs to a scenario with a name")
+        raise row.error("scenario", "every line must name a scenario")
     values = {item.name: item for item in every_given(case)}
     available = (*CURVES, PRICE, *values)
     if target not in available:

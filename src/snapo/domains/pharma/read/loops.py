@@ -70,7 +70,7 @@ def read_rules(
         loops = tuple(read.loop(loop, k) for k, loop in enumerate(table.loops))
         for k, loop in enumerate(loops):
             if loop.of in [other.of for other in loops[:k]]:
-                message = "one control has one loop in a rule"
+                message = "a control can have only one loop in a rule"
                 raise section.error(f"loops[{k}].of", manipulated[loop.of].input, message)
         rules.append(ControlRule(table.name, table.tuning, loops))
     return tuple(rules)

@@ -181,7 +181,7 @@ def _attribute(
         message = f"the lower limit, {low:g} {table.unit}, must lie below it"
         raise section.error("high", table.high, message)
     if (low is not None or high is not None) and not table.citation.strip():
-        raise section.error("citation", None, "a limit needs its source, or a note that you set it")
+        raise section.error("citation", None, "a limit needs a source, or a note that you set it")
     if table.margin is None:
         margin = _margin(low, high)
     else:

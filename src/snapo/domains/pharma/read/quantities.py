@@ -62,7 +62,7 @@ def split(text: str) -> tuple[float, str]:
     """
     result = QUANTITY.fullmatch(text)
     if result is None:
-        raise UnitError("a quantity is a number and its unit")
+        raise UnitError("a quantity must be a number with its unit")
     return float(result[1]), result[2]
 
 

@@ -108,7 +108,7 @@ def check_amounts(
             if feed is not None and inlet.dosed is not None:
                 _check_dose(file, unit, feed, inlet.dosed)
             if feed is not None and inlet.lasting and feed.duration is None:
-                message = f"unit {unit.name} runs continuously and needs to know over which time"
+                message = f"unit {unit.name} runs continuously and needs a duration"
                 raise CaseError(str(file), f"feeds.{feed.name}.duration", None, message)
             if inlet.lasting and not lasting[unit.name, inlet.name]:
                 message = (

@@ -48,7 +48,7 @@ class Seed(TableRecord):
         """A loading and a size, or six moments."""
         table = read.table
         if (table.moments is None) == (table.loading is None):
-            message = "a seed has a loading and a size, or else its six moments"
+            message = "a seed needs either a loading and a size, or its six moments"
             raise read.section.error("moments", table.moments, message)
         if table.moments is None:
             if table.size is None:
