@@ -17,9 +17,9 @@ def both(day, columns: int, above: bool, draw, monkeypatch) -> list[np.ndarray]:
     pay = draw.uniform(10, 30, columns)
     prices = UnitPrices(pay=pay, earn=pay - draw.uniform(0, 3, columns))
     after = 20 * day.after[:, None] + 40 * draw.normal(size=(len(day.after), columns)).cumsum(0)
-    results = []
+    results: list[np.ndarray] = []
     for serves in (day_code.serves, lambda columns: False):
-        monkeypatch.setattr(day_code, "serves", serves)
+        monkeypatch.setattr(day_grid, "serves", serves)
         results.append(best_value(day, prices, after.copy(), above))
     return results
 

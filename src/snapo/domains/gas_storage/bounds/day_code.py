@@ -7,17 +7,18 @@ gas, at each node; maxima of 2, 4, 8 … nodes that follow one another; and minu
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from .reach import Bends, GridRows, ReachableLevels
 
 if TYPE_CHECKING:
     from snapo.lanes.emit.code import Code
     from snapo.lanes.emit.module import Ref
     from snapo.lanes.machine.linked import Linked
 
-    from .day_grid import Bends, DayGrid, GridRows, ReachableLevels
 
 WIDTH = 16  # columns at once; the last ones of a number of columns may be computed twice
 
@@ -28,7 +29,7 @@ class SideCode(NamedTuple):
     - `sizes` [3]: numbers of rows, of maxima among them, and of bends.
     - `maxima` [maxima, 2]: each is the larger of two rows.
     - `window` [n, 2]: the largest value at a node within reach is the larger of two rows.
-    - `endpoints` [n, 4], `shares` [n, 2]: rows left and right of both ends of the reach, and the
+    - `endpoints` [n, 4], `shares` [n, 2]: rows left and right of both limits of the reach, and the
       share of the way to the right.
     - `bends` [bends, 3]: cell, next node, and the node met; `bend_numbers` [bends, 2]: share of
       the way to the right, and inventory without any flow.
@@ -43,26 +44,45 @@ class SideCode(NamedTuple):
     bend_numbers: np.ndarray
 
 
-HEAD = ("value", "after", "ends", "keep", "cost", "excess")  # arrays of both directions
+HEAD = ("value", "after", "goals", "keep", "cost", "excess")  # arrays of both directions
 SIDE = ("price", "scratch", *SideCode._fields)
 TABLE = (*HEAD, *(f"{side}_{name}" for side in ("buy", "sell") for name in SIDE))
 
 
 class DayCode:
-    """The arrays of a day for machine code, made when they are first needed."""
+    """A day as arrays for machine code, made when they are first needed; see `DayGrid`."""
 
-    def __init__(self):
-        self._sides: tuple[SideCode, SideCode] | None = None
+    def __init__(
+        self, nodes: np.ndarray, after: np.ndarray, keep: np.ndarray, cost: np.ndarray,
+        buy: ReachableLevels, sell: ReachableLevels,
+        buy_bends: Bends | None, sell_bends: Bends | None,
+    ):  # fmt: skip
+        self.rows, self.size = len(nodes), len(after)
+        self.numbers = [np.ascontiguousarray(x, float) for x in (after, keep, cost)]
+        self.parts = (buy, buy_bends), (sell, sell_bends)
 
-    def sides(self, day: "DayGrid") -> tuple[SideCode, SideCode]:
-        """Both directions of flow of the day whose code this is."""
-        if self._sides is None:
-            rows, ends = len(day.nodes), len(day.after)
-            self._sides = (
-                _side(day.buy, day.buy_bends, rows, ends),
-                _side(day.sell, day.sell_bends, rows, ends),
-            )
-        return self._sides
+    @cached_property
+    def sides(self) -> list[SideCode]:
+        """Both directions of flow."""
+        return [_side(*part, self.rows, self.size) for part in self.parts]
+
+    def best_value(
+        self, pay: np.ndarray, earn: np.ndarray, after: np.ndarray, above: bool
+    ) -> np.ndarray:
+        """See `day_grid.best_value`."""
+        from snapo.lanes.machine.linked import address  # late: a case is checked without it
+
+        columns = after.shape[1]
+        value = np.empty((self.rows, columns))
+        arrays = [value, np.ascontiguousarray(after, float), *self.numbers]
+        arrays.append(np.empty((self.rows + 1, WIDTH)))
+        for side, price in zip(self.sides, (pay, earn), strict=True):
+            scratch = np.empty((int(side.sizes[0]), WIDTH))
+            arrays += [np.ascontiguousarray(price, float), scratch, *side]
+        table = np.array([address(x) for x in arrays], np.int64)
+        numbers = self.rows, self.size, columns, int(above)
+        _machine().functions["day"](address(table), *numbers)
+        return value
 
 
 def serves(columns: int) -> bool:
@@ -70,26 +90,7 @@ def serves(columns: int) -> bool:
     return columns >= WIDTH and _available()
 
 
-def best_value(
-    day: "DayGrid", pay: np.ndarray, earn: np.ndarray, after: np.ndarray, above: bool
-) -> np.ndarray:
-    """See `day_grid.best_value`."""
-    from snapo.lanes.machine.linked import address  # late: a case is checked without it
-
-    rows, columns = len(day.nodes), after.shape[1]
-    value = np.empty((rows, columns))
-    head = value, after, day.after, day.keep, day.cost, np.empty((rows + 1, WIDTH))
-    arrays: list[np.ndarray] = [np.ascontiguousarray(x, float) for x in head]
-    for side, price in zip(day.code.sides(day), (pay, earn), strict=True):
-        scratch = np.empty((int(side.sizes[0]), WIDTH))
-        arrays += [np.ascontiguousarray(price, float), scratch, *side]
-    table = np.array([address(x) for x in arrays], np.int64)
-    numbers = rows, len(day.after), columns, int(above)
-    _machine().functions["day"](address(table), *numbers)
-    return value
-
-
-def _side(reach: "ReachableLevels", bends: "Bends | None", rows: int, nodes: int) -> SideCode:
+def _side(reach: ReachableLevels, bends: Bends | None, rows: int, nodes: int) -> SideCode:
     levels = 1 + max((k for k, *_ in reach.inside), default=0)
     counts = [max(nodes - (1 << k) + 1, 0) for k in range(levels)]
     starts = np.cumsum([0, *counts])
@@ -126,7 +127,7 @@ def _side(reach: "ReachableLevels", bends: "Bends | None", rows: int, nodes: int
     )
 
 
-def _numbers(rows: "GridRows") -> np.ndarray:
+def _numbers(rows: GridRows) -> np.ndarray:
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
 
 
@@ -152,7 +153,7 @@ def _text() -> str:
     module = Module(WIDTH, host().register)
     code = Code(WIDTH, module)
     _Day(code).write()
-    header = "define void @day(ptr %table, i64 %rows, i64 %ends, i64 %columns, i64 %above)"
+    header = "define void @day(ptr %table, i64 %rows, i64 %goals, i64 %columns, i64 %above)"
     code.do("ret void")
     code.define(header)
     return module.text()
@@ -191,12 +192,12 @@ class _Day:
         """The value less that of the gas, and maxima of rows."""
         code, scratch = self.code, f"{side}_scratch"
         price = self._row(f"{side}_price", "0")
-        with code.loop("%ends") as node:
-            gas = code.mul(self._number("ends", node.i), price)
+        with code.loop("%goals") as node:
+            gas = code.mul(self._number("goals", node.i), price)
             self._set_scratch(scratch, node.i, code.sub(self._row("after", node.i), gas))
         with self._times(side, 1) as maximum:
             pair = [self._named(side, "maxima", maximum, i, 2) for i in (0, 1)]
-            row = code.index(f"add i64 {maximum}, %ends")
+            row = code.index(f"add i64 {maximum}, %goals")
             self._set_scratch(scratch, row, self._larger(*pair))
         last = code.index(f"sub i64 {self._integer(f'{side}_sizes', '0', 0, 3)}, 1")
         self._set_scratch(scratch, last, code.constant(-np.inf, "float64", WIDTH))
@@ -219,7 +220,7 @@ class _Day:
 
     def _raise(self) -> None:
         """Nodes raised by the larger of the gaps of their two cells; row i + 1 of the excess is
-        that of cell i, and the ends are repeated."""
+        that of cell i, and the outer ones are repeated."""
         code = self.code
         zero, last = code.constant(0.0, "float64", WIDTH), code.index("sub i64 %rows, 1")
         with code.loop(code.index("add i64 %rows, 1")) as row:
@@ -227,11 +228,9 @@ class _Day:
         for side in ("buy", "sell"):
             price = self._row(f"{side}_price", "0")
             with self._times(side, 2) as bend:
-                cell, following, met = (
-                    self._integer(f"{side}_bends", bend, i, 3) for i in range(3)
-                )
+                cell, next_one, met = (self._integer(f"{side}_bends", bend, i, 3) for i in range(3))
                 share, keep = (self._number(f"{side}_bend_numbers", bend, i, 2) for i in (0, 1))
-                left, right = self._row("value", cell), self._row("value", following)
+                left, right = self._row("value", cell), self._row("value", next_one)
                 height = code.sub(code.mul(code.sub(left, right), share), left)
                 height = code.add(height, self._scratch(f"{side}_scratch", met))
                 height = code.add(height, code.mul(keep, price))
@@ -240,8 +239,8 @@ class _Day:
         self._set_scratch("excess", "0", self._scratch("excess", "1"))
         self._set_scratch("excess", "%rows", self._scratch("excess", last))
         with code.loop("%rows") as row:
-            following = code.index(f"add i64 {row.i}, 1")
-            gap = self._larger(self._scratch("excess", row.i), self._scratch("excess", following))
+            next_one = code.index(f"add i64 {row.i}, 1")
+            gap = self._larger(self._scratch("excess", row.i), self._scratch("excess", next_one))
             self._set_row("value", row.i, code.add(self._row("value", row.i), gap))
 
     @contextmanager
