@@ -138,7 +138,7 @@ class BookPlan:
         ]
 
     def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
-        """The first order of a contract; None as long as it waits for similar ones.
+        """The first order of a contract; None while it waits for similar ones.
 
         Where a bump refuted a derivative of one, those of all similar contracts are judged: each
         trains its own policy then, as a judged one does.
@@ -157,7 +157,7 @@ class BookPlan:
         return None if shared is None else replace(order, adopted=shared.policy)
 
     def shared_policy(self, kind: str, read: AnswerReader) -> SharedPolicy | None:
-        """The policy of similar contracts; None as long as an answer that it needs is missing."""
+        """The policy of similar contracts; None while a required answer is missing."""
         if kind not in self._shared:
             result = shared_policy(self.similar[kind], self._first_base, read)
             if result is None:

@@ -70,7 +70,7 @@ def shared_policy(
     base: Callable[[BookContract], BookOrder],
     read: AnswerReader,
 ) -> SharedPolicy | None:
-    """The policy of similar contracts; None as long as an answer that it needs is missing."""
+    """The policy of similar contracts; None while a required answer is missing."""
     first, *_ = similar
     leader = read(name_of(base(first).pack()))
     if leader is None:

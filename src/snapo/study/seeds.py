@@ -204,8 +204,8 @@ def describe(result: Mapping[str, Any]) -> str:
     if result["fresh"]:
         return f"{text}. The value of this run is on other paths, not used for that choice."
     return (
-        f"{text}. There are no other paths than those of the value, which is therefore that of the "
-        "best of several on the same paths, and biased slightly upwards."
+        f"{text}. No other paths are available, so the value is that of the best of several seeds "
+        "on the same paths, and biased slightly upwards."
     )
 
 

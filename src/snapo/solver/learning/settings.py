@@ -140,7 +140,7 @@ class Training:
 
 @dataclass(frozen=True)
 class TrainingPlan(Training):
-    """A training with numbers instead of every "auto"; `automatic`: the settings that were."""
+    """Settings with numbers instead of "auto"; `automatic`: the settings that were "auto"."""
 
     steps: int = 0
     paths: int = 2

@@ -56,7 +56,7 @@ def _explicit(home: Path, out: Path, resume: bool) -> Path:
     run_folder.check_writable(out)
     if not resume and home_of(out.resolve()) is not None and (out / run_folder.RUN).exists():
         message = (
-            "a run that is kept is there, and no other one replaces it: leave out --out, or name "
+            "this folder contains a stored run, which is not replaced: leave out --out, or name "
             "another folder"
         )
         raise CaseError("--out", "", Unquoted(str(out)), message)

@@ -52,7 +52,7 @@ class EmissionTable(CaseTable):
 
 
 class StartTable(CaseTable):
-    """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after so many hours off."""
+    """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
 
     off: int = Field(ge=1, le=LONGEST, description=HOURS)
     money: CaseInput = MONEY("paid for a start", 0.0, name="start_money")

@@ -47,8 +47,8 @@ class RightsTable(CaseTable):
 
 
 class MakeUpTable(CaseTable):
-    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up in so many
-    years."""
+    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up within that
+    number of years."""
 
     years: int = Field(1, ge=1, le=2, description="1, or 2: at most three volumes are counted")
     price: CaseInput = PAID("paid for a unit that is made up", 0.0, name="make_up_price")

@@ -49,12 +49,12 @@ class EnergyFlow(NamedTuple):
 
 
 class ContractMove(NamedTuple):
-    """A way through one step.
+    """A passage through one step.
 
     - `name`: in reports; `before`, `after`: modes.
     - `flows`: indices of those that may flow, at most one of them on a step of a method that
       compares volumes; the others are zero.
-    - `changes`: of each level, whatever flows.
+    - `changes`: of each level, for all flows.
     """
 
     name: str
@@ -241,7 +241,7 @@ class StepPrices(NamedTuple):
         return np.asarray(self.unit(terms, (t, slice(None), None)))
 
     def move(self, terms: StepTerms, row: Any) -> Any:
-        """The earnings of a move, whatever flows; `row` as the place of `unit`."""
+        """The earnings of a move, for all flows; `row` as the place of `unit`."""
         money = terms.fixed[row]
         if terms.fixed_index is None:
             return money

@@ -228,7 +228,7 @@ def _observed(
 def observed_price(
     day: datetime.date, series: str, ahead: float | datetime.date, price: float
 ) -> ObservedPrice:
-    """A price that is delivered in so many years, or on a day."""
+    """A price for delivery after a number of years, or on a day."""
     years = (ahead - day).days / YEAR if isinstance(ahead, datetime.date) else ahead
     length = 366 if calendar.isleap(day.year) else 365
     start = (day.timetuple().tm_yday - 1) / length

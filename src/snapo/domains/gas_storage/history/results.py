@@ -156,7 +156,7 @@ def summary(answer: Mapping[str, Any]) -> str:
 
 def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     yield f"{answer['days']} days from {answer['first']} to {answer['last']}"
-    less = f"{answer['share']:.0%} of simulated histories are below"
+    less = f"{answer['share']:.0%} of simulated histories earn less"
     yield f"{'realised':<20}{answer['realised']:>16,.2f}   {less}"
     interval = plus_minus(answer["standard_error"])
     spread = f"{interval} (95 %); standard deviation of one history {answer['deviation']:,.2f}"

@@ -14,7 +14,7 @@ from .tables import DateKey
 
 
 class NominationTable(CaseTable):
-    """{ days = 1, calendar = "business" }: a flow is fixed so many days before its date.
+    """{ days = 1, calendar = "business" }: a flow is fixed this number of days before its date.
 
     One business day before, the flows of a weekend and of Monday are fixed on Friday; `holidays`
     are no business days.

@@ -57,7 +57,7 @@ class Scales(NamedTuple):
 
 
 class DerivedNumbers(eqx.Module):
-    """Numbers that follow from a case's own ones, whatever its inputs are moved to.
+    """Numbers that follow from a case's own ones, for all values of its inputs.
 
     - `eligible`: [n] share of each class that counts as collateral.
     - `scales`: of the features (see `fund.observation`).
