@@ -120,7 +120,7 @@ def read_design(
     order = [i for members, _ in groups for i in members]
     count = int(np.prod([float(len(points)) for _, points in groups]))
     if count > MAX_POINTS:
-        message = f"{count:,} points; allowed are {MAX_POINTS:,}"
+        message = f"{count:,} points; at most {MAX_POINTS:,} are allowed"
         raise CaseError(str(file), "axis", None, message)
     points = []
     for parts in itertools.product(*(points for _, points in groups)):

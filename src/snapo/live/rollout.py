@@ -115,5 +115,5 @@ def numbers_of_a_path(problem: Problem) -> int:
 
 
 def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:
-    """{output: [paths]} of a policy, by the code that rolls a move."""
+    """{output: [paths]} of a policy, by the code that simulates a move."""
     return simulate(setup, policy, PathCounts(paths, 1, 1)).totals

@@ -168,11 +168,11 @@ class Plant(Simulator):
         return {}
 
     def from_twin(self, p: PlantValues, observed: np.ndarray) -> np.ndarray:
-        """[N, features] from the twin's observations [N, k]."""
+        """[N, features] from the environment's observations [N, k]."""
         raise NotImplementedError(f"{self.type} has no counterpart in Gymnasium.")
 
     def to_twin(self, p: PlantValues, action: np.ndarray) -> np.ndarray:
-        """[N, m] the twin's actions from decisions."""
+        """[N, m] the environment's actions from decisions."""
         return np.asarray(self.drive(p, action), np.float32)
 
     def prepare(self, inputs: Mapping[str, PlantValues]) -> Schedule:

@@ -83,7 +83,8 @@ def _letters(result: StoreBacktest) -> dict[str, str]:
 def _outcome(result: StoreBacktest, case: StorageCase) -> Section:
     currency, digits = case.currency, decimals([result.realised, result.expected], 6)
     less = percent(result.share, 0)
-    note = f"{less} of simulated histories earn less; discounted to {long_date(case.valuation_date)}"
+    discounted = f"discounted to {long_date(case.valuation_date)}"
+    note = f"{less} of simulated histories earn less; {discounted}"
     difference, half = measured(result.realised - result.expected, result.error, digits, sign=True)
     context = f"{difference} {half} against the expectation; {PLUS_MINUS}."
     realised = money(result.realised, currency, digits)

@@ -60,7 +60,7 @@ class EmpiricalDemand(Demand):
         reference = FileReference(section, "history", table.history)
         rows = read_rows(reference, ["period", "demand"], ["factor"])
         if not FEWEST <= len(rows) <= MAXIMUM:
-            message = f"there are {len(rows)} periods; allowed are {FEWEST} to {MAXIMUM}"
+            message = f"there are {len(rows)} periods; {FEWEST} to {MAXIMUM} are allowed"
             raise CaseError(table.history, "", None, message)
         with_factor = "factor" in rows[0].cells
         numbers = [

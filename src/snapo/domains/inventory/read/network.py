@@ -172,7 +172,7 @@ def _check(
     """Names, suppliers without a circle, customers at every end, shortage where there are any."""
     names = [row.name for row in rows]
     if not 1 <= len(rows) <= MAXIMUM:
-        raise complete.error("place", len(rows), f"allowed are 1 to {MAXIMUM} tables [[place]]")
+        raise complete.error("place", len(rows), f"there must be 1 to {MAXIMUM} tables [[place]]")
     for i, (row, section) in enumerate(zip(rows, sections)):
         if row.name in names[:i]:
             raise section.error("name", row.name, "another place has this name")

@@ -62,7 +62,7 @@ def read_season(section: TableContext, data: Mapping[str, Any]) -> CaseInput:
     rows = read_rows(FileReference(section, "file", table.file), ["period", "factor"], [])
     if not SHORTEST_SEASON <= len(rows) <= LONGEST_SEASON:
         message = (
-            f"there are {len(rows)} periods; allowed are {SHORTEST_SEASON} to {LONGEST_SEASON}"
+            f"there are {len(rows)} periods; {SHORTEST_SEASON} to {LONGEST_SEASON} are allowed"
         )
         raise CaseError(table.file, "", None, message)
     return FACTOR.from_rows("season", rows, [row.label("period") for row in rows])

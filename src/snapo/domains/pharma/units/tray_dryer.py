@@ -70,7 +70,7 @@ class Liquid(TableRecord):
 
     @classmethod
     def read(cls, read):
-        """Antoine's numbers for Pa and K, from those of the case's units."""
+        """Antoine coefficients for Pa and K, from those of the case's units."""
         table = read.table
         try:
             scale = conversion(table.unit, "Pa").scale

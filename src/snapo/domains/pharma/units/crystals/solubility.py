@@ -199,7 +199,7 @@ def _read_liquid(read: Reader, count: int) -> tuple[np.ndarray, list[float]]:
         raise read.section.error("composition", None, "several solvents need this key")
     liquid = np.array(listed(read.section, "composition", shares, "1", SHARE))
     if len(liquid) != count - 1 or abs(liquid.sum() - 1) > 1e-6:
-        message = f"allowed are {count - 1} shares that add up to 1"
+        message = f"it must be {count - 1} shares that add up to 1"
         raise read.section.error("composition", shares, message)
     if table.solvent_masses is None:
         masses = [constant(read, "solvents", solvent, "MW") for solvent in table.solvents]
