@@ -165,7 +165,7 @@ def read_book(path: Path) -> Book:
     design = read_design(file, table.axis, run.seed, (*RESERVED, *contracts[0].labels))
     if len(contracts) * len(design.points) > MAX_POINTS:
         message = f"{len(contracts):,} contracts at {len(design.points):,} points of the axes"
-        raise CaseError(str(file), "axis", None, f"{message}; at most {MAX_POINTS:,} together are allowed")
+        raise CaseError(str(file), "axis", None, f"{message}; at most {MAX_POINTS:,} are allowed")
     if design.axes:
         contracts = tuple(along(design, contracts))
     _check_names((_position(file, x), x.name, "contracts") for x in contracts)

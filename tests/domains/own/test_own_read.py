@@ -130,7 +130,7 @@ MISTAKES = {
         PLACE, '[objective]\n', '[[objective]]\nkind = "crra"\nrisk_aversion = 2\nwealth = 1\nweight = -1\n',
         "objective.1.weight: got -1; a utility is for a quantity to maximise",
     ),
-    "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input is a"),
+    "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input must be a"),
     "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; it must be a"),
     "no value": (PLACE, "value = 1,", "", "inputs.cost.value: this key is missing; give value ="),
     "both": (PLACE, "value = 1,", 'value = 1, file = "demand.csv",', "either a value or a file"),
