@@ -6,6 +6,7 @@ from snapo.study.kind import inputs_line
 
 from .core.feasibility import check_limits
 from .core.intraday import simulator_kind
+from .methods.grid import check_nodes
 from .methods.intrinsic import intrinsic_value
 from .read.case import EnergyCase
 
@@ -18,6 +19,7 @@ def lines(case: EnergyCase) -> list[str]:
     inputs, layout = case.inputs(), case.contract.layout
     schedule = in_numpy(simulator_kind(case).bare(case).prepare)(plain(inputs))
     check_limits(case, schedule)
+    check_nodes(case, schedule)
     return [
         f"{case.title}: {len(case.days)} decisions, {case.days[0]} to {case.days[-1]}",
         f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "
