@@ -352,7 +352,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
 if __name__ == "__main__":
     names = sys.argv[1:] or list(TABLES)
     if unknown := set(names) - set(TABLES):
-        sys.exit(f"{', '.join(unknown)}: allowed is {', '.join(TABLES)}")
+        sys.exit(f"{', '.join(unknown)}: it must be {', '.join(TABLES)}")
     print(machine())
     for name in names:
         print()

@@ -224,7 +224,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--picture", type=Path, help="writes speed-up over inputs as SVG")
     asked = parser.parse_args(arguments)
     if unknown := set(asked.what) - set(known):
-        parser.error(f"there is no {', '.join(sorted(unknown))}; known are {', '.join(known)}")
+        parser.error(f"there is no {', '.join(sorted(unknown))}; available are {', '.join(known)}")
     sizes, rows = [each for each in asked.what if each in SIZES], []
     parts = [table(sizes or SIZES, rows)] if sizes or not asked.what else []
     parts += [part() for part in (engines, memory) if part.__name__ in asked.what]

@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     asked = parser.parse_args(arguments)
     if unknown := set(asked.problems) - set(TOLD):
-        parser.error(f"there is no {', '.join(sorted(unknown))}; known are {', '.join(TOLD)}")
+        parser.error(f"there is no {', '.join(sorted(unknown))}; available are {', '.join(TOLD)}")
     if asked.alone:
         run(asked.problems[0], asked.algorithm[0], asked.seeds[0], asked)
         return

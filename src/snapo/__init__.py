@@ -1,6 +1,6 @@
 """Smooth Neural Adjoint Policy Optimization: decisions under uncertainty, with every gradient.
 
-The public names are those of `__init__.pyi`. They are loaded when first used, so that
+The public names are listed in `__init__.pyi`. They are loaded when first used, so that
 `snapo --help` need not load JAX.
 """
 

@@ -106,7 +106,7 @@ def test_a_wrong_axis_says_how_it_is_written(axis, message):
 
 
 def test_axes_of_sobol_points_have_one_number_of_them():
-    with pytest.raises(CaseError, match="allowed is 5"):
+    with pytest.raises(CaseError, match="it must be 5"):
         sobol(sobol=6)
     with pytest.raises(CaseError, match="two axes have this key"):
         sobol(key="a.x")
@@ -237,9 +237,9 @@ def test_stresses_of_a_parquet_are_those_of_a_csv(tmp_path):
 
 def test_a_stress_moves_a_key_once_and_labels_are_no_results(tmp_path):
     stress = f'[[stress]]\nname = "a"\nset = {{ "{COST}" = 1.0 }}\nshift = {{ "{COST}" = 1.0 }}\n'
-    with pytest.raises(CaseError, match="cannot be scaled or shifted as well"):
+    with pytest.raises(CaseError, match="cannot also be scaled, shifted or set twice"):
         read_book(write_book(tmp_path / "a", ROWS[:1], stresses=stress))
-    with pytest.raises(CaseError, match="give that of the table another one"):
+    with pytest.raises(CaseError, match="rename the column of the table"):
         read_book(write_book(tmp_path / "b", [{"name": "a", "value": 3}]))
 
 
@@ -251,4 +251,4 @@ def test_a_process_has_its_bits_in_every_worker(process, tmp_path):
     here = run(book, tmp_path / "here")
     there = run_book(book, lambda _: None, worker_pools("", 2), out=tmp_path / "there")
     assert there["points"] == here["points"] and len(here["points"]) == 4
-    assert "deeper is more" in (tmp_path / "there" / "report.html").read_text()
+    assert "darker is higher" in (tmp_path / "there" / "report.html").read_text()

@@ -26,14 +26,14 @@ def mistakes(file):
         ({"contract.max_inventry": 5}, "", "",
          "contracts.csv, line 2, column contract.max_inventry: got 5; there is no such key"),
         ({"contract.max_inventory": -1}, "", "",
-         "contracts.csv, line 2, column contract.max_inventory: got -1; allowed is"),
+         "contracts.csv, line 2, column contract.max_inventory: got -1; it must be"),
         ({"CONTRACT.Max_Inventory": -1}, "", "",
-         "contracts.csv, line 2, column CONTRACT.Max_Inventory: got -1; allowed is"),
+         "contracts.csv, line 2, column CONTRACT.Max_Inventory: got -1; it must be"),
         ({}, "[model]", "[model]\nvolatilty = 3.0",
          "/store/case.toml, model.volatilty: got 3; there is no such key"),
         ({}, "[model]", "[modell]", "/store/case.toml, modell: got "),
         ({}, '"curve.csv"', '"curv.csv"', "/store/case.toml, market.forward_curve: got 'curv.csv'"),
-        ({}, '"gas-storage"', '"gas"', "/store/case.toml, kind: got 'gas'; allowed is one of "),
+        ({}, '"gas-storage"', '"gas"', "/store/case.toml, kind: got 'gas'; it must be one of "),
     ],
 )  # fmt: skip
 def test_a_mistake_of_a_contract(tmp_path, rows, old, new, expected):
@@ -54,11 +54,11 @@ def test_a_mistake_of_all_contracts_is_named_once(tmp_path):
 @pytest.mark.prove  # it makes a problem of the case
 def test_a_mistake_of_a_stress(tmp_path):
     for text, expected in {
-        'scale = { "market.forwrd_curve" = 1.1 }': ", market.forwrd_curve: allowed is one of ",
+        'scale = { "market.forwrd_curve" = 1.1 }': ", market.forwrd_curve: it must be one of ",
         'scale = { "markt.forward_curve" = 1.1 }':
             ", markt.forward_curve: the case has no table markt; the nearest is market.",
         'set = { "contract.injction_cost" = 1.1 }': ", contract.injction_cost: got 1.1; there is no",
-        'set = { "contract.max_inventory" = -1 }': ", contract.max_inventory: got -1; allowed is",
+        'set = { "contract.max_inventory" = -1 }': ", contract.max_inventory: got -1; it must be",
         'scale = { "market.forward_curve" = 1.1 }\nwhen = "2030-01/2030-02"':
             ", market.forward_curve: none of its numbers lies in 2030-01-01/2030-02-28.",
     }.items():  # fmt: skip
@@ -69,7 +69,7 @@ def test_a_mistake_of_a_stress(tmp_path):
     (tmp_path / "moves.csv").write_text("name,shift market.spot\na,1\n")
     stress = '[[stress]]\ntable = "moves.csv"\n'
     (one,) = mistakes(write_book(tmp_path, [{"name": "a"}], stresses=stress))
-    assert one.startswith("moves.csv, line 2, market.spot: allowed is one of ")
+    assert one.startswith("moves.csv, line 2, market.spot: it must be one of ")
     file = write_book(tmp_path, [{"name": "a"}])
     assert commands.check(file)[0] == "North: 1 contracts, 2 stresses"
 
@@ -92,7 +92,7 @@ def test_a_book_of_another_kind(tmp_path, capsys, command):
     file.write_text('kind = "bok"\n[cases]\ntemplate = "store"\n')
     assert main([command[0], str(file), *command[1:]]) == 2
     text = capsys.readouterr().err
-    assert "kind: got 'bok'; allowed is " in text and '"book"' in text
+    assert "kind: got 'bok'; it must be " in text and '"book"' in text
     assert text.count("gas-storage") <= 1
     if command != ["book"]:
         assert text.rstrip().endswith("the nearest known kind is book.")
@@ -109,8 +109,8 @@ def test_a_book_is_not_a_case(tmp_path, capsys, command):
 
 
 RESULTS = {
-    "": "result.json, line 1: this is not JSON",
-    '{"sums": [': "result.json, line 1: this is not JSON",
+    "": "result.json, line 1: this is not valid JSON",
+    '{"sums": [': "result.json, line 1: this is not valid JSON",
     "[1]": "result.json: got [1]; a table is expected; this file was changed",
     "{}": "result.json, title: this key is missing; this file was changed",
 }
@@ -144,8 +144,8 @@ def test_a_damaged_folder_says_what_is_wrong(valued, tmp_path, monkeypatch):
         assert message(lambda text=text: result.write_text(text)).startswith(expected)
     assert message(result.unlink).startswith("result.json: this book has no results yet")
     assert message(record.unlink) == "book.json: this is not the folder of a book."
-    assert "book.json, line 1: this is not JSON" in message(lambda: record.write_text("x"))
-    assert "book.json, layout: got 7; allowed is 1" in message(
+    assert "book.json, line 1: this is not valid JSON" in message(lambda: record.write_text("x"))
+    assert "book.json, layout: got 7; it must be 1" in message(
         lambda: record.write_text('{"layout": 7}')
     )
     assert "book.json, cases: this key is missing" in message(

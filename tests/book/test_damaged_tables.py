@@ -16,7 +16,7 @@ MOVES = (
     b"set contract.injection_cost,probability\nup,1.1,,,0.1\nwinter,,2.5,,0.2\ndear,,,0.07,0.3\n"
 )
 SAME = "the same numbers"
-NUMBER = "allowed is a finite number"
+NUMBER = "it must be a finite number"
 DATE = "there is no such day or month in the calendar"
 PERIOD = "two months or days with a slash"
 
@@ -57,7 +57,7 @@ FORMS = {
     "table twice": (lambda x: x + x, "line ., column .*: got '"),
     "cell missing": (lambda x: x.rstrip().rpartition(b",")[0], "line .: got . cells; the header"),
     "open quotation mark": (lambda x: x + b'"a', "line .: "),
-    "column twice": (headed(lambda x: x + b"," + x.rpartition(b",")[2]), "column is there twice"),
+    "column twice": (headed(lambda x: x + b"," + x.rpartition(b",")[2]), "column appears twice"),
 }
 PRICES = {
     "decimal commas": (lambda x: x.replace(b",", b";").replace(b".", b","), SAME),
@@ -188,7 +188,7 @@ def test_scale_and_shift_of_a_row_in_either_order(folders):
     [
         (
             'table = "moves.csv"\nname = "a"',
-            r"stress\[1\]\.name: got 'a'; a stress with a table has",
+            r"stress\[1\]\.name: got 'a'; a stress with a table takes",
         ),
         ('name = "a"\nset = { "a.b" = 1 }\nwhen = "2025-01/2025-01"', r"stress\[1\]\.when: got"),
         ('name = "base"\nset = { "a.b" = 1 }', "the name of the unstressed point"),

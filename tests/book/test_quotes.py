@@ -106,7 +106,7 @@ def test_a_book_values_the_same_bits(tmp_path):
 def test_a_product_that_is_not_free_and_a_period_without_one(tmp_path):
     case = read_case(*load(store(tmp_path / "one")))
     inputs = storage_inputs(case)
-    with pytest.raises(CaseError, match="allowed is one of 2025-01, 2025-02, 2025-03"):
+    with pytest.raises(CaseError, match="it must be one of 2025-01, 2025-02, 2025-03"):
         moved_numbers(case, inputs, [StressMove("market.quotes.2025-Q1", shift=1.0)])
     days = datetime.date(2025, 1, 10), datetime.date(2025, 1, 20)
     with pytest.raises(CaseError, match="has all of its days in 2025-01-10/2025-01-20"):

@@ -142,7 +142,7 @@ def test_a_market_replaces_that_of_its_contracts(tmp_path):
     # Proportional prices with a little cost: about twice the value.
     assert 1.7 < high.value / low.value < 2.3
     (tmp_path / "contracts.csv").write_text("name,market\na,none\n")
-    with pytest.raises(CaseError, match="allowed is one of low, high"):
+    with pytest.raises(CaseError, match="it must be one of low, high"):
         read_book(file)
 
 

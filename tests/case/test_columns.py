@@ -102,5 +102,5 @@ def test_what_is_no_frame_or_no_such_file_is_refused(tmp_path):
 )
 def test_a_cell_out_of_its_range_is_refused_with_both_ends(low, high, cell, allowed):
     row = Row("prices.csv", 3, {"price": cell})
-    with pytest.raises(CaseError, match=f"line 3, column price: .* allowed is {allowed}"):
+    with pytest.raises(CaseError, match=f"line 3, column price: .* must be {allowed}"):
         row.number("price", low, high)

@@ -118,7 +118,7 @@ def test_every_mistake_of_a_table_is_named_at_once():
 
 
 def test_limits_are_refused_with_their_own_reason():
-    with pytest.raises(CaseError, match=r"0\.95; no market has this; allowed is .* to 0\.9"):
+    with pytest.raises(CaseError, match=r"0\.95; no market has this; it must be .* to 0\.9"):
         read({"share": 0.95})
 
 
@@ -223,7 +223,7 @@ def test_a_key_is_described_by_its_type():
     assert fields["name"].description is None and "description" not in schema["name"]
     assert (schema["paths"]["minimum"], schema["paths"]["maximum"]) == (2, 10_000)
     assert schema["keep"]["anyOf"][0] == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 1.0}
-    with pytest.raises(CaseError, match=r"keep: got 0.*allowed is a number above 0, at most 1, or"):
+    with pytest.raises(CaseError, match=r"keep: got 0.*must be a number above 0, at most 1, or"):
         parse(Settings, {"keep": 0.0}, "case.toml", "settings")
 
 
@@ -236,7 +236,7 @@ def test_a_type_takes_the_numbers_of_its_range_and_no_others(key, number):
         return
     with pytest.raises(CaseError) as refused:
         parse(Settings, data, "case.toml", "settings")
-    assert refused.value.allowed == f"allowed is {DESCRIPTIONS[key]}"
+    assert refused.value.allowed == f"it must be {DESCRIPTIONS[key]}"
 
 
 def test_numbers_that_may_be_left_out_keep_their_range():

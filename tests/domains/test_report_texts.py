@@ -16,5 +16,5 @@ def test_every_kind_takes_them(kind, tmp_path):
     request = asked._replace(assignments=(*asked.assignments, *texts))
     assert load(request).data["report"]["author"] == "x"
     missing = request._replace(assignments=(*asked.assignments, 'report.logo="none.png"'))
-    with pytest.raises(CaseError, match="there is no such file; allowed is the name of a PNG"):
+    with pytest.raises(CaseError, match="there is no such file; it must be the name of a PNG"):
         load(missing)

@@ -81,8 +81,8 @@ def test_a_path_without_weight_is_no_fault():
 
 
 @pytest.mark.parametrize(
-    "given, said", [({"norm": 0.0}, "norm is 0.0; allowed is a number above 0"),
-                    ({"keep": 1.1}, "keep is 1.1; allowed is a number from 0 to 1"),
+    "given, said", [({"norm": 0.0}, "norm is 0.0; it must be a number above 0"),
+                    ({"keep": 1.1}, "keep is 1.1; it must be a number from 0 to 1"),
                     ({"keep": np.nan}, "keep is nan")],
 )  # fmt: skip
 def test_what_is_no_clip_is_refused(given, said):

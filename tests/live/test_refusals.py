@@ -21,7 +21,7 @@ FLOWS = Input([4.0, 5.0, 6.0], "hm3", labels=("Mon", "Tue", "Wed"))
 def test_a_refusal_names_the_input_in_the_units_of_its_field():
     words = str(no_value({"swing": np.array(-1e4)}, {"swing": POINTS}, 510, 512))
     assert words == (
-        "swing: got −1,000,000 points; allowed is a number with which the simulator can calculate, "
+        "swing: got −1,000,000 points; it must be a number with which the simulator can calculate, "
         "such as the run's 10 points: here 510 of its 512 paths have no finite total, so "
         "there is no value."
     )
@@ -75,7 +75,7 @@ def test_an_absurd_number_of_an_own_simulator_is_refused_by_its_name(valuation):
         with pytest.raises(CaseError) as caught:
             next(valuation.stages(values))
         words = in_words(caught.value)
-        assert words.startswith("price_volatility: got −100,000,000 points; allowed is a number")
+        assert words.startswith("price_volatility: got −100,000,000 points; it must be a number")
         assert "water" not in words and "\n" not in words
     assert np.isfinite(next(valuation.stages({"water": moved["water"]}))[1]["value"])
 

@@ -81,7 +81,7 @@ def test_there_is_an_end_to_them(kept, monkeypatch):
     kept.keep("a", {}, {})
     kept.keep("b", {}, {})
     kept.keep("b", {}, {})
-    with pytest.raises(Refused, match="forget one"):
+    with pytest.raises(Refused, match="delete one"):
         kept.keep("c", {}, {})
     assert MAXIMUM == 200 and slug("Ä ö--ß x") == "a-o-x"
 

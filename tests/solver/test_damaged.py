@@ -88,7 +88,7 @@ def test_another_kind_of_file(file, progress, tmp_path):
     trees = {name: getattr(progress, name) for name in checkpoint._TREES}
     for header in ({}, [], {"step": 1, "best_value": 0.0, "stale": 0, "status": "", "history": 3}):
         checkpoint.save_arrays(file, trees, header)  # pyright: ignore[reportArgumentType]
-        with pytest.raises(checkpoint.CheckpointError, match="another kind of file"):
+        with pytest.raises(checkpoint.CheckpointError, match="not a file of this kind"):
             checkpoint.load(file, progress)
     with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
         checkpoint.load(tmp_path, progress)

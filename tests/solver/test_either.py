@@ -107,11 +107,11 @@ def test_bounds_and_imitations_take_either():
 @pytest.mark.parametrize(
     "sizes, said",
     [
-        ({"horizon": 5.0}, "horizon is 5.0; allowed is a whole number of at least 1"),
-        ({"horizon": "5"}, "horizon is '5'; allowed is a whole number of at least 1"),
-        ({"horizon": -1}, "horizon is -1; allowed"),
-        ({"horizon": True}, "horizon is True; allowed"),
-        ({"noise_size": 1.5}, "noise_size is 1.5; allowed is a whole number of at least 0"),
+        ({"horizon": 5.0}, "horizon is 5.0; it must be a whole number of at least 1"),
+        ({"horizon": "5"}, "horizon is '5'; it must be a whole number of at least 1"),
+        ({"horizon": -1}, "horizon is -1; it must be"),
+        ({"horizon": True}, "horizon is True; it must be"),
+        ({"noise_size": 1.5}, "noise_size is 1.5; it must be a whole number of at least 0"),
     ],
 )
 def test_sizes_that_are_none_are_named(sizes, said):
@@ -131,23 +131,23 @@ def test_sizes_that_are_none_are_named(sizes, said):
 
 def test_other_wrong_arguments_are_named():
     for call, said in (
-        (lambda: snapo.evaluate(PROBLEM, None), "evaluate: policy is None; allowed is a policy"),
-        (lambda: snapo.simulate(PROBLEM, 3), "simulate: policy is 3; allowed is a policy"),
+        (lambda: snapo.evaluate(PROBLEM, None), "evaluate: policy is None; it must be a policy"),
+        (lambda: snapo.simulate(PROBLEM, 3), "simulate: policy is 3; it must be a policy"),
         (
             lambda: snapo.evaluate(Till(), INPUTS, HALF, objective=3),
-            "evaluate: objective is 3; allowed is an objective, or the name of an output",
+            "evaluate: objective is 3; it must be an objective, or the name of an output",
         ),
         (
             lambda: snapo.solve(Till(), INPUTS, scenarios=7),
-            "solve: scenarios is 7; allowed are scenarios",
+            "solve: scenarios is 7; it must be scenarios",
         ),
         (
             lambda: snapo.solve(Till(), INPUTS, constraints=7),
-            "solve: constraints is 7; allowed is a list",
+            "solve: constraints is 7; it must be a list",
         ),
-        (lambda: snapo.AtMost(3, 1.0), "AtMost: of is 3; allowed is the name of an output"),
-        (lambda: snapo.AtMost("x", "1"), "AtMost: level is '1'; allowed is a finite number"),
-        (lambda: snapo.AtMost("x", True), "AtMost: level is True; allowed is a finite number"),
+        (lambda: snapo.AtMost(3, 1.0), "AtMost: of is 3; it must be the name of an output"),
+        (lambda: snapo.AtMost("x", "1"), "AtMost: level is '1'; it must be a finite number"),
+        (lambda: snapo.AtMost("x", True), "AtMost: level is True; it must be a finite number"),
     ):
         with pytest.raises(ValueError) as error:
             call()

@@ -161,22 +161,22 @@ def test_a_print_is_not_dropped():
 @pytest.mark.parametrize(
     "make, message",
     [
-        (lambda: Training(steps=-3), "steps is -3; allowed is a whole number of at least 0"),
+        (lambda: Training(steps=-3), "steps is -3; it must be a whole number of at least 0"),
         (lambda: Training(paths=0), "paths is 0"),
         (lambda: Training(validation_every=0.5), "validation_every is 0.5"),  # pyright: ignore
         (lambda: Training(patience=0), "patience is 0"),
-        (lambda: Training(learning_rate=-1), "learning_rate is -1; allowed is a number above 0"),
+        (lambda: Training(learning_rate=-1), "learning_rate is -1; it must be a number above 0"),
         (lambda: Training(learning_rate=float("nan")), "learning_rate is nan"),
         (lambda: Training(learning_rate="fast"), "learning_rate is 'fast'"),  # pyright: ignore
-        (lambda: Training(average=2.0), "average is 2.0; allowed is a number above 0, at most 1"),
-        (lambda: Training(temperature_end=-1), "temperature_end is -1; allowed is a number above"),
+        (lambda: Training(average=2.0), "average is 2.0; it must be a number above 0, at most 1"),
+        (lambda: Training(temperature_end=-1), "temperature_end is -1; it must be a number above"),
         (lambda: Training(temperature_start=np.inf), "temperature_start is inf"),
-        (lambda: Training(decay=-0.1), "decay is -0.1; allowed is a number, 0 or more"),
-        (lambda: Training(clip=0.0), "clip is 0.0; allowed is a number above 0, 'auto' or None"),
+        (lambda: Training(decay=-0.1), "decay is -0.1; it must be a number, 0 or more"),
+        (lambda: Training(clip=0.0), "clip is 0.0; it must be a number above 0, 'auto' or None"),
         (lambda: Training(clip="often"), "clip is 'often'"),
-        (lambda: Training(seed=-1), "seed is -1; allowed is a whole number of at least 0"),
+        (lambda: Training(seed=-1), "seed is -1; it must be a whole number of at least 0"),
         (lambda: Training(seed="a"), "seed is 'a'"),  # pyright: ignore
-        (lambda: Evaluation(judge_paths=-3), "judge_paths is -3; allowed is a whole number of at"),
+        (lambda: Evaluation(judge_paths=-3), "judge_paths is -3; it must be a whole number of at"),
         (lambda: Evaluation(sensitivity_paths=-1), "sensitivity_paths is -1"),
         (lambda: Evaluation(scenarios="halton"), "'halton'"),
     ],

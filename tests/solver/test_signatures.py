@@ -37,5 +37,5 @@ def test_smooth_has_its_type(verb):
 
 def test_other_decisions_are_refused():
     verb = inspect.unwrap(snapo.value_and_gradient)
-    with pytest.raises(ValueError, match="decisions is 'free'; allowed is 'held' or 'reacting'"):
+    with pytest.raises(ValueError, match="decisions is 'free'; it must be 'held' or 'reacting'"):
         verb(None, None, decisions="free")

@@ -54,7 +54,7 @@ def test_a_row_for_every_path_and_step(played):
     assert len(table) == 4 * 52
     row = table[(table.path == 2) & (table.step == 7)].iloc[0]
     assert row.water == course.states["water"][7, 2] and row.cash == course.outputs["cash"][7, 2]
-    with pytest.raises(ValueError, match="allowed is one of"):
+    with pytest.raises(ValueError, match="it must be one of"):
         course.frame("excel")
 
 

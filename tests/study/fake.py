@@ -38,7 +38,7 @@ class Fake:
                 raise CaseError(str(file), key, data[key], "there is no such key")
         numbers = data.get("numbers", [1.0, 2.0])
         if not isinstance(numbers, list):
-            raise CaseError(str(file), "numbers", numbers, "allowed is a list of numbers")
+            raise CaseError(str(file), "numbers", numbers, "it must be a list of numbers")
         return FakeCase(file, numbers, data.get("fails", ""))
 
     def check(self, case) -> list[str]:

@@ -219,7 +219,7 @@ def test_the_folder_of_a_saved_solution_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("text", "clause"),
     [
-        ('{"layout": 1, "kind": "fake"}', "layout: got 1; allowed is 4; another version"),
+        ('{"layout": 1, "kind": "fake"}', "layout: got 1; it must be 4; another version"),
         ("{", "this file cannot be read"),
         ("[]", "this file cannot be read"),
         (None, "this is not the folder of a run"),
@@ -263,7 +263,7 @@ def test_two_parts_give_different_tables(fake, tmp_path):
 
 def test_a_study_names_its_parts_once_and_in_order():
     first, doubled, _ = parts([1])
-    with pytest.raises(ValueError, match="two parts are called 'first sum'"):
+    with pytest.raises(ValueError, match="two parts are named 'first sum'"):
         study([first, first])
     with pytest.raises(ValueError, match="'doubled' needs \\['first sum'\\] before it"):
         study([doubled, first])

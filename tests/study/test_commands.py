@@ -83,7 +83,7 @@ def test_set_changes_keys_and_the_domain_judges_them(fake, case, capsys):
     message = capsys.readouterr().err
     assert f"{case / 'case.toml'} with --set, number: got 3; there is no such key" in message
     assert main(["check", str(case), "--set", "numbers=3"]) == 2
-    assert "with --set, numbers: got 3; allowed is a list of numbers" in capsys.readouterr().err
+    assert "with --set, numbers: got 3; it must be a list of numbers" in capsys.readouterr().err
 
 
 def test_seed_is_a_key(fake, case):
@@ -161,7 +161,7 @@ def test_new_writes_the_size_that_was_asked_for(fake, templates, tmp_path, capsy
     assert main(["new", "fake", str(tmp_path / "b"), "--size", "large"]) == 0
     assert "large" in (tmp_path / "b" / "case.toml").read_text()
     assert main(["new", "fake", str(tmp_path / "c"), "--size", "huge"]) == 2
-    assert "got 'huge'; allowed is one of small, large" in capsys.readouterr().err
+    assert "got 'huge'; it must be one of small, large" in capsys.readouterr().err
     assert main(["new", "fake", str(tmp_path / "a")]) == 2
     assert "this file exists; nothing was written" in capsys.readouterr().err
     assert main(["new", "fake"]) == 2

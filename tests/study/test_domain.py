@@ -33,7 +33,7 @@ def test_a_domain_is_found_by_its_kind(fake):
 
 def test_an_unknown_kind_names_the_nearest(fake):
     expected = (
-        'case.toml, kind: got \'fakes\'; allowed is one of "fake", or "book" in a file for '
+        'case.toml, kind: got \'fakes\'; it must be one of "fake", or "book" in a file for '
         "snapo book; the nearest known kind is "
     )
     assert message("fakes", "case.toml").startswith(expected + "fake")

@@ -28,7 +28,7 @@ class Doubling:
     def read(self, file, data):
         first = data.get("numbers", {}).get("first")
         if not isinstance(first, float):
-            raise CaseError(str(file), "numbers.first", first, "allowed is a number")
+            raise CaseError(str(file), "numbers.first", first, "it must be a number")
         return SimpleNamespace(file=file, notes=(), title=data["title"], first=first)
 
     def check(self, case):

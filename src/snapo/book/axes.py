@@ -120,7 +120,7 @@ def read_design(
     order = [i for members, _ in groups for i in members]
     count = int(np.prod([float(len(points)) for _, points in groups]))
     if count > MAX_POINTS:
-        message = f"{count:,} points; allowed are {MAX_POINTS:,}"
+        message = f"{count:,} points; at most {MAX_POINTS:,} are allowed"
         raise CaseError(str(file), "axis", None, message)
     points = []
     for parts in itertools.product(*(points for _, points in groups)):
@@ -188,7 +188,7 @@ def _sobol(
     count = tables[selected[0][0]].sobol or 0
     for i, _ in selected:
         if tables[i].sobol != count:
-            message = f"allowed is {count}, as above: the axes share their Sobol points"
+            message = f"it must be {count}, as above: the axes share their Sobol points"
             raise CaseError(file, f"{where[i]}.sobol", tables[i].sobol, message)
     engine = qmc.Sobol(len(selected), scramble=True, rng=np.random.default_rng(seed))
     # Sobol points come in powers of two.
@@ -205,7 +205,7 @@ def _sobol(
 def _values(file: str, where: str, values: str | list[Any]) -> list[AxisValue]:
     if isinstance(values, list):
         if not values:
-            raise CaseError(file, where, values, "an axis has at least one value")
+            raise CaseError(file, where, values, "an axis must have at least one value")
         return [AxisValue.of(value) for value in values]
     return list(spaced(file, where, values))
 

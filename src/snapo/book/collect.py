@@ -1,4 +1,4 @@
-"""From the answers of a book to its tables, sums and risk."""
+"""Makes the tables, sums and risk of a book from its results."""
 
 import itertools
 from collections import Counter
@@ -117,7 +117,7 @@ class PointTotal:
     notes: list[str] = field(default_factory=list)
 
     def row(self, at: Mapping[str, str]) -> dict[str, Any]:
-        """Its content in result.json."""
+        """The entry of this object in result.json."""
         total = self.total.at(self.stress)
         row = dict.fromkeys(Sum._fields) if total is None else total._asdict()
         if self.stress == BASE:
@@ -382,5 +382,5 @@ def _write_points(file: Path, results: Results) -> None:
 
 
 def file_name(case: str) -> str:
-    """The name of a contract as that of a file."""
+    """The name of a contract as a file name."""
     return case.replace("/", "-")

@@ -104,7 +104,7 @@ def sweep_book(
     tables, _ = assigned(tables, fixed)
     domain = find(tables.get("kind"), str(file))
     if isinstance(domain, RunsCode):
-        message = f'a case of kind "{domain.kind}" runs code of yours, which no sweep runs yet'
+        message = f'a case of kind "{domain.kind}" runs user code, which sweeps do not support'
         raise CaseError(str(file), "kind", None, message)
     case: Any = domain.read(file, tables)
     seed, paths = case.training.seed, case.evaluation.paths
@@ -220,7 +220,7 @@ def check(path: Path) -> list[str]:
         f"{book.title}: {len(book.contracts):,} contracts{same}, {stresses:,} stresses",
         *([f"markets: {', '.join(markets)}"] if markets else []),
         f"{plan.size:,} orders of {1 + stresses:,} points for each contract",
-        f"shapes: about {shapes:,}; derivatives of {judged:,} contracts are judged by bumps",
+        f"shapes: about {shapes:,}; derivatives of {judged:,} contracts are tested by bumps",
         f"expected: {_duration(seconds)} of processor time on gas stores of a year",
     ]
 
@@ -328,7 +328,7 @@ def summary(result: Mapping[str, Any]) -> str:
         lines += [f"{x['case']} under {x['stress']}: {x['note']}" for x in result["failures"][:5]]
     else:
         number, count = result["shard"]
-        counts += f"; part {number} of {count}: others are missing yet"
+        counts += f"; part {number} of {count}: others are still missing"
     lines.append(f"{counts}, {result['seconds']['total']:,.1f} s")
     if "sums" in result:
         lines.append(f"report: {Path(result['run']) / REPORT}")

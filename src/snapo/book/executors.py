@@ -65,7 +65,7 @@ def _named(where: str) -> list[WorkerPool]:
         executors = [made] if hasattr(made, "submit") else list(made)
     except (ImportError, AttributeError, ValueError, TypeError) as error:
         allowed = (
-            "allowed is dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCTION of a function that returns "
+            "it must be dask:ADDRESS, ray:ADDRESS, or MODULE:FUNCTION of a function that returns "
             f"an executor ({error})"
         )
         raise CaseError("--on", "", where, allowed) from None
@@ -82,7 +82,7 @@ def _dask(address: str, trust_network: bool) -> WorkerPool:
         raise _missing("dask") from None
     parts = urlsplit(address if "//" in address else f"tcp://{address}")
     if parts.scheme != "tls" and not trust_network and not _loopback(parts.hostname):
-        message = "this scheduler has no TLS (tls://…): whoever reaches it runs code there"
+        message = "this scheduler has no TLS (tls://…): anyone who can reach it can run code there"
         raise _open(f"dask:{address}", message)
     try:
         client = Client(address, timeout=20)
@@ -139,7 +139,7 @@ def _missing(extra: str) -> CaseError:
 
 
 def _open(where: str, message: str) -> CaseError:
-    allowed = f"{message}; with --trust-network this is up to you"
+    allowed = f"{message}; --trust-network accepts this risk"
     return CaseError("--on", "", where, allowed)
 
 

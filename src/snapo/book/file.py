@@ -58,7 +58,7 @@ class CasesTable(CaseTable):
 class BookMarketTable(CaseTable):
     """`[markets.NAME]`"""
 
-    file: str = Field(description="a TOML file with [market], and [model] where it has one")
+    file: str = Field(description="a TOML file with [market], and [model] if it has one")
 
 
 class TasksTable(CaseTable):
@@ -104,7 +104,7 @@ class BookTable(CaseTable):
 
 class Origin(NamedTuple):
     """Where the numbers of a contract are: the file of its case, the row of the table that changes
-    it, and the file of its market; None where it has none."""
+    it, and the file of its market; None if it has none."""
 
     case: Path
     row: Row | None = None
@@ -160,25 +160,25 @@ def read_book(path: Path) -> Book:
     if not contracts:
         raise context.error("table", cases.table or cases.files, "it has no contract")
     if taken := [column for column in contracts[0].labels if column in RESERVED]:
-        message = "the results have a column of this name; give that of the table another one"
+        message = "the results have a column of this name; rename the column of the table"
         raise context.error("table", taken[0], message)
     design = read_design(file, table.axis, run.seed, (*RESERVED, *contracts[0].labels))
     if len(contracts) * len(design.points) > MAX_POINTS:
         message = f"{len(contracts):,} contracts at {len(design.points):,} points of the axes"
-        raise CaseError(str(file), "axis", None, f"{message}; allowed are {MAX_POINTS:,} together")
+        raise CaseError(str(file), "axis", None, f"{message}; at most {MAX_POINTS:,} are allowed")
     if design.axes:
         contracts = tuple(along(design, contracts))
     _check_names((_position(file, x), x.name, "contracts") for x in contracts)
     stresses = tuple(read_stresses(file, table.stress))
     for stress in stresses:
         if stress.name == BASE:
-            message = "this is the name of the unstressed point; give the stress another one"
+            message = "this is the name of the unstressed point; rename the stress"
             raise CaseError(stress.file, f"{stress.where}, name", BASE, message)
     _check_names(((x.file, x.where), x.name, "stresses") for x in stresses)
     for column in cases.by:
         if column not in contracts[0].labels:
             names = ", ".join(contracts[0].labels) or "none"
-            raise context.error("by", column, f"allowed is a column of the table: {names}")
+            raise context.error("by", column, f"it must be a column of the table: {names}")
     by = tuple(cases.by)
     return Book(file, table.title, contracts, stresses, by, tasks, run, design.axes)
 
@@ -224,7 +224,7 @@ def _in_folder(file: Path, where: str, name: str) -> Path:
     """A path of the book, which must lie in its folder or below it."""
     path = file.parent / name
     if not path.exists() or not path.resolve().is_relative_to(file.parent.resolve()):
-        raise CaseError(str(file), where, name, "allowed is a path in the folder of the book")
+        raise CaseError(str(file), where, name, "it must be a path in the folder of the book")
     return path
 
 
@@ -239,7 +239,7 @@ def _contracts(
 ) -> Iterator[BookContract]:
     file = context.file
     if bool(cases.template) == bool(cases.files):
-        raise context.error("template", cases.template, "give a template, or files; one of them")
+        raise context.error("template", cases.template, "specify either a template or files")
     if cases.files:
         paths = sorted(file.parent.glob(cases.files))
         for path in paths:
@@ -321,7 +321,7 @@ def _contract(
         if not market and len(markets) == 1:
             (market,) = markets
         if market not in markets:
-            allowed = f"the market of {name}; allowed is one of {', '.join(markets)}"
+            allowed = f"the market of {name}; it must be one of {', '.join(markets)}"
             raise context.error("table", market or None, allowed)
         shared = markets[market]
         tables, origin = {**tables, **shared.tables}, origin._replace(market=shared.path)

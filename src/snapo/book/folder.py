@@ -35,7 +35,7 @@ LAYOUT = 1
 
 
 class BookRecord(NamedTuple):
-    """Tables of book.json: the axes of a sweep, none of a book, and the versions."""
+    """Tables of book.json: the axes of a sweep (a book has none), and the versions."""
 
     axes: Sequence[Mapping[str, str]] = ()
     versions: Mapping[str, str] = EMPTY
@@ -153,7 +153,7 @@ class SharedPolicyForm(JsonTable):
 
 
 class ResultForm(JsonTable):
-    """What the report needs of result.json."""
+    """The part of result.json that the report needs."""
 
     title: str
     cases: dict[Literal["ok", "failed"], int]
@@ -182,7 +182,7 @@ class TasksForm(JsonTable):
 
 
 class RecordForm(JsonTable):
-    """What the report needs of book.json."""
+    """The part of book.json that the report needs."""
 
     cases: list[Any]
     stresses: list[Any]
@@ -190,7 +190,7 @@ class RecordForm(JsonTable):
     axes: list[dict[Literal["key", "label"], str]] = []
 
 
-AGAIN = "snapo book BOOK --resume makes it again from the answers"
+AGAIN = "snapo book BOOK --resume rebuilds it from the saved results"
 
 
 class BookFolder:
@@ -205,7 +205,7 @@ class BookFolder:
         **Raises:** `CaseError` where it cannot be written, or holds something else.
         """
         if self.path.exists() and not (self.path / BOOK).exists() and any(self.path.iterdir()):
-            message = "this folder has other files; allowed is an empty one, or that of a book"
+            message = "this folder has other files; it must be empty, or the folder of a book"
             raise CaseError(str(self.path), "", None, message)
         if not keep:
             for name in (ANSWERS, POLICIES, *TABLES):
@@ -224,7 +224,7 @@ class BookFolder:
         table = self._json(BOOK, "this is not the folder of a book")
         layout = table.get("layout") if isinstance(table, dict) else None
         if layout != LAYOUT:
-            message = f"allowed is {LAYOUT}; this file is damaged, or of another version: {AGAIN}"
+            message = f"it must be {LAYOUT}; this file is damaged, or of another version: {AGAIN}"
             raise CaseError(str(self.path / BOOK), "layout", layout, message)
         return self._checked(BOOK, table, RecordForm)
 
@@ -252,7 +252,7 @@ class BookFolder:
             text = "this key is missing" if missing else first["msg"].lower()
             text = "a table is expected" if first["type"] == "model_type" else text
             value = None if missing else first["input"]
-            message = f"{text}; this file was changed since it was written: {AGAIN}"
+            message = f"{text}; this file was changed after it was written: {AGAIN}"
             raise CaseError(str(self.path / name), where[1:], value, message) from None
 
     def _json(self, name: str, missing: str) -> Any:
@@ -270,7 +270,7 @@ class BookFolder:
             ) from None
         except (ValueError, RecursionError) as error:
             line = f"line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
-            message = f"this is not JSON, as of a file that was cut or changed: {AGAIN}"
+            message = f"this is not valid JSON: the file was truncated or changed: {AGAIN}"
             raise CaseError(file, line, None, message) from None
 
     def _answer(self, name: str) -> Path:
@@ -290,7 +290,7 @@ class BookFolder:
             raise
 
     def read(self, name: str) -> tuple[OrderAnswer, Cost] | None:
-        """The answer to the order of this name; None where there is no whole one."""
+        """The answer to the order of this name; None if there is no whole one."""
         try:
             data, cost = opened(self._answer(name).read_bytes())
             return OrderAnswer.unpack(data), cost

@@ -202,7 +202,7 @@ class Delta(NamedTuple):
     """The held derivatives with respect to the `n` numbers of one input.
 
     - `labels`, `unit`: of the input; `blocks`: [32 to 64, n] of independent blocks of paths.
-    - `trusted`: whether no bump of the input refuted them; None where none was made.
+    - `trusted`: whether no bump of the input refuted them; None if none was made.
     """
 
     input: str
@@ -213,7 +213,7 @@ class Delta(NamedTuple):
 
     @classmethod
     def of_table(cls, table: Sensitivities | None) -> "tuple[Delta, ...]":
-        """The held derivatives of a table, none of none."""
+        """The held derivatives of a table; none if there is no table."""
         if table is None:
             return ()
         verdicts = table.verdicts or {}
@@ -243,7 +243,7 @@ class Exposure(NamedTuple):
 
 
 class OrderAnswer(NamedTuple):
-    """What was computed for an order.
+    """The results of an order.
 
     - `points`: the base first where the order has one, then those of its stresses.
     - `policy`: the file of the trained one; `shape`: the hash of all that code is compiled for.
@@ -308,7 +308,7 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
 
 
 class Cost(NamedTuple):
-    """What an answer took, which is no part of it.
+    """The cost of a result, which is not part of it.
 
     - `cpu_seconds`: of all threads of the worker; `peak_mb`: its memory so far at most.
     - `worker`: its process and machine.

@@ -22,7 +22,7 @@ MIN_JUDGED = 3  # of similar contracts
 def similarity_key(contract: BookContract) -> str:
     """Equal for contracts that most probably share compiled code: all but their numbers is equal.
 
-    It decides no more than the sequence; the shape of an answer is that of compiled code.
+    It only affects the sequence; the shape of an answer is that of compiled code.
     """
     term = contract.tables.get("contract", {})
     days = "start" in term and "end" in term and _days(term["start"], term["end"])
@@ -117,7 +117,7 @@ class BookPlan:
 
     @property
     def size(self) -> int:
-        """How many orders the whole book has, equal cases once."""
+        """The number of orders of the complete book, equal cases once."""
         stresses = len(self.book.stresses)
         by_contract = max(1, math.ceil(stresses / STRESSES))
         if self.book.tasks.policy == "stress":
@@ -126,8 +126,8 @@ class BookPlan:
         return by_contract * sum(map(len, self.similar.values())) + tests
 
     def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
-        """All whose orders some contracts need, equal cases once: first those for whose answers
-        similar contracts wait, then the others."""
+        """All contracts whose orders are needed, equal cases once: first those that similar
+        contracts wait for."""
         first_of_case = {self.first_of_case[contract.name].name for contract in contracts}
         kinds = {self.similarity_keys[name] for name in first_of_case}
         groups = [
@@ -138,7 +138,7 @@ class BookPlan:
         ]
 
     def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
-        """The first order of a contract; None as long as it waits for similar ones.
+        """The first order of a contract; None while it waits for similar ones.
 
         Where a bump refuted a derivative of one, those of all similar contracts are judged: each
         trains its own policy then, as a judged one does.
@@ -157,7 +157,7 @@ class BookPlan:
         return None if shared is None else replace(order, adopted=shared.policy)
 
     def shared_policy(self, kind: str, read: AnswerReader) -> SharedPolicy | None:
-        """The policy of similar contracts; None as long as an answer that it needs is missing."""
+        """The policy of similar contracts; None while a required answer is missing."""
         if kind not in self._shared:
             result = shared_policy(self.similar[kind], self._first_base, read)
             if result is None:
@@ -217,7 +217,7 @@ class BookPlan:
         return replace(order, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
 
     def further(self, base: BookOrder, answer: OrderAnswer) -> Iterator[BookOrder]:
-        """The other orders of a contract, in the sequence of the stresses; none where its base
+        """The other orders of a contract, in the sequence of the stresses; none if its base
         failed. `answer`: to the order `base`."""
         if answer.points[0].status != "ok":
             return

@@ -61,7 +61,7 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
         ("Paths", f"{record['tasks']['paths']:,}"),
     ]
     version = entries_of(LibraryVersions, typed.versions).snapo
-    footer = f"Made by snapo {version} from the files of a book; the page needs and sends nothing."
+    footer = f"Made by snapo {version} from the files of a book; the page loads and sends nothing."
     return Page(str(result["title"]), about, sections, footer)
 
 
@@ -70,7 +70,7 @@ def _policy(tasks: Mapping[str, Any]) -> str:
         return "trained again under every stress"
     if tasks["policy"] == "shape":
         return "trained once for similar contracts where that costs at most 0.5 %"
-    return "trained once for each contract, and held under stress"
+    return "trained once for each contract, and unchanged under stress"
 
 
 def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
@@ -81,7 +81,7 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
         return Section("value", "Value of the book", "Value", blocks)
     digits = decimals([base["value"]], 6)
     value, error = measured(base["value"], base["standard_error"], digits)
-    note = f"{valued}; {quantity.PLUS_MINUS}, with the paths that contracts of one market share."
+    note = f"{valued}; {quantity.PLUS_MINUS}, with common paths for all contracts of a market."
     blocks = [Headline("value of the book", value, error, note)]
     blocks += [Text(f"{text[0].upper()}{text[1:]}.", caveat=True) for text in result["notes"]]
     if result["risk"]:
@@ -261,7 +261,7 @@ def _picture(
                 for (x, y), row in zip(positions, valued)
             ]
             svg = draw(name, alt, lambda axes: charts.swept_points(axes, points, names), 330.0)
-            return [Chart(svg, f"{title} over {names[0]} and {names[1]}: deeper is more.")]
+            return [Chart(svg, f"{title} over {names[0]} and {names[1]}: darker is higher.")]
     return []
 
 
@@ -371,7 +371,7 @@ def _shared(policies: Sequence[Mapping[str, Any]]) -> Section:
         Column("Policy of", "leader"),
         Column("Tested on", "case"),
         Column("Value with its own policy", "value"),
-        Column("Loss with the other one", "loss", sign=True),
+        Column("Loss with the shared policy", "loss", sign=True),
     ]
     caption = "One policy for similar contracts: the loss on common paths; at most 0.5 % is allowed"
     blocks: list[Block] = [*map(Text, texts)]

@@ -47,7 +47,7 @@ class Driver:
         self._read = reader(folder, self.lost)
 
     def next_order(self) -> bytes | None:
-        """The next order without an answer; None where all others wait for one in work."""
+        """The next order without an answer; None if all others wait for one in work."""
         while True:
             order, contract = self._next()
             if order is None:
@@ -110,8 +110,8 @@ def run_book(
     - `worker_pools`: where its orders are computed; `shard`: only a part of its contracts.
     - `resume`: answers that the folder has are not computed again.
 
-    Returns the content of result.json. Where interrupted, or on a full disk, answers that have been
-    written stay. **Raises:** `CaseError` where the folder cannot be written.
+    Returns the content of result.json. Where interrupted, or on a full disk, results that have been
+    written are kept. **Raises:** `CaseError` where the folder cannot be written.
     """
     began = time.perf_counter()
     folder = BookFolder(book.file.parent / "run" if out is None else out)
@@ -176,7 +176,7 @@ def _compute(
                 progress(f"{done:,} of {size:,} orders, {now - began:,.0f} s")
     except OSError as error:
         message = (
-            f"an answer cannot be written ({error.strerror}); --resume goes on from the others"
+            f"a result cannot be written ({error.strerror}); --resume continues from the others"
         )
         raise CaseError(str(driver.folder.path), "", None, message) from None
 

@@ -3,7 +3,7 @@
 The first of similar contracts trains its policy, and so do the next three, which are valued on the
 same paths with the trained numbers of the first one too. Where the first one's numbers lose at most
 0.5 % of the value of any of the three, all others take them, next to a guide, scales and limits of
-their own; else each trains its own.
+their own; otherwise each trains its own.
 """
 
 import math
@@ -21,7 +21,7 @@ from .order import BookOrder, BookPoint, OrderAnswer, name_of
 TESTED = 3  # contracts that train a policy of their own, to compare with the first one's
 MAX_LOSS = 0.005  # of the value of a tested contract
 
-# The answer to the order of this name; None where there is none.
+# The answer to the order of this name; None if there is none.
 AnswerReader = Callable[[str], OrderAnswer | None]
 
 
@@ -45,7 +45,7 @@ class PolicyLoss(NamedTuple):
 class SharedPolicy(NamedTuple):
     """The policy of the first of similar contracts, and its loss in the tested ones.
 
-    - `policy`: its file; None where each contract trains its own.
+    - `policy`: its file; None if each contract trains its own.
     """
 
     leader: str
@@ -55,7 +55,7 @@ class SharedPolicy(NamedTuple):
 
 
 def tested(similar: Sequence[BookContract]) -> Sequence[BookContract]:
-    """The contracts that are tested, the second to the fourth; none where no others would gain."""
+    """The contracts that are tested, the second to the fourth; none if no others would gain."""
     return similar[1 : 1 + TESTED] if len(similar) > 1 + TESTED else ()
 
 
@@ -70,7 +70,7 @@ def shared_policy(
     base: Callable[[BookContract], BookOrder],
     read: AnswerReader,
 ) -> SharedPolicy | None:
-    """The policy of similar contracts; None as long as an answer that it needs is missing."""
+    """The policy of similar contracts; None while a required answer is missing."""
     first, *_ = similar
     leader = read(name_of(base(first).pack()))
     if leader is None:

@@ -24,7 +24,7 @@ from snapo.study.positions import sources_of
 
 from .axes import CaseKey
 
-SET_TWICE = "set to a value; it cannot be scaled or shifted as well, or set again"
+SET_TWICE = "set to a value; it cannot also be scaled, shifted or set twice"
 PERIOD = re.compile(r"(\d{4}-\d{2}(?:-\d{2})?)/(\d{4}-\d{2}(?:-\d{2})?)", re.ASCII)
 
 
@@ -85,19 +85,19 @@ def read_stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[
         table = parse(BookStressTable, entry, str(file), where)
         if table.table:
             if others := [key for key in entry if key != "table"]:
-                message = "a stress with a table has no other key: its rows have names and moves"
+                message = (
+                    "a stress with a table takes no other key: its rows contain names and changes"
+                )
                 raise CaseError(str(file), f"{where}.{others[0]}", entry[others[0]], message)
             yield from _of_table(TableContext(file, where, []), table.table)
             continue
         if not table.name or not (table.scale or table.shift or table.set):
-            message = "a stress has a name, and scale, shift or set; or a table"
+            message = "a stress needs a name and one of scale, shift or set, or else a table"
             raise CaseError(str(file), where, table.name or None, message)
         when = _period(str(file), f"{where}.when", table.when)
         keys = dict.fromkeys([*table.scale, *table.shift])
         if when is not None and not keys:
-            message = (
-                "a period is one of scale or shift; a key that is set has its value throughout"
-            )
+            message = "a period is for scale or shift; a key with set has one value at all times"
             raise CaseError(str(file), f"{where}.when", table.when, message)
         if twice := [key for key in keys if key in table.set]:
             raise CaseError(str(file), f"{where}.set", twice[0], f"this key is {SET_TWICE}")
@@ -177,7 +177,7 @@ def _toml_value(row: Row, column: str) -> str:
     try:
         value = assigned({}, [f"value={text}"])[0]["value"]
         if isinstance(value, float) and not isfinite(value):
-            raise row.error(column, "allowed is a finite number")
+            raise row.error(column, "it must be a finite number")
     except CaseError as error:
         raise row.error(column, error.allowed.partition("; in a shell")[0]) from None
     return text
@@ -247,7 +247,7 @@ def _input(key: str, inputs: Mapping[str, Input]) -> str:
     for i in range(len(parts)):
         if name := names.get(".".join(parts[i:])):
             return name
-    raise CaseError("stress", key, None, f"allowed is one of {', '.join(inputs)}")
+    raise CaseError("stress", key, None, f"it must be one of {', '.join(inputs)}")
 
 
 def _moved(entry: Input, value: np.ndarray, move: StressMove) -> np.ndarray:
@@ -275,8 +275,8 @@ def _moved_source(source: SourceNumbers, value: np.ndarray, move: StressMove) ->
     label = f".{move.key}.".casefold().partition(f".{name}.")[2].removesuffix(".")
     inside = np.array([label in ("", x.casefold()) for x in labels])
     if not inside.any():
-        allowed = f"allowed is one of {', '.join(labels)}"
-        raise CaseError("stress", move.key, None, f"no such number is free; {allowed}")
+        allowed = f"it must be one of {', '.join(labels)}"
+        raise CaseError("stress", move.key, None, f"no number can be changed; {allowed}")
     if move.when is not None:
         first, last = move.when
         inside &= [first <= begins and ends <= last for begins, ends in source.periods]

@@ -17,7 +17,7 @@ from snapo.solver import statistics
 class Sum(NamedTuple):
     """A sum under a stress, and its change against the base on the same paths.
 
-    The errors are None where the positions of a market are not valued on common paths.
+    The errors are None if the positions of a market are not valued on common paths.
     """
 
     value: float
@@ -41,7 +41,7 @@ class BookTotal:
     worlds: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, market: str, shares: Mapping[str, np.ndarray | None], world: str = "") -> None:
-        """Adds a position: {stress: its shares [B]}, None where it has no value."""
+        """Adds a position: {stress: its shares [B]}, None if it has no value."""
         self.worlds.setdefault(market, set()).add(world)
         totals = self.shares.setdefault(market, {})
         for stress, x in shares.items():
@@ -55,7 +55,7 @@ class BookTotal:
         return len(self.worlds.get(market, ())) <= 1
 
     def at(self, stress: str) -> Sum | None:
-        """The sum under a stress; None where a position has no value there, or at the base."""
+        """The sum under a stress; None if a position has no value there, or at the base."""
         if self.missing.get(stress) or self.missing.get(self.base) or not self.shares:
             return None
         values, changes = [], []

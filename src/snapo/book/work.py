@@ -156,7 +156,7 @@ class OrderContract:
 
 
 def valuation(contract: OrderContract) -> "_Decided | _Calculated":
-    """What values a contract; its `inputs` are those that a stress may move.
+    """The valuation of a contract; its `inputs` are those that a stress may move.
 
     **Raises:** `ValueError` for a kind of case that a book does not value.
     """
@@ -166,7 +166,7 @@ def valuation(contract: OrderContract) -> "_Decided | _Calculated":
     if study.recalculated is not None:
         return _Calculated(contract, study.recalculated())
     raise ValueError(
-        f'a case of kind "{study.kind}" has neither a policy nor a process that a book values'
+        f'a case of kind "{study.kind}" has neither a policy nor a process that a book can value'
     )
 
 
@@ -208,7 +208,7 @@ class _Decided:
         return setup.solve(bar=False, check=isinstance(self.contract.domain, RunsCode))
 
     def _adopted(self) -> Policy | None:
-        """The policy with the trained numbers of a similar contract; None where there is none, or
+        """The policy with the trained numbers of a similar contract; None if there is none, or
         it does not fit."""
         if self.order.adopted is None:
             return None
@@ -314,7 +314,7 @@ def check_held(policy: Any, at_point: Any) -> None:
     if _text(form_of(policy)) != _text(form_of(at_point)):
         raise ValueError(
             "the policy of the unchanged contract does not fit this one, whose levels or decisions "
-            'differ; train one here: --train of a sweep, or policy = "stress" of a book'
+            'differ; train a policy for it: --train of a sweep, or policy = "stress" of a book'
         )
 
 

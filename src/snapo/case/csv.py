@@ -109,7 +109,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 @dataclass(frozen=True)
 class FileReference:
-    """Where a case names a file: the table, the key, and the name itself."""
+    """A reference of a case to a file: the table, the key, and the name."""
 
     section: TableContext
     key: str
@@ -143,11 +143,11 @@ class Row:
         allowed = allowed or str(Range(low, high, noun=noun))
         value = float(text) if NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(value):
-            raise self.error(column, f"allowed is {allowed}, written like 12.5")
+            raise self.error(column, f"it must be {allowed}, written like 12.5")
         if not low <= value <= high:
-            raise self.error(column, f"allowed is {allowed}")
+            raise self.error(column, f"it must be {allowed}")
         if abs(value) > LARGEST:
-            raise self.error(column, f"allowed is {allowed}; {TOO_LARGE}")
+            raise self.error(column, f"it must be {allowed}; {TOO_LARGE}")
         return value
 
     def position(self, column: str) -> SheetCell:
@@ -203,7 +203,7 @@ def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.dat
     for row in rows:
         date = row.day(column)
         if dates and date <= dates[-1]:
-            message = f"dates must rise, and the row before has {dates[-1].isoformat()}"
+            message = f"dates must increase; the previous row has {dates[-1].isoformat()}"
             raise row.error(column, message)
         dates.append(date)
     return dates
@@ -214,7 +214,7 @@ def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
     name = Path(reference.name)
     kinds = " or ".join(suffixes)
     if name.suffix.lower() not in suffixes:
-        raise reference.error(f"allowed is the name of a {kinds} file in the folder of the case")
+        raise reference.error(f"it must be the name of a {kinds} file in the folder of the case")
     folder = reference.section.file.parent.resolve()
     path = folder / name
     try:
@@ -332,7 +332,7 @@ def _header(
         raise CaseError(name, f"line {line}", got, message)
     for column in names:
         if column and names.count(column) > 1:
-            raise CaseError(name, f"line {line}", column, "this column is there twice")
+            raise CaseError(name, f"line {line}", column, "this column appears twice")
     return names
 
 
@@ -342,11 +342,11 @@ def read_array(reference: FileReference, columns: int, meaning: str) -> np.ndarr
     array = _npy(reference, path) if path.suffix.lower() == ".npy" else _parquet(reference, path)
     if array.ndim != 2 or array.shape[1] != columns or array.shape[0] < 2:
         got = Unquoted(f"an array of shape {array.shape}")
-        message = f"allowed is [path, day] with 2 paths or more and {columns} columns, {meaning}"
+        message = f"it must be [path, day] with 2 paths or more and {columns} columns, {meaning}"
         raise CaseError(reference.name, "", got, message)
     if array.dtype.kind not in "fiu":
         got = Unquoted(f"numbers of type {array.dtype}")
-        raise CaseError(reference.name, "", got, "allowed are real numbers")
+        raise CaseError(reference.name, "", got, "it must be real numbers")
     invalid = np.argwhere(~np.isfinite(array))
     if len(invalid):
         row, column = invalid[0]

@@ -65,7 +65,7 @@ class Dialect:
         return f"{year}-{int(month):02}-{int(day):02}"
 
     def describe(self) -> str:
-        """What differs from commas and decimal points, for a note; "" for nothing."""
+        """The differences from commas and decimal points, for a note; "" if there are none."""
         messages = []
         if self.separator != ",":
             messages.append(f"{SEPARATORS[self.separator]} between the columns")

@@ -67,8 +67,8 @@ class ConvertedNumber(NamedTuple):
     written: Callable[[float], float]
 
     def inverse(self, number: float) -> float:
-        """What is to be written so that exactly this number is read, or, where no float does it,
-        one next to it."""
+        """The number to write so that exactly this number is read or, if no float does this, one
+        next to it."""
         near = self.written(number)
         steps = [np.nextafter(near, math.inf), np.nextafter(near, -math.inf)]
         steps += [np.nextafter(steps[0], math.inf), np.nextafter(steps[1], -math.inf)]
@@ -121,7 +121,7 @@ class CaseInput:
     - `positions`: [n] the position of each number in the files of the case; () where no reader
       recorded it.
     - `starts`: [n] day numbers from which the numbers hold, where they change with time.
-    - `quantity`: its declaration (`snapo.case.quantity`), where it has one.
+    - `quantity`: its declaration (`snapo.case.quantity`), if it has one.
     """
 
     name: str

@@ -19,7 +19,7 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
         path = unpacked(path)
     file = path / "case.toml" if path.is_dir() else path
     if not file.is_file():
-        message = "a case is a TOML file, or a folder with case.toml in it; there is none here"
+        message = "a case must be a TOML file, or a folder that contains case.toml"
         raise CaseError(str(path), "", None, message)
     try:
         text = file.read_bytes().decode("utf-8-sig")

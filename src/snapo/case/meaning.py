@@ -1,4 +1,5 @@
-"""When a key of a case has a meaning: declared at the key, checked when all tables are read.
+"""The conditions for a key of a case to have an effect: declared at the key, checked when all
+tables are read.
 
     spouse_share: Annotated[Share, COHORTS] = Field(0.0, description=SHARE)
 
@@ -32,14 +33,14 @@ class Only:
 
     def why(self, tables: Tables) -> str:
         """The reason for a refusal."""
-        reason = f"this key has a meaning only {self.when}"
+        reason = f"this key is used only {self.when}"
         if self.instead is None:
             return reason
-        return f"{self.instead(tables)} does not use this key; it has a meaning only {self.when}"
+        return f"{self.instead(tables)} does not use this key; it is used only {self.when}"
 
 
 def conditions(field: FieldInfo) -> Iterator[Only]:
-    """All that must hold for a key to have a meaning."""
+    """All conditions for a key to have an effect."""
     return (item for item in field.metadata if isinstance(item, Only))
 
 

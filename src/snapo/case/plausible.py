@@ -93,7 +93,7 @@ class Plausible:
     It is of the inputs among `names`, of its `group` and `unit`, and with a name that ends in one
     of `endings`, as far as these are set.
 
-    - `hint`: a clause on the unit that is meant.
+    - `hint`: a clause on the unit that is expected.
     - `ratio`: the largest ratio between a number and its neighbours along the curve.
     - `by_size`: the range is of absolute values: the sign means something else.
     """
@@ -301,7 +301,7 @@ class CaseFiles:
             yield Cell(".".join(path), _terms(".".join(path)), (), number)
 
     def _table(self, name: str, path: tuple[str, ...]) -> Iterator[Cell]:
-        """The cells of a CSV that the case names; none where it cannot be read as one."""
+        """The cells of a CSV that the case names; none if it cannot be read as one."""
         section = TableContext(self.file, ".".join(path[:-1]), [])
         try:
             if (self.file.parent / name).stat().st_size > LARGEST:

@@ -34,7 +34,7 @@ FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")
 
 @dataclass(frozen=True)
 class Quantity:
-    """All that is known of a number before its value.
+    """The declaration of a number.
 
     - `unit`: a key of the same table in braces is replaced by its value.
     - `range`: the numbers allowed; `limits`: the possible ones, outside of which a number is
@@ -121,13 +121,13 @@ class Quantity:
     def checked(self, raw: Any, key: "KeyContext") -> float:
         """A number of the TOML file within the range."""
         if isinstance(raw, bool) or not isinstance(raw, int | float):
-            raise key.error(raw, f"allowed is {self.allowed}")
+            raise key.error(raw, f"it must be {self.allowed}")
         if isinstance(raw, float) and not math.isfinite(raw):
-            raise key.error(raw, f"allowed is {self.allowed}, and finite")
+            raise key.error(raw, f"it must be {self.allowed}, and finite")
         if not self.range.contains(raw):
-            raise key.error(raw, f"allowed is {self.allowed}")
+            raise key.error(raw, f"it must be {self.allowed}")
         if abs(raw) > LARGEST:  # an integer may be larger than any float
-            raise key.error(raw, f"allowed is {self.allowed}; {TOO_LARGE}")
+            raise key.error(raw, f"it must be {self.allowed}; {TOO_LARGE}")
         if not self.limits.contains(raw):
             raise key.error(raw, f"{OUTSIDE} {self.limits}")
         return float(raw)
@@ -141,7 +141,7 @@ class Quantity:
         return {"anyOf": [number, file]} if self.by else number
 
 
-OUTSIDE = "no market has this; allowed is"
+OUTSIDE = "no market has this; it must be"
 
 
 class KeyContext(NamedTuple):

@@ -31,7 +31,7 @@ def _checked(name: str, info: ValidationInfo) -> str:
         reason = str(error)
     else:
         return name
-    raise table.error("logo", name, f"{reason}; allowed is {ALLOWED}")
+    raise table.error("logo", name, f"{reason}; it must be {ALLOWED}")
 
 
 class ReportTable(CaseTable):

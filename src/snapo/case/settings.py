@@ -17,7 +17,9 @@ EVERY = STEPS._replace(
 )
 UP_TO_ONE = Range(0, 1, "(]")
 PathCount = Annotated[int, IN_MEMORY._replace(low=64)]
-MaxPaths = Annotated[int, Range(0, MAX_PATHS, note=": at most so many are taken, none with 0")]
+MaxPaths = Annotated[
+    int, Range(0, MAX_PATHS, note=": the largest number of paths to use; 0 for none")
+]
 
 
 class TrainingTable(CaseTable):
@@ -139,15 +141,15 @@ def read_objective(
 def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) -> float:
     """`weight` of one of several objectives that are added up, 1 where it is left out.
 
-    A negative one makes of a measure of risk that of a cost (see `snapo.problem.objective`), which
-    a utility has not.
+    A negative weight turns a risk measure into that of a cost (see `snapo.problem.objective`), but
+    not a utility.
     """
     weight = data.get("weight", 1.0)
     if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
-        raise CaseError(file, f"{name}.weight", weight, "allowed is a number other than 0")
+        raise CaseError(file, f"{name}.weight", weight, "it must be a number other than 0")
     if objective.kind == "crra" and weight < 0:
-        message = "a utility is of a quantity to be maximised: "
-        message += 'with kind "crra" allowed is a number above 0'
+        message = "a utility is for a quantity to maximise: "
+        message += 'with kind "crra" it must be a number above 0'
         raise CaseError(file, f"{name}.weight", weight, message)
     return float(weight)
 
@@ -159,12 +161,12 @@ def read_training(
     training = parse(table, data, file, "training")
     if training.temperature_end > training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
-        message = f"allowed is at most temperature_start, {training.temperature_start:g}"
+        message = f"it must be at most temperature_start, {training.temperature_start:g}"
         raise CaseError(file, where, value, message)
     if training.exploration and training.temperature_end == training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
         message = (
-            "with exploration, which falls with the temperature, it is below temperature_start"
+            "with exploration, which falls with the temperature, it must be below temperature_start"
         )
         raise CaseError(file, where, value, message)
     return training
@@ -174,7 +176,7 @@ def check_window(training: TrainingTable, kinds: Iterable[str], file: str) -> No
     """Refuses training on windows for objectives that have no continuation value."""
     for kind in kinds:
         if training.window != "auto" and kind != "mean":
-            message = f'windows need an objective of kind "mean", and there is "{kind}"'
+            message = f'windows need an objective of kind "mean", but this one is "{kind}"'
             raise CaseError(file, "training.window", training.window, message)
 
 

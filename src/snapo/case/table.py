@@ -1,4 +1,5 @@
-"""What every domain's case format shares: one TOML file, plain files next to it, clear errors.
+"""The common part of the case formats of all domains: one TOML file, plain files next to it, clear
+errors.
 
 A case is data: nothing in it is executed, and the files that it names are in its folder. The
 records here are NumPy and the standard library; pydantic checks the tables at this border.
@@ -42,7 +43,7 @@ class Range(NamedTuple):
     noun: str = ""
 
     def contains(self, number: float) -> bool:
-        """Whether a number is in the range; no NaN is."""
+        """Whether a number is in the range; NaN is not."""
         above = self.low < number if self.endpoints[0] == "(" else self.low <= number
         return above and (number < self.high if self.endpoints[1] == ")" else number <= self.high)
 
@@ -282,7 +283,7 @@ def _check_sizes(table: CaseTable, file: str, name: str) -> None:
     """Numbers that would overflow and overlong texts are a mistake in every key."""
     for key in table.model_fields_set:
         where = f"{name}.{key}" if name else key
-        message = f"allowed is {type(table).model_fields[key].description}"
+        message = f"it must be {type(table).model_fields[key].description}"
         for item in _plain(getattr(table, key)):
             if isinstance(item, str) and len(item) > LONGEST:
                 message += f"; no text of a case has more than {LONGEST:,} characters"
@@ -317,4 +318,4 @@ def _explain(table, data, file, name, item) -> CaseError:
         allowed += ", without quotation marks"
     if isinstance(value, float) and not math.isfinite(value):
         allowed += ", and finite"
-    return CaseError(file, where, value, f"allowed is {allowed}")
+    return CaseError(file, where, value, f"it must be {allowed}")

@@ -54,7 +54,7 @@ def _quoted(key: str) -> str:
 
 
 def is_kept(number: float) -> bool:
-    """Whether sixteen digits, as many as openpyxl writes, are all of a number's."""
+    """Whether a number is exact with sixteen digits, which is what openpyxl writes."""
     return float(f"{number:.16g}") == number
 
 
@@ -115,12 +115,12 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
             if step == len(here):
                 here.append(empty)
             elif last:
-                raise Unreadable(f"{key} is there twice")
+                raise Unreadable(f"{key} appears twice")
         else:
             if not isinstance(here, dict):
                 raise Unreadable(f"{key}: an entry of a list has a number, [0]")
             if last and step in here:
-                raise Unreadable(f"{key} is there twice")
+                raise Unreadable(f"{key} appears twice")
             here.setdefault(step, empty)
         here = here[step]  # pyright: ignore
         if not last and not isinstance(here, dict | list):
@@ -305,7 +305,9 @@ def _keys(file: Path, sheet: Any) -> list[tuple[str, Any, str]]:
     rows = list(sheet.iter_rows(values_only=True))
     head = [str(item or "").strip().lower() for item in (rows[0] if rows else ())]
     if head[:2] != list(HEAD[:2]):
-        message = f"a sheet of keys has the columns {', '.join(HEAD)}; one of a CSV ends with .csv"
+        message = (
+            f"a sheet of keys must have the columns {', '.join(HEAD)}; that of a CSV ends in .csv"
+        )
         raise CaseError(str(file), f"sheet {sheet.title}", None, message)
     keys = []
     for number, (key, value, *rest) in enumerate(rows[1:], start=2):
@@ -313,7 +315,7 @@ def _keys(file: Path, sheet: Any) -> list[tuple[str, Any, str]]:
         if key is None and value is None:
             continue
         if key is None or value is None or kind not in ("", "TOML"):
-            message = 'a line has a key, a value, and "TOML" or nothing in the third column'
+            message = 'a line must have a key, a value, and "TOML" or nothing in the third column'
             raise CaseError(str(file), f"sheet {sheet.title}, line {number}", None, message)
         keys.append((str(key).strip(), _value(value), kind))
     return keys

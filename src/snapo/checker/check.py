@@ -1,6 +1,6 @@
 """`snapo.check`: names the mistakes in a simulator before it is trained.
 
-From the outside in: declarations, the schedule, the shapes and types of one step, slices, purity,
+In this order: declarations, the schedule, the shapes and types of one step, slices, purity,
 indices, NumPy tables, a few rollouts, indices and jumps on their paths, both precisions, actions
 and normals without effect, and every input's adjoint against central bumps, decisions held.
 """

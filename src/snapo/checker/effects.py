@@ -86,7 +86,7 @@ def _matters(
 def reached(
     notes: Notes, simulator: Simulator, runs: list[CheckedRollout], moving: list[int]
 ) -> None:
-    """Whether a finite derivative reaches, in any run, every action that moves an output."""
+    """Whether every action that affects an output has a finite derivative in some run."""
     left = set(moving)
     for k, run in enumerate(runs):
         if k and not left:

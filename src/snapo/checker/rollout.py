@@ -70,8 +70,8 @@ class CheckedRollout(eqx.Module):
         ).totals
 
     def rounding(self) -> float:
-        """The rounding error of an output: a difference of large states, such as a need that is
-        met, is as inexact as they are."""
+        """The rounding error of an output: a difference of large states, such as demand that is
+        met, has the rounding error of these states."""
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves((self.states, self.totals))]
         finite = (leaf[np.isfinite(leaf)] for leaf in leaves if leaf.dtype.kind == "f")
         return EPSILONS * float(max((np.abs(leaf).max(initial=0.0) for leaf in finite), default=0))

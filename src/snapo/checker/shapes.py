@@ -30,7 +30,7 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
     for name, minimum in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
         value = getattr(simulator, name, None)
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < minimum:
-            allowed = f"{name} is {value!r}; allowed is a whole number of at least {minimum}."
+            allowed = f"{name} is {value!r}; it must be a whole number of at least {minimum}."
             notes.error(name, allowed, "Change it in the class.")
     if not isinstance(action := getattr(simulator, "action", None), Actions):
         notes.error("action", f"It is {action!r}.", "Make it a set, such as Box(0.0, 1.0).")

@@ -1,4 +1,4 @@
-"""What the commands print for a reader, and as JSON."""
+"""The output of the commands, as text and as JSON."""
 
 import json
 import math

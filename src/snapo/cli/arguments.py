@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def seeds(text: str) -> int | tuple[int, ...]:
-    """How many seeds, "5"; or the seeds themselves, "0,3,7"."""
+    """The number of seeds, "5"; or the seeds, "0,3,7"."""
     parts = text.split(",")
     if not all(part.isascii() and part.isdigit() and int(part) < 2**63 for part in parts):
         message = "is neither a number of seeds, such as 5, nor a list of them, such as 0,3,7"
@@ -19,7 +19,7 @@ def seeds(text: str) -> int | tuple[int, ...]:
     if len(parts) > 1:
         return seeds
     if not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} seeds are none; allowed is 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} seeds are none; use 1 or more")
     return int(text)
 
 
@@ -63,7 +63,7 @@ def simulator_class(text: str) -> tuple[str, str]:
 
 
 def calendar(text: str) -> str | int:
-    """When a back-test estimates its model."""
+    """The schedule of a back-test's estimates of its model."""
     if text in ("never", "month", "quarter", "year"):
         return text
     try:
@@ -91,11 +91,11 @@ def add_past(commands) -> None:
         "--run",
         metavar="RUN",
         type=Path,
-        help="a run with this model, whose value gets the interval due to the estimates",
+        help="a run with this model: adds the interval of its value due to the estimates",
     )
     backtest = commands.add_parser(
         "backtest",
-        help="decide a gas store on past prices, with the prices until each day",
+        help="operate a gas store on past prices, with those up to each day",
         epilog="snapo backtest mystore --history prices",
     )
     backtest.add_argument(
@@ -152,7 +152,7 @@ def add_explain(commands) -> None:
         "--flows",
         metavar="FILE",
         type=Path,
-        help="of a gas store, CSV of the flows on the days between the two valuation dates: "
+        help="for a gas store: CSV of the flows on the days between the two valuation dates: "
         "date,volume,price, volumes into the store above 0 (default: from the inventories, at "
         "forward prices)",
     )
@@ -160,7 +160,7 @@ def add_explain(commands) -> None:
         "--cash",
         metavar="AMOUNT",
         type=float,
-        help="of other contracts, the cash flow of the days between (default: as planned)",
+        help="for other contracts: cash flow of the days between (default: as planned)",
     )
     explain.add_argument(
         "--out",

@@ -45,7 +45,7 @@ def export(
     run = folder_of(run)
     record = run_folder.read(run)
     if not (onnx or table or python):
-        message = "name one or several of --onnx, --python and --table"
+        message = "specify one or more of --onnx, --python and --table"
         raise CaseError("snapo export", "", None, message)
     if not (run / POLICY).is_file():
         raise no_policy(run, record)

@@ -24,7 +24,7 @@ ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto takes native if it can"
 SHELLS = ("bash", "zsh", "fish")
-RUN = "a run folder, or a case, which stands for its latest run"
+RUN = "a run folder, or a case, which means its latest run"
 EXTRAS = {  # and the packages that they bring
     "cli": ("pydantic", "jinja2", "matplotlib", "scipy"), "pharma": ("diffrax", "pint"),
     "live": ("aiohttp",), "xlsx": ("openpyxl",), "parquet": ("pyarrow",), "book": ("duckdb",),
@@ -125,8 +125,8 @@ def _add_solve(commands) -> None:
         "--out",
         metavar="DIR",
         type=Path,
-        help="folder of the run, which replaces one that is there (default: a new one in runs, "
-        "next to the case, to which run points)",
+        help="folder of the run; a run that is there is replaced (default: a new folder in runs, "
+        "next to the case; run points to it)",
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     solve.add_argument(
@@ -147,7 +147,7 @@ def _add_solve(commands) -> None:
         "--policy",
         metavar="RUN",
         type=Path,
-        help="start from the policy of this run, or of a file of policy.save",
+        help="start from the policy of this run, or of a file that policy.save wrote",
     )
     solve.add_argument(
         "--seeds",
@@ -155,26 +155,26 @@ def _add_solve(commands) -> None:
         type=seeds,
         help="train with N consecutive seeds, or those of a list (0,3,7); keep the best run",
     )
-    _add_workers(solve, "processes of this machine that compute a part of a large problem's paths")
+    _add_workers(solve, "processes on this machine that share the paths of a large problem")
 
 
 def _add_book(commands) -> None:
     book = commands.add_parser("book", help="value a book of contracts, under stresses, on workers")
     book.add_argument(
-        "book", metavar="BOOK", type=Path, help="a TOML file; with --sql the folder of a valued one"
+        "book", metavar="BOOK", type=Path, help="a TOML file; with --sql, the folder of its results"
     )
     book.add_argument(
         "--out", metavar="DIR", type=Path, help="folder of the results (default: run, next to it)"
     )
-    _add_workers(book, "processes of this machine (default: its cores)")
+    _add_workers(book, "processes on this machine (default: one per core)")
     book.add_argument(
         "--shard",
         metavar="K/N",
         type=shard,
-        help="compute the part K of N, from 1; the parts meet in one folder",
+        help="compute part K of N, from 1; all parts use the same folder",
     )
     book.add_argument(
-        "--resume", action="store_true", help="keep the answers of an earlier run of the folder"
+        "--resume", action="store_true", help="reuse the results of an earlier run in this folder"
     )
     book.add_argument("--sql", metavar="QUERY", help="query the tables values, deltas and shares")
 
@@ -191,7 +191,7 @@ def _add_workers(parser: argparse.ArgumentParser, processes: str) -> None:
     parser.add_argument(
         "--trust-network",
         action="store_true",
-        help="join a scheduler without TLS or token that is not on this machine",
+        help="use a scheduler on another machine that has neither TLS nor a token",
     )
 
 
@@ -216,7 +216,7 @@ def _add_sweep(commands) -> None:
     sweep.add_argument(
         "--train",
         action="store_true",
-        help="train a policy at every point; else that of the case decides at all of them",
+        help="train a policy at every point (default: the policy of the case at all points)",
     )
     sweep.add_argument(
         "--sobol",
@@ -234,10 +234,10 @@ def _add_sweep(commands) -> None:
         "--workers",
         metavar="N",
         type=whole_number,
-        help="processes of this machine (default: its cores)",
+        help="processes on this machine (default: one per core)",
     )
     sweep.add_argument(
-        "--resume", action="store_true", help="keep the answers of an earlier run of the folder"
+        "--resume", action="store_true", help="reuse the results of an earlier run in this folder"
     )
 
 
@@ -254,7 +254,8 @@ def _add_certify(commands) -> None:
         "--penalty",
         choices=PENALTIES,
         default="value",
-        help="for foresight: none, a fitted value function, or one scaled by descent on the bound",
+        help="the penalty for foresight: none, a fitted value function, or one scaled to minimise "
+        "the bound",
     )
     certify.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     _add_simulator(certify)
@@ -282,7 +283,7 @@ def _add_export(commands) -> None:
     export.add_argument("run", metavar="RUN", type=Path, help=RUN)
     export.add_argument("--onnx", action="store_true", help="as an ONNX graph, policy.onnx")
     export.add_argument(
-        "--table", action="store_true", help="decisions at observations of a run, policy.csv"
+        "--table", action="store_true", help="as a table of observations and decisions, policy.csv"
     )
     export.add_argument(
         "--python", action="store_true", help="as a Python file that needs NumPy only, policy.py"
@@ -291,7 +292,7 @@ def _add_export(commands) -> None:
 
 
 def _add_open(commands) -> None:
-    page = commands.add_parser("open", help="move the inputs of a run and see its value, live")
+    page = commands.add_parser("open", help="change the inputs of a run and see its value, live")
     page.add_argument("run", metavar="RUN", type=Path, help=RUN)
     page.add_argument(
         "--port",
@@ -324,10 +325,10 @@ def _add_runs(commands) -> None:
         metavar="RUN",
         nargs="+",
         default=[],
-        help="runs to remove: their names, or the last four letters of these",
+        help="runs to remove: their names, or the last four characters of these",
     )
     runs.add_argument(
-        "--keep", metavar="N", type=whole_number, help="remove all but the last N, and the latest"
+        "--keep", metavar="N", type=whole_number, help="remove all but the last N; the latest stays"
     )
 
 
@@ -348,7 +349,7 @@ def _add_schema(commands) -> None:
 
 def _add_cache(commands) -> None:
     cache = commands.add_parser(
-        "cache", help="show the compiled code that is kept for later runs, or remove it"
+        "cache", help="show the compiled code stored for later runs, or remove it"
     )
     cache.add_argument("--empty", action="store_true", help="remove all of it")
 

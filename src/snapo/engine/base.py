@@ -83,7 +83,7 @@ class Adjoint(NamedTuple):
 
     - `totals`: {output: [N]} of the forward sweep.
     - `policy`, `schedule`, `start`: derivatives of sum over paths and outputs of weight x total,
-      shaped like the policy, the schedule and the starting states (None where nothing is
+      shaped like the policy, the schedule and the starting states (None if nothing is
       differentiable). With weights [K, N] every leaf has a leading axis K.
     """
 
@@ -118,7 +118,7 @@ class Clip:
             ("keep", 0 <= self.keep <= 1, "a number from 0 to 1"),
         ):
             if not valid:
-                raise ValueError(f"Clip: {name} is {getattr(self, name)!r}; allowed is {allowed}.")
+                raise ValueError(f"Clip: {name} is {getattr(self, name)!r}; it must be {allowed}.")
 
     def bounds(self, weights: Mapping[str, ArrayLike]) -> Float[np.ndarray, "N 2"]:
         """[N, 2]: the bound of each path, from the largest of its weights, and `keep`."""

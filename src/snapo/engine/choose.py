@@ -68,7 +68,7 @@ def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
         return Engines(train, evaluate, name, f"{requested}, as it was given")
     if requested not in NAMES:
         allowed = ", ".join(NAMES)
-        raise ValueError(f"engine: got {requested!r}; allowed is an engine, or one of {allowed}.")
+        raise ValueError(f"engine: got {requested!r}; it must be an engine, or one of {allowed}.")
     devices = tuple(jax.devices())
     if requested == "xla":
         return _xla(devices, "it was asked for")

@@ -68,7 +68,7 @@ class _Worker:
         self.executor: Executor | Submits | None = None
 
     def submit(self, work: Work, order: bytes) -> "Future[bytes] | None":
-        """The order's answer in the future; None where the executor is broken."""
+        """The order's answer in the future; None if the executor is broken."""
         for _ in range(2):
             self.executor = self.executor or self.pool.make()
             try:
@@ -114,7 +114,7 @@ class Workers:
     ) -> Iterator[tuple[bytes, bytes | Lost]]:
         """(order, answer) as they come; `work` depends on nothing but the order's bytes.
 
-        - `next_order`: the next order, None where there is none until another answer has come.
+        - `next_order`: the next order, None if there is none until another answer has come.
 
         An order that is lost three times is answered by `Lost`; one that was in the queue of a
         process when another one broke it has lost nothing.
@@ -131,7 +131,7 @@ class Workers:
                 self._fill(order_to_give, repeated, work, flight)
                 if not flight:
                     while self._are_broken() and (order := order_to_give()) is not None:
-                        yield order, Lost("the executor is broken, and cannot be made again")
+                        yield order, Lost("the executor is broken, and cannot be restarted")
                     return
                 done, _ = wait(flight, return_when=FIRST_COMPLETED)
                 blamed: set[_Worker] = set()

@@ -148,7 +148,7 @@ class XlaCall(eqx.Module):
         return read_context(of_rollout(self.simulator, self.policy, self.schedule, self.smooth))
 
     def axes(self) -> "XlaCall":
-        """The axis of paths of every array, None where it has none."""
+        """The axis of paths of every array, None if it has none."""
         none = jax.tree.map(lambda leaf: None, self)
         start = jax.tree.map(lambda leaf: 0, self.start)
         actions = None if self.actions is None else 1

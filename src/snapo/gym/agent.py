@@ -96,7 +96,7 @@ def _writer(policy: Policy, values: Any) -> AgentMap:
 
 
 def set_of(policy: Policy) -> Actions | None:
-    """The action set of a policy; None where it has none."""
+    """The action set of a policy; None if it has none."""
     if isinstance(policy, LastObservations):
         return set_of(policy.policy)
     action = getattr(policy, "action", None)

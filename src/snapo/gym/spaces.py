@@ -43,7 +43,9 @@ def space_of(action: Actions) -> tuple[Space, SpaceReader]:
     if isinstance(action, Choice):
         return gymnasium.spaces.Discrete(action.size), lambda n: np.eye(action.size)[np.asarray(n)]
     if not isinstance(action, Box | Integers | Stop | Simplex):
-        raise ValueError(f"Environment: a {type(action).__name__} has no space of Gymnasium.")
+        raise ValueError(
+            f"Environment: a {type(action).__name__} has no corresponding Gymnasium space."
+        )
     low, high = (np.asarray(bound, np.float32) for bound in action.bounds())
     space = gymnasium.spaces.Box(low, high, dtype=np.float32)
 

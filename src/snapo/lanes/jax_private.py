@@ -47,7 +47,7 @@ for _module, _names in _NAMES.items():
 
 
 def unavailable(version: str = jax.__version__) -> str | None:
-    """The reason why this release of JAX cannot be compiled from; None where it can."""
+    """The reason why this release of JAX cannot be compiled from; None if it can."""
     first, end = TESTED
     release = tuple(int(part) for part in re.findall(r"\d+", version)[:2])
     if not first <= release < end:

@@ -13,7 +13,7 @@ INTERVAL = ("value", "low", "high")
 class HeadlineTables:
     """The tables of a page with the value, its changes and its derivatives in the headline's unit.
 
-    Without a headline, or where the value has none, tables stay as they are.
+    Without a headline, or if the value has none, tables are unchanged.
     """
 
     def __init__(self, valuation: WhatIf):

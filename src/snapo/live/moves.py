@@ -125,7 +125,7 @@ def case_with(files: Files, available: Sequence[MenuChoice], requested: Mapping[
         if choice is None:
             raise CaseError(name, "", None, "there is no such choice")
         if not any(type(entry) is type(value) and entry == value for entry in choice.allowed):
-            message = f"allowed is {' or '.join(map(str, choice.allowed))}"
+            message = f"it must be {' or '.join(map(str, choice.allowed))}"
             raise CaseError(name, "", value, message)
         files = files.with_value(choice.key, value)
     return files

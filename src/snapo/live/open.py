@@ -35,7 +35,7 @@ class AboutRun(NamedTuple):
 
     @property
     def times(self) -> list[str] | None:
-        """The days of the steps, or the hours; None where they have only numbers."""
+        """The days of the steps, or the hours; None if they have only numbers."""
         if not self.local_times:
             return self.days
         hourly = self.step == "hour"
@@ -109,7 +109,7 @@ async def served(
     try:
         await server.start(port)
     except OSError as error:
-        subject = f"this machine cannot be listened to there ({error.strerror})"
+        subject = f"this machine cannot listen on that port ({error.strerror})"
         raise CaseError("--port", "", port, subject) from None
     ready()
     try:

@@ -98,7 +98,8 @@ def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
 
 
 def numbers_of_a_path(problem: Problem) -> int:
-    """How many numbers the trajectory of one path has: states, actions and outputs of all steps."""
+    """The number of entries in the trajectory of one path: states, actions and outputs of all
+    steps."""
     simulator, available = problem.simulator, problem.schedule  # made here, outside of the trace
 
     def step(noise, first, action):
@@ -114,5 +115,5 @@ def numbers_of_a_path(problem: Problem) -> int:
 
 
 def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:
-    """{output: [paths]} of a policy, by the code that rolls a move."""
+    """{output: [paths]} of a policy, by the code that simulates a move."""
     return simulate(setup, policy, PathCounts(paths, 1, 1)).totals

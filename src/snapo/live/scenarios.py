@@ -36,7 +36,7 @@ class MovedValue(NamedTuple):
 
 
 class PageTables(NamedTuple):
-    """The tables of a page or a scenario: None where one is not known.
+    """The tables of a page or a scenario: None if one is not known.
 
     - `values`, `chosen`: the moved inputs and choices by name; `policy`: its number or file.
     - `value`, `deltas`, `fans`, `today`, `sections`: the tables of `Moves.stages`.
@@ -54,7 +54,7 @@ class PageTables(NamedTuple):
 
     @property
     def choices(self) -> dict[str, Any]:
-        """The moved choices, none where they are not known."""
+        """The moved choices, none if they are not known."""
         return self.chosen or {}
 
 
@@ -157,7 +157,7 @@ class PageOrder(NamedTuple):
 def values_of(inputs: Any) -> dict[str, list[float]]:
     """{input: numbers} of a message; the case's reader decides whether they suit the case."""
     if not isinstance(inputs, dict):
-        raise Refused("a move is a table of inputs")
+        raise Refused("moves must be a table of inputs")
     values, size = {}, 0
     for name, numbers in inputs.items():
         if not isinstance(numbers, list):
@@ -177,7 +177,7 @@ def values_of(inputs: Any) -> dict[str, list[float]]:
 def chosen_of(values: Any) -> dict[str, str | bool]:
     """{key: another value} of a message; its reader decides whether the case can have it."""
     if not isinstance(values, Mapping) or len(values) > MAX_CHOICES:
-        raise Refused("choices are a table of texts and switches")
+        raise Refused("choices must be a table of texts and switches")
     for name, value in values.items():
         if not isinstance(value, str | bool) or len(str(value)) > 100:
             raise Refused(f"{name[:60]}: a choice is a word or a switch")
@@ -205,7 +205,7 @@ class SavedScenarios:
             raise Refused("a scenario needs a name")
         result = slug(metadata)
         if not (self.folder / result).exists() and len(self.all()) >= MAXIMUM:
-            raise Refused(f"a run keeps {MAXIMUM} scenarios at most; forget one first")
+            raise Refused(f"a run keeps {MAXIMUM} scenarios at most; delete one first")
         made = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         record = {"id": result, "name": metadata, "made": made, "values": dict(values)}
         record |= {key: tables[key] for key in KEPT if key in tables}

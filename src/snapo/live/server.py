@@ -140,7 +140,7 @@ POLICY = (
 
 STRANDED = (
     "The address has no token, or one of an earlier start. Ask `snapo open RUN` again, and use the "
-    "address that it prints: its page offers the inputs that stood on the last one."
+    "address that it prints: its page offers the inputs of the previous one."
 )
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -281,7 +281,7 @@ class Server:
         try:
             request = json.loads(text)
             if not isinstance(request, dict):
-                raise Refused("this is not an order")
+                raise Refused("this is not a valid request")
             order = entries_of(PageOrder, request)
             n = order.n if isinstance(order.n, int) and not isinstance(order.n, bool) else -1
             match order.do:
@@ -308,7 +308,7 @@ class Server:
                     self.scenarios.forget(str(order.id))
                     await self._tell_all(self._kept())
                 case _:
-                    raise Refused("this is not an order")
+                    raise Refused("this is not a valid request")
         except (Refused, ValueError, OverflowError, RecursionError) as error:
             label = str(error) if isinstance(error, Refused) else "this message cannot be read"
             await self._send(page, {"stage": "refused", "n": n, "message": label})

@@ -99,7 +99,7 @@ class Deltas(NamedTuple):
     """The derivatives at moved inputs: those of the run, plus the change of the held ones since, on
     the same paths.
 
-    - `table`: of the run, None where it has none.
+    - `table`: of the run, None if it has none.
     - `before`, `now`: {input: estimate} of the held derivatives at the run's inputs and at these;
       the same where nothing moved.
     """
@@ -197,7 +197,7 @@ def _no_value(name: str, values: Input, new: np.ndarray, invalid: int, paths: in
     where = np.flatnonzero(new.ravel() != values.value.ravel())
     i = int(where[np.argmax(np.abs(new.ravel() - values.value.ravel())[where])])
     message = (
-        "allowed is a number with which the simulator can calculate, such as the run's "
+        "it must be a number with which the simulator can calculate, such as the run's "
         f"{_said(values, values.value, i)}: here {_share(invalid, paths)} have no finite "
         "total, so there is no value"
     )

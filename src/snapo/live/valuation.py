@@ -141,7 +141,7 @@ class Valuation(WhatIf):
         yield "fans", fans(rollout.tables, study.names)
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
-        """How near the policy is to its best at the numbers that were valued last."""
+        """The gap of the policy to its optimum at the numbers that were valued last."""
         yield "health", self._health(self._last)
 
     def train_again(

@@ -110,7 +110,7 @@ class WorkerOrder(NamedTuple):
 
     @property
     def choices(self) -> Mapping[str, Any]:
-        """The moved choices, none where they are not given."""
+        """The moved choices, none if they are not given."""
         return self.chosen or {}
 
 

@@ -71,7 +71,7 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _by_mass(objective, totals, size: int) -> np.ndarray | None:
-    """Derivatives with respect to the paths' masses, times N; None where masses do not represent
+    """Derivatives with respect to the paths' masses, times N; None if masses do not represent
     paths."""
     version = of_formula(objective, totals)
     weighted, slopes = _massed_formula(objective, tuple(totals), size, version)

@@ -69,11 +69,11 @@ def _either(verb: Callable[..., Any], objective: bool) -> Callable[..., Any]:
             others["inputs"], rest = rest[0], rest[1:]
         made = problem_of(name, first, others.pop("inputs", None), needs=objective, **adjacent)
         if objective and not isinstance(made.objective, Objective):
-            message = "allowed is an objective, or the name of an output for its mean"
+            message = "it must be an objective, or the name of an output for its mean"
             raise ValueError(f"{name}: objective is {made.objective!r}; {message}.")
         decides = rest[0] if rest else others.get(policy)
         if not callable(decides) and not (decides is None and "actions" in others):
-            raise ValueError(f"{name}: {policy} is {decides!r}; allowed is {NEEDED}.")
+            raise ValueError(f"{name}: {policy} is {decides!r}; it must be {NEEDED}.")
         with reading_once():
             return verb(made, *rest, **others)
 
@@ -122,10 +122,10 @@ def problem_of(
         raise ValueError(f"{verb}: a {kind} is neither a simulator nor a Problem.")
     _sizes(verb, problem)
     if not isinstance(scenarios, Scenarios | Sources | None):
-        message = "allowed are scenarios, such as snapo.Sobol(0), or Sources"
+        message = "it must be scenarios, such as snapo.Sobol(0), or Sources"
         raise ValueError(f"{verb}: scenarios is {scenarios!r}; {message}.")
     if not isinstance(constraints, Limit | list | tuple):
-        message = 'allowed is a list of them, such as [snapo.Mean("unserved") <= 0.05]'
+        message = 'it must be a list of them, such as [snapo.Mean("unserved") <= 0.05]'
         raise ValueError(f"{verb}: constraints is {constraints!r}; {message}.")
     selected = sources if scenarios is None and sources is not None else Sources.of(scenarios, seed)
     aim = Mean("") if objective is None else objective
@@ -156,15 +156,15 @@ def _only_output(verb: str, names: list[str]) -> str:
     """The only output, when there is but one, and nothing shows that it should be small."""
     if len(names) != 1:
         raise ValueError(
-            f"{verb}: the simulator has the outputs {sorted(names)}; name the one to make as "
-            'large as possible, such as objective="profit" or -Mean("cost").'
+            f"{verb}: the simulator has the outputs {sorted(names)}; name the one to "
+            'maximise, such as objective="profit" or -Mean("cost").'
         )
     text = re.findall("[a-z]+", re.sub("([A-Z])", r" \1", names[0]).lower())
     if SMALL & set(text):
         name = f'"{names[0]}"'
         raise ValueError(
             f"{verb}: the only output is {names[0]!r}, and objectives are maximised; write "
-            f"objective=-snapo.Mean({name}) to make it small, or objective={name} to make it large."
+            f"objective=-snapo.Mean({name}) to minimise it, or objective={name} to maximise it."
         )
     return names[0]
 

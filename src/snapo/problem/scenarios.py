@@ -234,7 +234,7 @@ class Supplied(Scenarios):
             )
         if len(paths) and paths.max() >= available:
             raise ValueError(
-                f"Supplied: path {paths.max()} was asked for and {available} paths are supplied."
+                f"Supplied: path {paths.max()} was requested of {available} supplied paths."
             )
         initial = self.initial_noise
         if initial is None:

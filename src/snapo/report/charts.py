@@ -1,4 +1,4 @@
-"""The charts of a report, each painted into given axes; numbers in, no knowledge of a domain."""
+"""The charts of a report, drawn into existing axes, without knowledge of a domain."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -319,7 +319,7 @@ def swept_map(
     cells: Mapping[tuple[str, str], float | None],
     names: Sequence[str],
 ) -> None:
-    """A value over two axes, one cell for each pair of their `marks`: deeper is more."""
+    """A value over two axes, one cell for each pair of their `marks`: darker is higher."""
     from matplotlib.patches import Rectangle
 
     depth, few = _depth(cells.values()), len(marks[0]) <= 10
@@ -348,7 +348,7 @@ def swept_map(
 def swept_points(
     axes: "Axes", points: Sequence[tuple[float, float, float]], names: Sequence[str]
 ) -> None:
-    """A value at points (across, up, value): deeper is more."""
+    """A value at points (across, up, value): darker is higher."""
     depth = _depth([value for _, _, value in points])
     for across, up, value in points:
         face = {"color": LIGHT["main"], "alpha": depth(value), "markersize": 11.0}

@@ -32,7 +32,7 @@ TOTAL = "of all parts, before this page"
 
 
 def check_marks(verdicts: Sequence[tuple[str, bool]], noun: str = "checks") -> list[Mark]:
-    """The verdict on all checks, with the names of those that fail; none where there are none.
+    """The verdict on all checks, with the names of those that fail; none if there are none.
 
     `verdicts`: (name, whether it holds); `noun`: for the reader.
     """
@@ -113,7 +113,7 @@ def with_verdicts(first: Section, run: RunFiles) -> Section:
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
-    """Whether training could still improve the policy, by its gradient; none where that is
+    """Whether training could still improve the policy, by its gradient; none if that is
     not known."""
     norm, noise = run.result.policy_gradient_norm, run.result.policy_gradient_noise
     if norm is None or noise is None:
@@ -142,7 +142,7 @@ def spent(run: RunFiles) -> dict[str, float]:
 
 
 def times(run: RunFiles) -> list[Facts]:
-    """What the run took, part by part."""
+    """The cost of the run, part by part."""
     facts = [
         (name.capitalize(), seconds(item), TOTAL if name == "total" else "wall clock")
         for name, item in spent(run).items()
@@ -287,8 +287,8 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (
-            f"; their standard deviation is {spread}, and {half} comes from these paths, for all "
-            "of them alike"
+            f"; their standard deviation is {spread}, and {half} of it is due to these "
+            "paths, which are common to all"
         )
     return f"{text}. This page is the run of seed {result['best']}."
 

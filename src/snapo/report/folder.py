@@ -29,12 +29,12 @@ SENSITIVITIES = (
 class Sensitivity:
     """One line of sensitivities.csv: d value / d input, per one unit of the input.
 
-    - `value`, `low`, `high`: the reported derivative and its 95 % interval, None where it is not
+    - `value`, `low`, `high`: the reported derivative and its 95 % interval, None if it is not
       known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
       policy", "range" or "not known".
     - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
       reaction; `moved`, `moved_error`: the change of the held one in the second half of training.
-      None where they were not asked for.
+      None if they were not asked for.
     """
 
     input: str
@@ -220,7 +220,7 @@ def _spoilt(folder: Path, record: RunRecord) -> dict[str, list[str]]:
 
 
 def read_table(file: Path) -> dict[str, Any] | None:
-    """The object in a JSON file; None where it is not there or damaged."""
+    """The object in a JSON file; None if it is not there or damaged."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

@@ -44,4 +44,4 @@ def not_asked(run: RunFiles) -> list[Text]:
     if not names:
         return []
     listed = ", ".join(names)
-    return [Text(f"Parts that this run was not asked for (`[report] parts`): {listed}.")]
+    return [Text(f"Parts not requested for this run (`[report] parts`): {listed}.")]

@@ -54,7 +54,7 @@ def date(origin: RunOrigin) -> str:
 def _changes(run: RunFiles, origin: RunOrigin) -> Iterator[Block]:
     """The value and the settings next to those of the run before."""
     if not isinstance(origin.previous, Mapping):
-        yield Text("No earlier run of this case was there to compare with.")
+        yield Text("There is no earlier run of this case to compare with.")
         return
     previous = entries_of(PreviousRun, origin.previous)
     error, old = run.result.standard_error, previous.standard_error
@@ -67,13 +67,13 @@ def _changes(run: RunFiles, origin: RunOrigin) -> Iterator[Block]:
     if finite(change[0]) is not None:
         name = "Difference, on the same paths" if previous.paired else "Difference"
         rows.append((name, *measured(*change, digits, sign=True)))
-    yield Table([], rows, "Changed against the last run", 1)
+    yield Table([], rows, "Changed since the previous run", 1)
     settings = [(str(x["name"]), _text(x["first"]), _text(x["second"])) for x in previous.changes]
     if settings:
         head = [("Setting", ""), ("Last run", ""), ("This run", "")]
-        yield Table(head, settings, "Settings that differ from the last run", 3)
+        yield Table(head, settings, "Settings that differ from the previous run", 3)
     else:
-        yield Text("All settings are those of the last run.")
+        yield Text("All settings are those of the previous run.")
 
 
 def _inputs(record: RunRecord, folder: Path) -> Iterator[Block]:

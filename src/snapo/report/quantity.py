@@ -24,7 +24,7 @@ MONTHS = "January February March April May June July August September October No
 
 
 def finite(value: Any) -> float | None:
-    """The number as a float, or None where there is none or it is non-finite."""
+    """The number as a float, or None if there is none or it is non-finite."""
     if value is None or isinstance(value, str | bool):
         return None
     number = float(value)
@@ -244,7 +244,7 @@ def seconds(value: Any) -> str:
 
 
 def array(values: Any) -> np.ndarray | None:
-    """A list of numbers as float64, its nulls as NaN; None where there is nothing to show."""
+    """A list of numbers as float64, its nulls as NaN; None if there is nothing to show."""
     if values is None or len(values) == 0:
         return None
     numbers = np.array([math.nan if value is None else value for value in values], np.float64)

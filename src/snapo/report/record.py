@@ -16,7 +16,7 @@ def entries_of(kind: type[Entries], table: Any) -> Entries:
 
 
 class PartState(NamedTuple):
-    """How a part went: "done", "failed" or "skipped", and the reason where it was not done.
+    """The status of a part: "done", "failed" or "skipped", and the reason where it was not done.
 
     - `seconds`: that it took; `files`: {name: checksum} of those that it wrote.
     """
@@ -108,7 +108,7 @@ class RunRecord(NamedTuple):
     result: str | None = None
 
     def part(self, name: str) -> PartState:
-        """How a part went; an empty state where it has not begun."""
+        """The status of a part; empty if it has not started."""
         return entries_of(PartState, self.parts.get(name))
 
     @property

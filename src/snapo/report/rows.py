@@ -14,7 +14,7 @@ from .quantity import decimals, measured, number
 
 
 class WithError(NamedTuple):
-    """A number and its standard error, None where it has none: ± is followed by half of its 95 %
+    """A number and its standard error, None if it has none: ± is followed by half of its 95 %
     interval."""
 
     value: float | None

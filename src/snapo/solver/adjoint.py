@@ -63,7 +63,7 @@ def value_and_gradient(
     **Raises:** `ValueError` for other `decisions`.
     """
     if decisions not in ("held", "reacting"):
-        message = "allowed is 'held' or 'reacting'"
+        message = "it must be 'held' or 'reacting'"
         raise ValueError(f"value_and_gradient: decisions is {decisions!r}; {message}.")
     held = decisions == "held"
     bound = (engine or Xla(precision="float64")).bind(problem)
@@ -106,7 +106,7 @@ def weighted_adjoint(
 
 
 def flat_weights(objective: Objective, paths: int) -> Weights:
-    """The weights of a linear objective, which any totals give."""
+    """The weights of a linear objective, which do not depend on the totals."""
     return objective.weights({name: np.zeros(paths) for name in objective.outputs})
 
 

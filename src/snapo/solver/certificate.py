@@ -1,4 +1,4 @@
-"""Evidence for the number: the adjoint against bumps on the same paths, and every limit kept."""
+"""Evidence for the number: the adjoint against bumps on the same paths, and every limit met."""
 
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
@@ -86,7 +86,7 @@ class Feasibility(NamedTuple):
     step: int
 
     def row(self, round_off: float) -> dict[str, Any]:
-        """The limit as a row of a table; violations up to round-off count as kept."""
+        """The limit as a row of a table; violations up to round-off count as met."""
         return self._asdict() | {"passed": self.worst > -round_off}
 
 
@@ -150,7 +150,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
         results.append(
             {
                 "family": name,
-                "inputs": "all by 1 %, in the mean",
+                "inputs": "all by 1 %, on average",
                 "worst_error": error / step,
                 "allowed": allowed / step,
                 "passed": verdict.source != UNKNOWN,

@@ -83,7 +83,7 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
-        raise CheckpointError(f"{file}: this is another kind of file.") from None
+        raise CheckpointError(f"{file}: this is not a file of this kind.") from None
     summary = {"history": history, "growth": growth, "dual": dual, "raced": raced}
     summary |= {**steps, "unchanged": int(state.get("unchanged", 0))}
     return replace(like, **trees, **plain, **summary, scale=scale)
@@ -145,7 +145,7 @@ def _two(file: Path, both: Any, *keys: str) -> list[Any]:
     try:
         return [both[key] for key in keys]
     except (KeyError, TypeError, IndexError):
-        raise CheckpointError(f"{file}: this is another kind of file.") from None
+        raise CheckpointError(f"{file}: this is not a file of this kind.") from None
 
 
 def _save(file: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:

@@ -111,7 +111,7 @@ def totals_and_decisions(
     problem: Problem, policy: Policy, paths: int, first: int, *, engine: Engine
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
     """`path_totals` of the exact simulator, and the decisions [T, first, A] on the first of these
-    paths; None where they would take too much memory."""
+    paths; None if they would take too much memory."""
     bound, source = engine.bind(problem), problem.sources.evaluation
     paths = source.available(paths)
     shape = problem.simulator.horizon, source.available(min(first, paths)), problem.action.size
@@ -172,9 +172,9 @@ def estimate(
 def value_of_groups(
     objective: Objective, totals: Totals, scenarios: Scenarios, controls: tuple[str, ...] = ()
 ) -> np.ndarray:
-    """[groups]: the share of each independent group of paths in the objective; its mean is it.
+    """[groups]: the share of each independent group of paths in the objective, which is their mean.
 
-    The controls' coefficients are found by regression on the groups' shares.
+    The coefficients of the control variates come from a regression on the groups' shares.
     """
     return _controlled(objective, totals, scenarios, controls)[0]
 

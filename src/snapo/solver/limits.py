@@ -229,7 +229,7 @@ def _note(limit: LimitFound) -> str:
     if limit.multiplier:
         slack += (
             f" Training ended at a price of {limit.multiplier:,.4g} for it: its decisions "
-            "may be caught at a bound of their set. Try more steps or a lower learning_rate."
+            "may be stuck at a bound of their set. Try more steps or a lower learning_rate."
         )
     return slack
 

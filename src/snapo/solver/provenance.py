@@ -1,4 +1,4 @@
-"""How a solution came about: seconds by stage, versions, and why a training broke off."""
+"""The origin of a solution: seconds by stage, versions, and why a training was aborted."""
 
 import platform
 import threading
@@ -25,7 +25,8 @@ LIBRARIES = ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "ll
 
 
 def versions() -> dict[str, str]:
-    """What decides the numbers besides the inputs: this package, its libraries and the machine."""
+    """The causes of the numbers in addition to the inputs: this package, its libraries and the
+    machine."""
     return {
         "python": platform.python_version(),
         "machine": platform.machine(),
@@ -90,7 +91,7 @@ class Clock:
 FEW = 8  # bad paths that are followed step by step
 ADVICE = "snapo.check(simulator, inputs) looks for the line."
 LATER = (
-    "Where it finds none, training led the policy there: a smaller learning_rate than {rate:.3g} "
+    "If it finds none, training led the policy there: a smaller learning_rate than {rate:.3g} "
     "or narrower bounds of the decisions keep it away."
 )
 

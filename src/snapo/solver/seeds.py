@@ -109,7 +109,7 @@ def solve_seeds(
         seeds = range(training.seed, training.seed + seeds)
     selected = tuple(seeds)
     if not selected or len(set(selected)) < len(selected):
-        raise ValueError(f"solve_seeds: seeds is {selected}; allowed is one or more, each once.")
+        raise ValueError(f"solve_seeds: seeds is {selected}; it must be one or more, each once.")
     inputs, policy = in_order(problem, inputs, policy)
     values, sources = (inputs, objective, scenarios, constraints), evaluation.sources(selected[0])
     problem = problem_of("solve_seeds", problem, *values, sources=sources, seed=selected[0])

@@ -80,7 +80,7 @@ class Sensitivities(NamedTuple):
     - `reported`: the reported derivative, with its interval, {input: Reported}; if None, it is the
       held one with its sampling error.
     - `of_inputs`: the held derivatives with respect to the inputs of another problem that has the
-      same schedule; None where those with respect to the schedule are large.
+      same schedule; None if those with respect to the schedule are large.
     """
 
     inputs: dict[str, inputs_.Input]
@@ -212,7 +212,7 @@ DRIFT = 4  # a share of the blocks, one in four, is enough for the drift
 
 
 def _columns(estimates: Mapping[str, Estimate] | None, name: str) -> tuple:
-    """Derivatives with respect to an input and their errors, flat; None where there are none."""
+    """Derivatives with respect to an input and their errors, flat; None if there are none."""
     if estimates is None:
         return None, None
     return estimates[name].value.ravel(), estimates[name].standard_error.ravel()
@@ -270,7 +270,7 @@ def sensitivities_and_totals(
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[Sensitivities, Totals | None]:
-    """`sensitivities`, and the smooth simulator's totals {output: [smooth_paths]}; None where they
+    """`sensitivities`, and the smooth simulator's totals {output: [smooth_paths]}; None if they
     were not asked for, or are not all finite."""
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
     source = problem.sources.evaluation

@@ -147,7 +147,7 @@ class Solution:
         if table == "history":
             columns = zip(*self.history) if self.history else ((),) * len(Record._fields)
             return frame(dict(zip(Record._fields, map(list, columns))), backend)
-        message = "allowed is 'totals', 'history', or 'sensitivities' where there are some"
+        message = "it must be 'totals', 'history', or 'sensitivities' where there are some"
         raise ValueError(f"frame: {table!r}; {message}.")
 
     def write_table(self, file: Path | str) -> None:
@@ -157,7 +157,7 @@ class Solution:
         """
         file = Path(file)
         if file.suffix.lower() != ".xlsx":
-            raise ValueError(f"write_table: {file.name!r}; allowed is a name that ends in .xlsx.")
+            raise ValueError(f"write_table: {file.name!r}; it must be a name that ends in .xlsx.")
         tables = {"result": SheetTable(("what", "value"), list(flat(self.summary())))}
         if self.sensitivities is not None:
             rows = list(self.sensitivities.rows())
@@ -289,7 +289,7 @@ class Solution:
         try:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
-            message = f"{folder / SOLUTION}: this is another kind of file ({error})."
+            message = f"{folder / SOLUTION}: this is not a file of this kind ({error})."
             raise checkpoint.CheckpointError(message) from None
 
     @classmethod

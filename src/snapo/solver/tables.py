@@ -61,7 +61,7 @@ def frame(columns: Mapping[str, Any], backend: str = "pandas") -> Any:
     except ModuleNotFoundError:
         message = f"frame: {backend} is not installed: pip install {backend}"
         raise ModuleNotFoundError(message) from None
-    raise ValueError(f"frame: {backend!r}; allowed is one of {', '.join(BACKENDS)}.")
+    raise ValueError(f"frame: {backend!r}; it must be one of {', '.join(BACKENDS)}.")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (0,)) -> str:
@@ -225,7 +225,7 @@ def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]
 
 
 def histogram(totals: np.ndarray) -> SheetTable:
-    """How many paths have a total between two numbers."""
+    """The number of paths with a total between two numbers."""
     values = np.asarray(totals, np.float64)
     counts, edges = np.histogram(values[np.isfinite(values)], BINS)
     rows = list(zip(edges[:-1].tolist(), edges[1:].tolist(), counts.tolist()))

@@ -273,7 +273,8 @@ def _options(progress: Progress) -> dict:
 
 
 def most_dropped(training: TrainingPlan) -> float:
-    """How many paths of a whole run may be non-finite, and are left out, before it diverges."""
+    """The number of non-finite paths that a complete run may leave out before it counts as
+    diverged."""
     return DROPPED * training.steps * training.paths
 
 

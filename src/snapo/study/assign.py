@@ -14,7 +14,7 @@ OPTION = "--set"
 def assigned(data: Mapping[str, Any], assignments: Iterable[str]) -> tuple[dict, set[str]]:
     """A copy of the tables of a case with each "path=value" put in; and the paths.
 
-    A path is made of keys; an element of an array is meant by its number from 0, or by its `name`.
+    A path is made of keys; an array's element is identified by its number from 0, or its `name`.
     A value is written as in TOML. The domain decides whether a new key is allowed.
 
     **Raises:** `CaseError` for a path that does not exist, and for a value that is not TOML.
@@ -62,7 +62,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 
 
 def value_at(data: Mapping[str, Any], path: str) -> Any:
-    """The value of a key of a case; None where the case does not have it."""
+    """The value of a key of a case; None if the case does not have it."""
     position: Any = data
     for key in path.split("."):
         try:

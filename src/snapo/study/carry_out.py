@@ -80,7 +80,7 @@ def _logo(folder: Path, name: str | None) -> str:
 def _footer(version: str | None) -> str:
     available = version and version[:1].isdigit()  # else a text: it is not installed
     made = f"Made by snapo {version}" if available else "Made by snapo"
-    return f"{made} from the files of one run folder; the page needs and sends nothing."
+    return f"{made} from the files of one run folder; the page loads and sends nothing."
 
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
@@ -185,7 +185,7 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
             return
         message = changed[0] if changed else f"parts/{part.file}"
         run.progress(
-            f"{part.name} is done again: {message} was changed or damaged since it was written"
+            f"{part.name} is computed again: {message} was changed or damaged since it was written"
         )
     missing = [name for name in part.needs if typed.part(name).state != DONE]
     if missing:

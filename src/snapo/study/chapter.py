@@ -77,7 +77,7 @@ class Chapter(Generic[Result]):
         return {self.key: entries} if self.key else entries
 
     def of(self, run: StudyRun | RunFiles) -> Result | None:
-        """The result, during the run or from its files; None where there is none."""
+        """The result, during the run or from its files; None if there is none."""
         if self.key:
             entries = run.get(self.key)
         else:

@@ -68,7 +68,7 @@ def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
     sizes = list(templates)
     if size is not None and size not in templates:
         one = "this kind has one example only"
-        message = one if len(sizes) == 1 else f"allowed is one of {', '.join(sizes)}"
+        message = one if len(sizes) == 1 else f"it must be one of {', '.join(sizes)}"
         raise CaseError("--size", "", size, message)
     source = templates[size or sizes[0]]
     contents = {file.name: file.read_bytes() for file in source.iterdir() if file.is_file()}

@@ -45,9 +45,9 @@ class DerivativePair(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """How the second run differs from the first.
+    """The differences of the second run from the first.
 
-    - `values`, `errors`: of the two; None where a run has no value.
+    - `values`, `errors`: of the two; None if a run has no value.
     - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.
     - `why`: one clause on why the runs are paired or not.
     - `settings`: everything that affects the numbers and differs.
@@ -254,7 +254,7 @@ def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
     try:
         results = [checkpoint.load_named(run / GROUPS) for run in (first, second)]
     except checkpoint.CheckpointError:
-        return None, "independent: no values by group of paths are kept in one of the runs"
+        return None, "independent: one of the runs has no values by group of paths"
     (one, ours), (other, theirs) = results
     for key, text in (("source", "scenarios"), ("noise", "noise"), ("paths", "numbers of paths")):
         if ours[key] != theirs[key]:

@@ -189,14 +189,14 @@ def _no_such_kind(kind: Any, available: Collection[str], file: str, where: str) 
         return CaseError(file, where, None, f"this key is missing; it is one of {kinds}")
     close = get_close_matches(kind, names, n=1) if isinstance(kind, str) else []
     suggestion = f"; the nearest known kind is {close[0]}" if close else ""
-    return CaseError(file, where, kind, f"allowed is one of {kinds}{suggestion}")
+    return CaseError(file, where, kind, f"it must be one of {kinds}{suggestion}")
 
 
 _MEMBERS = ("kind", "description", "templates", "read", "check", "study", "report", "bench")
 
 
 class CaseRequest(NamedTuple):
-    """What a command asks of a case.
+    """The options of a command for a case.
 
     - `path`: a TOML file, or a folder with case.toml.
     - `assignments`: keys that have another value for this run, "contract.inventory=2000".

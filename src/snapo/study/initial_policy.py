@@ -45,7 +45,7 @@ class SuppliedPolicy:
     """A policy to begin with, before it is known whether it fits.
 
     - `source`: the run folder or the file, as the command names it; `file`: where it was read.
-    - `content`: the bytes of the file; `value`: that of its run, where it has one.
+    - `content`: the bytes of the file; `value`: that of its run, if it has one.
     - `arrays`: all of its numbers, in order; `text`: {place: kinds, sizes, functions}.
     """
 
@@ -187,10 +187,10 @@ def _seen(has: list[tuple[int, ...]], needs: list[tuple[int, ...]]) -> str:
     ]
     if None in first or first[0] == first[1]:
         return ""
-    return f": its network takes {first[0]} numbers, and here there are {first[1]}"
+    return f": its network takes {first[0]} numbers, but the case has {first[1]}"
 
 
-KEPT, GAIN = "given policy", "gain over the given policy"
+KEPT, GAIN = "given policy", "gain over the initial policy"
 
 
 def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
@@ -266,7 +266,7 @@ def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
 
 
 def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
-    """What training began with, and by how much it came further."""
+    """The initial policy of training, and the gain over it."""
     text = f"Training began with the policy of {start['policy']}"
     if start["value"] is not None:
         text += f", whose value there is {number(start['value'])}"

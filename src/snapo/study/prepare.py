@@ -179,7 +179,7 @@ def _over(study: "Study", workers: "Workers", file: str) -> "Study":
     from .study import Setup, with_change
 
     if study.setup is None:
-        message = f"{file} trains no policy, so that workers have no use"
+        message = f"{file} trains no policy, so that workers cannot be used"
         raise CaseError("--on, --workers", "", None, message)
 
     def distributed(setup: Setup) -> Setup:

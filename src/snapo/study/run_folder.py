@@ -117,7 +117,7 @@ def copy_case(file: Path, out: Path, logo: str | None = None) -> None:
 
 
 def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything that decides the numbers of a run: a resumed one must have the same.
+    """All settings that determine the numbers of a run; a resumed run must have the same.
 
     The keys of the case as they were read (with `--set`), the bytes of the files next to it, the
     options of the command, the versions of the libraries and the machine.
@@ -153,7 +153,7 @@ def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dic
 
 
 def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The record of the run to resume in a folder, None where there is none yet.
+    """The record of the run to resume in a folder, None if there is none yet.
 
     **Raises:** `CaseError` where it was started with something else, or by an earlier version.
     """
@@ -206,7 +206,7 @@ def read(out: Path) -> dict[str, Any]:
         raise CaseError(str(file), "", None, message) from None
     if layout != LAYOUT:
         message = (
-            f"allowed is {LAYOUT}; another version of snapo wrote this run: solve the case again"
+            f"it must be {LAYOUT}; another version of snapo wrote this run: solve the case again"
         )
         raise CaseError(str(file), "layout", layout, message)
     return record
@@ -272,7 +272,7 @@ def _no_run(out: Path) -> CaseError:
         return CaseError(str(out), "", None, message)
     message = "this is not the folder of a run: `snapo solve` writes run.json into it"
     if (out / BOOK).is_file():
-        message = f"this is the folder of a book: its report is report.html, of snapo report {out}"
+        message = f"this is the folder of a book: snapo report {out} writes its report.html"
     elif out.is_file() and OF_A_BOOK.search(out.read_text(encoding="utf-8", errors="replace")):
         message = f"this is a book, which has contracts and no page: snapo book {out}"
     elif out.is_file() or any((out / name).is_file() for name in ("case.toml", "case.xlsx")):
@@ -329,7 +329,7 @@ def write_part(out: Path, part: Part, tables: Mapping[str, Any]) -> dict[str, An
 
 
 def read_part(out: Path, part: Part) -> dict[str, Any] | None:
-    """The tables of a part that was done before; None where its file is not there or damaged."""
+    """The tables of a part that was done before; None if its file is not there or damaged."""
     return read_table(out / PARTS / part.file)
 
 

@@ -48,7 +48,7 @@ class Trained(NamedTuple):
 class SeedRow(NamedTuple):
     """One seed in the table.
 
-    - `value`, `standard_error`: on the paths that all seeds share; None where training failed.
+    - `value`, `standard_error`: on the paths that all seeds share; None if training failed.
     - `below_best`, `below_best_error`: the difference to the best, paired path by path.
     - `within`: whether all limits of the problem are met, or nearly, on the run's paths.
     """
@@ -138,7 +138,7 @@ def _measured_on_others(setup: Setup) -> tuple[Problem, bool]:
 
 
 def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
-    """The values of independent groups of paths under a seed's policy; None where it has none."""
+    """The values of independent groups of paths under a seed's policy; None if it has none."""
     try:
         policy = Solution.load(item.folder, like=_setup(item.study).policy).policy
     except CheckpointError:
@@ -204,8 +204,8 @@ def describe(result: Mapping[str, Any]) -> str:
     if result["fresh"]:
         return f"{text}. The value of this run is on other paths, not used for that choice."
     return (
-        f"{text}. There are no other paths than those of the value, which is therefore that of the "
-        "best of several on the same paths, and biased slightly upwards."
+        f"{text}. No other paths are available, so the value is that of the best of several seeds "
+        "on the same paths, and biased slightly upwards."
     )
 
 
@@ -298,7 +298,7 @@ def _trained(
 def _is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
     """Whether a folder has such a run of several seeds, or some of its trainings.
 
-    **Raises:** `CaseError` where it has one that differs by more than its seed.
+    **Raises:** `CaseError` if it has one that differs by more than its seed.
     """
     decides, _ = decided(loaded, out, requested)
     records = [out / run_folder.RUN, *sorted(out.glob(f"{TABLE}/*/{run_folder.RUN}"))]

@@ -202,7 +202,7 @@ class Study:
     - `parts`: in the order in which they are done.
     - `result`: the content of result.json, from the run so far: "value", "standard_error",
       "status" …
-    - `setup`: gives the arguments of training, the same object every time; None where nothing
+    - `setup`: gives the arguments of training, the same object every time; None if nothing
       trains.
     - `relaxation`: returns the inner problem of the upper bound; or the reason for its absence as
       text.
@@ -213,7 +213,7 @@ class Study:
     - `today`: gives the decision of today: of a setup and a policy, the rows of a table.
     - `inputs`: gives the inputs of a case by name; None: they are found among its records.
     - `live_tables`: returns the sections of the domain on the live page.
-    - `headline`: gives the headline of a value of a setup's objective; None where it has none.
+    - `headline`: gives the headline of a value of a setup's objective; None if it has none.
     - `recalculated`: returns the calculation at other inputs for a study without training.
     """
 
@@ -237,7 +237,7 @@ class Study:
         names = [part.name for part in self.parts]
         for position, part in enumerate(self.parts):
             if part.name in names[:position]:
-                raise ValueError(f"Study: two parts are called {part.name!r}.")
+                raise ValueError(f"Study: two parts are named {part.name!r}.")
             if unknown := set(part.needs) - set(names[:position]):
                 raise ValueError(f"Study: {part.name!r} needs {sorted(unknown)} before it.")
 

@@ -86,7 +86,7 @@ def _value(cell: str) -> Any:
 
 def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> Picture | None:
     """Training as a line; other tables whose first column is a label, as bars or lines of their
-    first columns of numbers; none where there are too many rows to be read."""
+    first columns of numbers; none if there are too many rows to be read."""
     if name == Path(run_folder.HISTORY).stem and TRAINING.y[0] in header:
         return TRAINING
     numbers = [

@@ -114,8 +114,8 @@ def _set(sheet: str, cell: str, value):
     [
         (_set("contract", "B4", "=1000+500"), "sheet contract, cell B4"),
         (_set("contract", "A4", "contract.."), "is not a key"),
-        (_set("contract", "A5", "contract.start"), "is there twice"),
-        (_set("contract", "A1", "name"), "has the columns key, value"),
+        (_set("contract", "A5", "contract.start"), "appears twice"),
+        (_set("contract", "A1", "name"), "must have the columns key, value"),
         (_set("contract", "B4", None), "sheet contract, line 4"),
         (lambda made: made.create_sheet("...csv"), "such as curve.csv"),
         (lambda made: made.create_sheet("other.csv"), "the sheet is empty"),

@@ -154,11 +154,11 @@ def test_blocks_follow_the_local_clock():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"contract.auction": {"at": "00:30", "step": "4h"}}, "auction.at: got '00:30'; allowed is a full hour"),
-        ({"contract.auction": {"step": "5h"}}, "auction.step: got '5h'; allowed is .1h., .2h"),
+        ({"contract.auction": {"at": "00:30", "step": "4h"}}, "auction.at: got '00:30'; it must be a full hour"),
+        ({"contract.auction": {"step": "5h"}}, "auction.step: got '5h'; it must be .1h., .2h"),
         ({"contract.auction": {"at": "00:00"}}, "auction.step"),
         ({"contract.auction": {"step": "4h"}, "objective": {"kind": "cvar", "level": 0.1}},
-         'allowed is the objective "mean"'),
+         'the objective must be "mean"'),
     ],
 )  # fmt: skip
 def test_mistakes_of_auctions_are_named(changes, message):

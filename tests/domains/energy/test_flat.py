@@ -80,7 +80,7 @@ def test_rolling_intrinsic_is_between_the_plan_and_the_exact_value():
 def test_a_product_across_the_end_of_a_year_has_a_reason():
     case = swing(year_begins="11-15", shortfall=6.0)
     contract, _, _, products = flat(case)
-    with pytest.raises(Infeasible, match="across the end of a contract year"):
+    with pytest.raises(Infeasible, match="over the end of a contract year"):
         Chains(contract).of(products.blocks(0))
 
 

@@ -197,8 +197,8 @@ def test_a_month_that_has_begun_has_its_index():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"contract.strike": True}, "contract.strike: got true; allowed is a number"),
-        ({"contract.strike": {"index": "year"}}, 'strike.index: .*allowed is "month-ahead"'),
+        ({"contract.strike": True}, "contract.strike: got true; it must be a number"),
+        ({"contract.strike": {"index": "year"}}, 'strike.index: .*must be "month-ahead"'),
         ({"contract.strike": {"index": "month-ahead", "sum": 1.0}}, "strike.sum"),
         ({"contract.shortfall": "strike"}, "contract.shortfall: .*indexed strike"),
         ({"contract.start": datetime.date(2026, 10, 5)}, "contract.start: .*first day of a month"),
@@ -215,7 +215,7 @@ def test_a_month_that_has_begun_has_its_index():
                 "model.jump_size": 0.3,
                 "model.jump_mean_reversion": 100.0,
             },
-            'model.kind: .*allowed is "one-factor"',
+            'model.kind: .*must be "one-factor"',
         ),
     ],
 )

@@ -67,7 +67,7 @@ def test_a_season_is_an_input_of_its_place(folder):
         ({}, "", "place[1].season.file", "missing"),
         ({"file": "s.csv", "from": 3}, "", "place[1].season.from", "no such key"),
         ({"file": "bad.csv"}, "period,factor\na,-1\nb,2\n", "line 2, column factor", "0.001"),
-        ({"file": "bad.csv"}, "period,factor\na,1\n", "", "allowed are 2 to 366"),
+        ({"file": "bad.csv"}, "period,factor\na,1\n", "", "2 to 366 are allowed"),
         ({"file": "bad.csv"}, "period,demand\na,1\nb,1\n", "", "factor"),
     ],
 )
@@ -81,7 +81,7 @@ def test_a_wrong_season_is_refused_in_words(folder, season, text, where, allowed
 
 def test_a_place_without_customers_has_no_season(folder):
     store = STORE | {"name": "south"}
-    with pytest.raises(CaseError, match="only a place with customers has a season") as found:
+    with pytest.raises(CaseError, match="only a place with customers can have a season") as found:
         network(CENTRE | {"season": {"file": "s.csv"}}, store, folder=folder)
     assert found.value.where == "place[0].season"
 

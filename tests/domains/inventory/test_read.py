@@ -62,8 +62,8 @@ def test_mistakes_are_refused_in_words(changes, words):
 @pytest.mark.parametrize(
     "demand, words",
     [
-        ({"kind": "poison", "mean": 5.0}, "allowed is one of"),
-        ({"kind": "poisson", "mean": 5000.0}, "count it in boxes"),
+        ({"kind": "poison", "mean": 5.0}, "it must be one of"),
+        ({"kind": "poisson", "mean": 5000.0}, "use a larger unit"),
         ({"kind": "negative-binomial", "mean": 5.0, "deviation": 2.0}, "above 2.247"),
         ({"kind": "normal", "mean": 1.0, "deviation": 2.0}, "at most the mean"),
     ],

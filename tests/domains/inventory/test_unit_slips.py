@@ -10,12 +10,12 @@ SPREAD = {"kind": "negative-binomial", "mean": 5.0}
 SLIPS = {
     "a rate for a factor": (
         {"horizon": {"discount": 0.04}},
-        "horizon.discount: discount is 0.04, outside 0.5 to 1: a factor by week is meant",
+        "horizon.discount: discount is 0.04, outside 0.5 to 1: a factor by week is expected",
     ),
     "holding of a year in cents": (
         {"holding": 5200.0},
         "item.holding: holding_cost is 5,200 EUR/piece/week, outside 4e-05 to 40 EUR/piece/week: it "
-        "is meant for one week and unit, and a unit short costs 4.",
+        "should be for one week and unit, and a unit short costs 4.",
     ),
     "a shortage in thousands": (
         {"purchase": 5000.0, "holding": 1.0},

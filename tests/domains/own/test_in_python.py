@@ -41,7 +41,7 @@ def test_a_solution_has_a_report(solution, tmp_path):
 
 
 def test_what_a_report_needs(solution, tmp_path, monkeypatch):
-    with pytest.raises(ValueError, match=r"'x.pdf'; allowed is a name that ends in .html"):
+    with pytest.raises(ValueError, match=r"'x.pdf'; it must be a name that ends in .html"):
         solution.report(tmp_path / "x.pdf")
     solution.save(tmp_path / "saved")
     loaded = snapo.Solution.load(tmp_path / "saved")

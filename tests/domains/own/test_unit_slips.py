@@ -12,7 +12,7 @@ SLIPS = {
     "a volatility in points": (
         "case.toml", "price_volatility = { value = 0.10", "price_volatility = { value = 10",
         "inputs.price_volatility.value: price_volatility is 1,000 points (10), outside 0 to 500 points",
-        "a fraction is meant",
+        "a fraction is expected",
     ),
     "a price in cents": (
         "weeks.csv", "3,75.0,", "3,7500,",

@@ -133,7 +133,7 @@ HOLD = "✓ all 2 numerical checks hold"
         (balance(0.0), "the fit did not converge: cap", ["✗ the fit did not converge: cap"]),
         (proven(False), "ok", [HOLD, "✗ normal ranges not inside the proven ones: T"]),
         (proven(True), "ok",
-         [HOLD, "✗ normal ranges inside the proven ones, but not surely at 95 %: T"]),
+         [HOLD, "✗ normal ranges inside the proven ones, but not with 95 % confidence: T"]),
         ((ONE_BATCH, filled(BatchResult, status="ok", holds=(False,))), "ok",
          [HOLD, "✗ at the set point a limit is broken: size"]),
         ((OPTIMUM, WORSE), "ok",

@@ -76,7 +76,7 @@ def test_weights_decay_where_many_numbers_are_decided_unless_steps_or_decay_are_
     assert resolve_auto(Training(), of, made).decay == 0
     assert resolve_auto(Training(steps=50), many, made).decay == 0
     assert resolve_auto(Training(steps=50, decay=0.3), many, made).decay == 0.3
-    with pytest.raises(ValueError, match="decay is -1; allowed is a number, 0 or more"):
+    with pytest.raises(ValueError, match="decay is -1; it must be a number, 0 or more"):
         Training(decay=-1)
 
 
@@ -160,8 +160,8 @@ def test_what_may_be_automatic_is_said():
     ):
         with pytest.raises(ValueError) as error:
             Training(**{name: value})
-        assert str(error.value) == f"Training: {name} is {value!r}; allowed is {words}."
+        assert str(error.value) == f"Training: {name} is {value!r}; it must be {words}."
     with pytest.raises(
-        ValueError, match="steps is 'auto'; allowed is a whole number of at least 0"
+        ValueError, match="steps is 'auto'; it must be a whole number of at least 0"
     ):
         TrainingPlan(steps="auto")

@@ -215,9 +215,9 @@ def test_what_a_problem_cannot_have_is_refused_in_words(setting, said):
 
 @pytest.mark.parametrize(
     "setting, said",
-    [({"keep": 0.0}, "keep is 0.0; allowed is a number above 0, at most 1"),
-     ({"spread": -1.0}, "spread is -1.0; allowed is a number above 0"),
-     ({"exploration": 1.0}, "exploration is 1.0; allowed is a number from 0 to below 1"),
+    [({"keep": 0.0}, "keep is 0.0; it must be a number above 0, at most 1"),
+     ({"spread": -1.0}, "spread is -1.0; it must be a number above 0"),
+     ({"exploration": 1.0}, "exploration is 1.0; it must be a number from 0 to below 1"),
      ({"exploration": 0.1, "temperature_end": 0.02}, "falls with the temperature")],
 )  # fmt: skip
 def test_settings_outside_of_their_range_are_refused(setting, said):

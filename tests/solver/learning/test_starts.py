@@ -62,7 +62,7 @@ def test_the_better_half_goes_on_until_one_is_left():
     assert starts.describe(rounds) == (
         "Of 5 starts, halved every 20 steps, number 2 continued: the others were 80 % lower to 20 % "
         "lower at step 20; the others were 40 % lower to 20 % lower at step 40; the other was 20 % "
-        "lower at step 60. Where a policy starts matters here: try more of them (starts=10)."
+        "lower at step 60. The result depends on the initial weights: try more of them (starts=10)."
     )
     assert starts.race(begun[:1], 200, run) == (begun[0], ())
     assert Round.read(json.loads(json.dumps(rounds[0]))) == rounds[0]

@@ -25,5 +25,5 @@ def test_sensitivities_come_in_every_library(backend):
 
 
 def test_another_library_is_refused():
-    with pytest.raises(ValueError, match="'excel'; allowed is one of pandas, polars, pyarrow"):
+    with pytest.raises(ValueError, match="'excel'; it must be one of pandas, polars, pyarrow"):
         frame({"a": [1]}, "excel")

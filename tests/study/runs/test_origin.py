@@ -19,7 +19,7 @@ DRAWING = (
 def test_the_page_has_the_origin(fake, case, capsys):
     assert main(["solve", str(case)]) == 0
     page = (case / "run" / "report.html").read_text()
-    assert "No earlier run" in page
+    assert "There is no earlier run" in page
     first = (case / "run").resolve().name
     assert main(["solve", str(case), "--set", "numbers=[1, 2, 6]", "--seed", "3"]) == 0
     page = (case / "run" / "report.html").read_text()
@@ -97,7 +97,9 @@ def test_texts_of_the_page_are_no_setting_that_differs(fake, case, monkeypatch, 
     monkeypatch.setattr("tests.study.fake.Fake.read", reading_report)
     for title in ("one", "two"):
         assert main(["solve", str(case), "--set", f'report.title="{title}"']) == 0
-    assert "All settings are those of the last run" in (case / "run" / "report.html").read_text()
+    assert (
+        "All settings are those of the previous run" in (case / "run" / "report.html").read_text()
+    )
     capsys.readouterr()
     assert main(["runs", str(case)]) == 0
     assert "report" not in capsys.readouterr().out

@@ -144,7 +144,7 @@ def test_no_run_replaces_one_that_is_kept(case, tmp_path, capsys):
     (other / "case.toml").write_text((case / "case.toml").read_text())
     for out in (one, case / "run"):
         assert main(["solve", str(other), "--out", str(out)]) == 2
-        assert "no other one replaces it" in capsys.readouterr().err
+        assert "which is not replaced" in capsys.readouterr().err
     assert main(["solve", str(case), "--out", str(case / "run")]) == 0  # which is the default
     assert len(names(case)) == 2
 

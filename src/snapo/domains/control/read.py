@@ -144,7 +144,7 @@ FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 
 WINDOW = 4  # default number of observations in a policy with memory = "Recent"
 RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(0.0, 25.2, "an angle is in radians, 180 degrees are 3.14", unit="rad", by_size=True),
-    Plausible(0.0, 1e3, "a speed of turning is in radians a second", unit="rad/s", by_size=True),
+    Plausible(0.0, 1e3, "an angular speed is in radians a second", unit="rad/s", by_size=True),
     Plausible(0.5, 30.0, "on Earth it is 9.81 m/s2", unit="m/s2", endings=("gravity",)),
     Plausible(1e-6, 1e4, "1 ms is 0.001 s", unit="s"),
     Plausible(1e-4, 1e4, "1 mm is 0.001 m", unit="m", by_size=True),
@@ -152,7 +152,7 @@ RANGES = (  # outside of which a number is likely to be in another unit
 )
 BLIND = (
     "States are measured with errors, and the policy has no memory of earlier ones: "
-    '`[policy] memory = "GRU"` lets it.'
+    '`[policy] memory = "GRU"` adds one.'
 )
 
 
@@ -248,7 +248,7 @@ def _recipe(table: ControlPolicyTable, name: str) -> Policy:
     if table.memory is None:
         return MLP(hidden=hidden)
     if hidden is not None and len(hidden) != 1:
-        message = 'a "GRU" has one layer: allowed is a list of one width, [16], or no value'
+        message = 'a "GRU" has one layer: it must be a list of one width, [16], or no value'
         raise CaseError(name, "policy.hidden", list(hidden), message)
     return GRU(hidden=None if hidden is None else hidden[0])
 
@@ -261,7 +261,7 @@ def _plant(data: Mapping[str, Any], name: str) -> type[Plant]:
     if kind is None:
         raise CaseError(name, "plant.type", None, f"this key is missing; it is one of {text}")
     hint = f"; {nearest(kind, TYPES)}" if isinstance(kind, str) else ""
-    raise CaseError(name, "plant.type", kind, f"allowed is one of {text}{hint}")
+    raise CaseError(name, "plant.type", kind, f"it must be one of {text}{hint}")
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -304,7 +304,7 @@ def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[s
     for key, value in data.items():
         numbers = _numbers(value, name, f"noise.{key}")
         if numbers.ndim < 2 and np.any(numbers < 0):
-            raise CaseError(name, f"noise.{key}", value, "a standard deviation is at least 0")
+            raise CaseError(name, f"noise.{key}", value, "a standard deviation must be at least 0")
         matrices[key] = np.diag(numbers) if numbers.ndim == 1 else numbers
     return matrices
 
@@ -317,7 +317,7 @@ def read_measurement(plant: type[Plant], data: Mapping[str, Any], name: str) -> 
         numbers[key] = _numbers(value, name, f"measurement.{key}")
         if numbers[key].ndim > 1 or np.any(numbers[key] < 0):
             message = (
-                "allowed is a standard deviation of at least 0, or a list with one for each number"
+                "it must be a standard deviation of at least 0, or a list with one for each number"
             )
             raise CaseError(name, f"measurement.{key}", value, message)
     return numbers
@@ -332,7 +332,7 @@ def _known(plant: type[Plant], data: Mapping[str, Any], name: str, table: str) -
 
 def _start(value: Any, name: str, where: str) -> dict[str, Any]:
     if not isinstance(value, Mapping):
-        raise CaseError(name, where, value, f"allowed is {FORMS}")
+        raise CaseError(name, where, value, f"it must be {FORMS}")
     keys = set(value)
     table = NormalStart if keys & {"mean", "deviation"} else At if "at" in keys else UniformStart
     read = parse(table, value, name, where)
@@ -345,9 +345,9 @@ def _start(value: Any, name: str, where: str) -> dict[str, Any]:
     if first.shape != second.shape:
         raise CaseError(name, where, dict(value), "both must have the same number of numbers")
     if isinstance(read, UniformStart) and not read.low < read.high:
-        raise CaseError(name, f"{where}.high", read.high, f"allowed is a number above {read.low:g}")
+        raise CaseError(name, f"{where}.high", read.high, f"it must be a number above {read.low:g}")
     if isinstance(read, NormalStart) and np.any(numbers["deviation"] <= 0):
-        message = "allowed are numbers above 0; an initial state without spread is { at = 1 }"
+        message = "it must be numbers above 0; an initial state without spread is { at = 1 }"
         raise CaseError(name, f"{where}.deviation", value["deviation"], message)
     return numbers
 
@@ -359,7 +359,7 @@ def _numbers(value: Any, name: str, where: str) -> np.ndarray:
     except ValueError:
         raise CaseError(name, where, value, "all rows must have the same length") from None
     if result.dtype.kind not in "fi" or result.ndim > 2 or not result.size:
-        raise CaseError(name, where, value, "allowed are numbers, a list or rows of them")
+        raise CaseError(name, where, value, "it must be numbers, a list or rows of them")
     if not np.all(np.isfinite(result)) or np.max(np.abs(result)) > LARGEST:
-        raise CaseError(name, where, value, f"allowed are finite numbers of at most {LARGEST:g}")
+        raise CaseError(name, where, value, f"it must be finite numbers of at most {LARGEST:g}")
     return result.astype(np.float64)

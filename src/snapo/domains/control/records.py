@@ -1,4 +1,4 @@
-"""A case of control, as it was read."""
+"""The data of a control case."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -123,7 +123,7 @@ def solved(plant: Plant, values: Mapping[str, Any]) -> Riccati | None:
 
 
 def optimum(plant: Plant, values: Mapping[str, Any]) -> float | None:
-    """The largest mean reward of any rule; None where it is unknown."""
+    """The largest mean reward of any rule; None if it is unknown."""
     result = solved(plant, values)
     if result is None:
         return None

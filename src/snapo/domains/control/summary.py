@@ -1,4 +1,4 @@
-"""What `snapo check` prints of a case of control: nothing is compiled."""
+"""The text that `snapo check` prints for a case of control; nothing is compiled."""
 
 from snapo.problem.inputs import named_inputs
 from snapo.study.kind import inputs_line

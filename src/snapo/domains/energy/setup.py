@@ -123,7 +123,7 @@ def fitted_value(problem: Problem) -> FactorFit | None:
 def _value_functions(
     problem: Problem, apart: np.ndarray | None = None
 ) -> tuple[GaussianFactors, AnyBasis, ContractGrid] | None:
-    """Factors, functions of them, and nodes of the levels of a fitted value; None where prices have
+    """Factors, functions of them, and nodes of the levels of a fitted value; None if prices have
     more factors. `apart`: where a coarse grid suffices, see `grid_of`."""
     factors = factors_of(problem)
     if factors is None:

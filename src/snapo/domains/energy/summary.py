@@ -1,4 +1,4 @@
-"""What `snapo check` prints of a contract, in NumPy: nothing is compiled."""
+"""The text that `snapo check` prints for a contract, by NumPy; nothing is compiled."""
 
 from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.inputs import plain

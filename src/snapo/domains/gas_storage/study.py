@@ -68,7 +68,7 @@ def _relaxation(prepared: "_Prepared"):
     """The store of known prices; or the reason why a run has no bound from above."""
     kind = prepared.case.objective.kind
     if kind != "mean":
-        return f'only a mean is bounded from above, and the objective is "{kind}"'
+        return f'only a mean is bounded from above, but the objective is "{kind}"'
     return lambda: StoreRelaxation(prepared.setup.problem)
 
 

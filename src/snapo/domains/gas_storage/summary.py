@@ -1,4 +1,4 @@
-"""What `snapo check` prints of a storage case, in NumPy: nothing is compiled."""
+"""The text that `snapo check` prints for a storage case, by NumPy; nothing is compiled."""
 
 from snapo.study.kind import inputs_line
 

@@ -24,7 +24,7 @@ def decisions(run: RunFiles) -> Section:
 
 
 def of_its_period(run: RunFiles, series: BandSeries) -> float:
-    """The factor that makes an output that of its period: a run has its part of the mean.
+    """The factor that converts an output of a run to one per period.
 
     A discounted cost has no part of a mean.
     """

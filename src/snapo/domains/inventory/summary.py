@@ -1,4 +1,4 @@
-"""What `snapo check` prints of an item or a network: nothing is compiled."""
+"""The text that `snapo check` prints for an item or a network; nothing is compiled."""
 
 from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.inputs import plain

@@ -49,7 +49,7 @@ CASE = f"{run_folder.CASE}/case.toml"
 
 @dataclass(frozen=True, eq=False)
 class SolvedProblem:
-    """What a case of a solved problem is made of: the problem, its policy, and their settings."""
+    """The parts of the case of a solved problem: the problem, its policy, and their settings."""
 
     problem: Problem
     policy: Policy
@@ -126,7 +126,7 @@ def write_report(solution: Solution, file: Path, problem: Problem | None) -> Pat
     the folder of a run.
     """
     if file.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"report: {file.name!r}; allowed is a name that ends in .html.")
+        raise ValueError(f"report: {file.name!r}; it must be a name that ends in .html.")
     if (folder := _run_of(solution, problem)) is not None:
         kind = run_folder.read(folder).get("kind")
         write_text(file, page_of(find(kind, str(folder / run_folder.RUN)), folder))

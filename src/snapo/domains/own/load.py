@@ -1,4 +1,4 @@
-"""The user's module: found next to the case, run once, with messages for its mistakes."""
+"""The user's module: loaded from the case's folder, executed once, with messages for mistakes."""
 
 import hashlib
 import importlib

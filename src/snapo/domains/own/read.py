@@ -105,21 +105,21 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
     """The ranges of shares: those that are shown as percentage points, or in basis points."""
     for entry in entries:
         if entry.display_factor == 100 and PERCENT.search(entry.display_unit):
-            hint = "a fraction is meant; the display unit is one percent of it"
+            hint = "a fraction is expected; the display unit is one percent of it"
             yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
         if entry.display_factor == 1e4 and entry.display_unit == "bp":
-            hint = "a fraction is meant, 0.0001 is 1 bp"
+            hint = "a fraction is expected, 0.0001 is 1 bp"
             yield Plausible(0.0, 0.5, hint, names=(entry.name,), by_size=True)
 
 
 def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, Positions]:
     where = f"inputs.{name}"
     if not isinstance(data, Mapping):
-        message = f'an input is a table: {name} = {{ value = 60, unit = "hm3" }}'
+        message = f'an input must be a table: {name} = {{ value = 60, unit = "hm3" }}'
         raise CaseError(str(file), where, data, message)
     table = parse(InputTable, data, str(file), where)
     if table.move == 0:
-        raise CaseError(str(file), f"{where}.move", 0.0, "allowed is a number other than 0")
+        raise CaseError(str(file), f"{where}.move", 0.0, "it must be a number other than 0")
     section = TableContext(file, where, notes)
     values, labels, locations = (_from_csv if table.file else _in_file)(section, table)
     attributes = {name: getattr(table, key) for key, name in ATTRIBUTES.items()}
@@ -152,11 +152,11 @@ def _from_csv(section: TableContext, table: InputTable) -> InputParts:
     """The numbers of a column, with the texts of another one as labels."""
     assert table.file is not None
     if table.value is not None:
-        raise section.error("value", table.value, "an input has a value or a file, not both")
+        raise section.error("value", table.value, "an input must have either a value or a file")
     if table.labels is not None:
         raise section.error("labels", table.labels, "a file labels its numbers by a column: label")
     if not table.column:
-        raise section.error("column", table.column, "allowed is the name of a column of the file")
+        raise section.error("column", table.column, "it must be the name of a column of the file")
     column, label = table.column.lower(), (table.label or "").lower()
     rows = read_rows(FileReference(section, "file", table.file), [c for c in (column, label) if c])
     values = np.array([row.number(column) for row in rows])
@@ -237,7 +237,7 @@ FORMATS = {
 
 
 def read_case(file: Path, data: Mapping[str, Any], position: tuple[str, str]) -> OwnCase:
-    """Reads all tables, then the code, so that a mistake in the file is found first."""
+    """Reads all tables, then the code, so that a mistake in the file is reported first."""
     table, name = parse(OwnTable, data, str(file), ""), str(file)
     parse(ReportTable, table.report, name, "report")
     notes: list[str] = []
@@ -284,6 +284,6 @@ def _made(
     with importable(position.parent), readable(position):
         made: Any = maker(data, file.parent) if maker else simulator()  # pyright: ignore
     if not isinstance(made, Simulator):
-        message = f"from_case must return a simulator, and returns a {type(made).__name__}"
+        message = f"from_case must return a simulator, but returned a {type(made).__name__}"
         raise CaseError(str(position), "", None, message)
     return made

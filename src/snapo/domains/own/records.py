@@ -13,7 +13,7 @@ from snapo.problem.simulator import Simulator
 
 @dataclass(frozen=True, eq=False)
 class OwnCase:
-    """What `snapo solve` needs of a case.
+    """The data that `snapo solve` needs from a case.
 
     - `location`: module and class of the simulator; `code`: the file of the module, where it is
       one, and `code_hash`: of its bytes.

@@ -17,9 +17,9 @@ from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
 CAVEAT = (
-    "Met nearly: missed by less than the half width of the interval, or by a thousandth of one "
-    "path's deviation. One more of the level changes the objective by its shadow price, from "
-    "derivatives on fresh paths with respect to the policy; a limit with slack has none. "
+    "Nearly met: missed by less than the half width of the interval, or by a thousandth of one "
+    "path's deviation. Raising the level by one unit changes the objective by its shadow price, "
+    "from derivatives on fresh paths with respect to the policy; a limit with slack has none. "
     "Sensitivities are those of the best value within the limits."
 )
 
@@ -29,7 +29,7 @@ def limits(run: RunFiles) -> Section:
     rows = [_row(LimitFound(**entries)) for entries in run.result.limits]
     head = [
         ("Limit", ""), ("", ""), ("Level", ""), ("Value", ""), ("95 %", ""),
-        ("One more of the level", run.unit), ("", ""),
+        ("Level raised by one unit", run.unit), ("", ""),
     ]  # fmt: skip
     caption = "Limits on fresh paths of the exact simulator, with their shadow prices"
     blocks = [Table(head, rows, caption, 2), Text(CAVEAT, caveat=True)] if rows else []

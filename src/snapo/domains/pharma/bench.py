@@ -21,7 +21,7 @@ BATCHES, REPEATS = 4096, 5
 def bench(engine: str, progress: ProgressCallback) -> str:
     """A table of best times, compiling apart."""
     if engine not in ("auto", "xla", "native"):
-        raise CaseError("--engine", "", engine, 'allowed is "auto", "xla" or "native"')
+        raise CaseError("--engine", "", engine, 'it must be "auto", "xla" or "native"')
     file = files("snapo.domains.pharma") / "template" / "case.toml"
     process = Process(resolve(Path(str(file)), tomllib.loads(file.read_text(encoding="utf-8"))))
     case, name = process.case, process.names[0]

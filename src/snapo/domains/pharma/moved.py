@@ -1,6 +1,6 @@
 """A process without a policy, calculated at other inputs for the live page.
 
-Every number is that of a run of the moved case, to the bits: the same functions on the same draws.
+Every number is bit for bit that of a run of the moved case: the same functions on the same draws.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -27,7 +27,7 @@ class OpenLoop:
 
 @dataclass(frozen=True, eq=False)
 class PharmaStudy(Study):
-    """A study with the objects that its parts share; `loop`: None where nothing is decided."""
+    """A study with the objects that its parts share; `loop`: None if nothing is decided."""
 
     recipe: OpenLoop = field(kw_only=True)
     loop: ClosedLoop | None = field(default=None, kw_only=True)
@@ -51,7 +51,7 @@ def process(run: StudyRun) -> Process:
 
 
 def sampled(run: StudyRun) -> Process:
-    """The process for statistics, on the mesh that was found to do for them."""
+    """The process for statistics, on a mesh that is accurate enough for them."""
     loop = open_loop(run)
     if loop.coarse is None:
         steps = int(run.get("sampling.steps", loop.process.case.numerics.steps))

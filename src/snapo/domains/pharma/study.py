@@ -84,7 +84,7 @@ def open_parts(case: PharmaCase) -> list[Part]:
 
 
 def sound(run: StudyRun) -> dict[str, Any]:
-    """Nothing else can be found out about a batch that could not be integrated."""
+    """A batch that could not be integrated has no other results."""
     batch = ONE_BATCH.of(run)
     if batch is None or batch.status != "ok":
         raise ArithmeticError(batch.status if batch else "there is no batch")
@@ -114,7 +114,7 @@ def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
     entries: dict[str, Any] = {
         "value": 1 - batches.joint if batches else None,
         "standard_error": batches.joint_error if batches else None,
-        "meaning": "probability that a batch keeps all limits, by the recipe as given",
+        "meaning": "probability that a batch keeps all limits, with the original recipe",
         "references": {"optimised_recipe": best.chance[1].probability} if best else {},
         "engine": "none: no policy is trained",
         "paths": {"evaluate": batches.batches if batches else 0},

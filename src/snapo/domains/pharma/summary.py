@@ -1,4 +1,4 @@
-"""What `snapo check` prints of a process: nothing is computed."""
+"""The text that `snapo check` prints for a process; nothing is computed."""
 
 from snapo.study.kind import inputs_line
 

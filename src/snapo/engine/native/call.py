@@ -30,7 +30,7 @@ from .stored import StoredKernel
 
 
 def unavailable() -> str | None:
-    """The reason why nothing can be compiled here, and the remedy; None where it can."""
+    """The reason why nothing can be compiled here, and the remedy; None if it can."""
     missing = pipeline.unavailable()
     if missing is not None:
         return f"{missing} (pip install 'snapo[native]')"

@@ -55,7 +55,7 @@ class Distributed:
     def note(self) -> str:
         """Why workers computed nothing; empty where they did."""
         if self.lost:
-            return f"Workers were not used after one order had no answer: {self.lost}."
+            return f"Workers were not used after one order returned no result: {self.lost}."
         if self.runs or not self.longest:
             return ""
         return (
@@ -99,7 +99,7 @@ class Distributed:
     def _from_workers(
         self, runner: Runner, inputs: KernelInputs, edges: np.ndarray
     ) -> KernelMemory | None:
-        """The rows of all blocks and groups; None where an order was lost."""
+        """The rows of all blocks and groups; None if an order was lost."""
         groups = len(edges) - 1
         count = min(groups, self.workers.parallel)
         cuts = (groups * np.arange(count + 1) // count).tolist()

@@ -83,7 +83,7 @@ def unsupported(
 ) -> str | None:
     """Why a simulator cannot be compiled: the primitive and the line of user code.
 
-    None where it can: its value and gradient, with every record, and clipped by `state_scale`.
+    None if it can: its value and gradient, with every record, and clipped by `state_scale`.
     Nothing is compiled; tracing takes some tenths of a second, once for all simulators of one form.
     """
     if (missing := unavailable()) is not None:

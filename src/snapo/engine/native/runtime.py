@@ -243,7 +243,7 @@ class Spare:
         self._bytes = 0
 
     def take(self, runner: GroupRunner) -> KernelMemory | None:
-        """Memory that this kernel had before, the latest first; None where there is none."""
+        """Memory that this kernel had before, the latest first; None if there is none."""
         with self._lock:
             for i in reversed(range(len(self._waiting))):
                 if self._waiting[i][0]() is runner:

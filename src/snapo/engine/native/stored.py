@@ -57,7 +57,7 @@ class StoredKernel:
         return code_folder(KERNELS) / f"{name}{ENDING}"
 
     def read(self) -> Kernel | None:
-        """The kernel; None where none is stored."""
+        """The kernel; None if none is stored."""
         data = None if self.path is None else disk.read(self.path)
         if data is None:
             return None
@@ -111,7 +111,7 @@ def _leaves(shapes: list, active: list[bool]) -> list[Leaf]:
 
 
 def _record_names(trees: KernelTrees) -> dict[str, list[str]] | None:
-    """The names in records that have some; None where a record has another structure."""
+    """The names in records that have some; None if a record has another structure."""
     tree = trees.record_tree
     record = jax.tree.unflatten(tree, range(tree.num_leaves))
     names = {name: list(part) for name, part in record.items() if isinstance(part, dict)}

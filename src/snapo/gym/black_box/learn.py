@@ -1,8 +1,8 @@
 """The verb `snapo.learn`: a policy for an environment that cannot be differentiated.
 
 Explore; then, round by round: fit a smooth ensemble to all transitions, train the policy through
-it by adjoint, and play it in the real environment. Where the model is wrong it is found out there,
-and the next fit knows better.
+it by adjoint, and play it in the real environment. Errors of the model are observed there, and the
+next fit corrects them.
 """
 
 from collections.abc import Callable

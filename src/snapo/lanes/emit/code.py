@@ -27,8 +27,8 @@ class Loop:
 class Curve:
     """A function of numbers that is written once for each type and width that a kernel needs.
 
-    `write` appends its instructions to a function whose `arguments` inputs it is given, and gives
-    the result.
+    `write` appends its instructions to a function with `arguments` as its inputs, and returns the
+    result.
     """
 
     name: str

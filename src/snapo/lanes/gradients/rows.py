@@ -84,7 +84,7 @@ class Gradients:
     items: list[GradientRule]
 
     def required(self) -> list[ProgramValue]:
-        """Everything the reverse sweep must bring about."""
+        """All quantities that the reverse sweep must compute."""
         return [v for g in self.items for v in g.rest] + [v for g in self.items for v in g.factors]
 
     def stored(self, later: set[ProgramValue]) -> set[ProgramValue]:
@@ -93,7 +93,7 @@ class Gradients:
 
 
 def plan(program: Program, leaves: list[Leaf], outputs: list[ProgramValue]) -> Gradients:
-    """How each gradient is brought together."""
+    """The accumulation of each gradient."""
     pairs = zip(leaves, outputs)
     return Gradients([GradientRule(leaf, *outer_terms(program, value)) for leaf, value in pairs])
 

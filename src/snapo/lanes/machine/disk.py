@@ -35,7 +35,7 @@ def object_code(text: str) -> bytes:
 
 
 def _apart(text: str) -> bytes | None:
-    """Made by a new process, whose memory goes with it; None where there can be none."""
+    """Made by a new process, whose memory goes with it; None if there can be none."""
     if not sys.executable:
         return None
     root = str(Path(__file__).parents[3])
@@ -106,7 +106,7 @@ def _checksum(name: str, data: bytes) -> bytes:
 
 
 def read(path: Path) -> bytes | None:
-    """The content of a file of the folder; None where it cannot be trusted, or is not there."""
+    """The content of a file of the folder; None if it cannot be trusted, or is not there."""
     try:
         with open(path, "rb") as file:
             state = os.fstat(file.fileno())

@@ -24,7 +24,7 @@ def binding() -> Any:
 
 
 def unavailable() -> str | None:
-    """The reason why there is no LLVM; None where there is one."""
+    """The reason why there is no LLVM; None if there is one."""
     try:
         version = importlib.import_module("llvmlite").__version__
         if tuple(int(part) for part in re.findall(r"\d+", version)[:2]) < OLDEST:
@@ -103,7 +103,7 @@ def fingerprint() -> str:
 
 @dataclass(frozen=True)
 class Pipeline:
-    """How code is made: LLVM's vectorisers stay off, as the text consists of vectors.
+    """The stages of code generation: LLVM's vectorisers stay off, as the text consists of vectors.
 
     Code and constants may be mapped far apart: the small code model's 32-bit distances then
     overflow.

@@ -69,7 +69,7 @@ def plan(
 
 
 def dependents(program: Program, sources: list[ProgramValue]) -> set[ProgramValue]:
-    """Everything that depends on the sources, themselves included."""
+    """All values that depend on the sources, including the sources."""
     outputs = set(sources)
     for op in program.ops:
         if any(v in outputs for v in op.inputs):

@@ -54,7 +54,7 @@ def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
 
 
 def rounds(code: Code, op: Op) -> int:
-    """How many rounds the loops of a dot product take; none where it is not done in tiles."""
+    """The numbers of rounds of the loops of a dot product; none if it is not done in tiles."""
     if op.name != "dot_general" or not tiles(op):
         return 0
     (a, b), (batch, rows, columns, depth) = op.inputs, _sizes(op)

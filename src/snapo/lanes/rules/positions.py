@@ -107,7 +107,7 @@ def window_start(
     sizes,
     check: bool,
 ):
-    """The start of one window, clamped, and whether it was inside (None where it always is)."""
+    """The start of one window, clamped, and whether it was inside (None if it always is)."""
     code = values.code
     first: list[Start] = [0] * len(x.shape)
     valid: Ref | bool | None = None

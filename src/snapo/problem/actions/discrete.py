@@ -129,7 +129,7 @@ class Stop(Actions):
 
     def __init__(self, rights: int = 1, hazard: float = 0.005, scale: float = 50.0):
         if not 0 < hazard < 1:
-            raise ValueError(f"Stop: hazard is {hazard}; allowed is above 0 and below 1.")
+            raise ValueError(f"Stop: hazard is {hazard}; it must be above 0 and below 1.")
         self.rights, self.hazard, self.scale = count("Stop: rights", rights, 1), hazard, scale
 
     @property

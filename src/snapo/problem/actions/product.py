@@ -61,7 +61,7 @@ class Product(Actions):
             raise ValueError("Product: it has no sets; give at least one, by name.")
         for name, item in sets.items():
             if not isinstance(item, Actions):
-                raise ValueError(f"Product: {name} is {item!r}; allowed is a set of actions.")
+                raise ValueError(f"Product: {name} is {item!r}; it must be a set of actions.")
         self.names, self.sets = tuple(sets), tuple(sets.values())
 
     @property

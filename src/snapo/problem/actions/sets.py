@@ -24,7 +24,7 @@ def count(name: str, values: Any, minimum: int, more: str = "") -> int:
     available = isinstance(values, int | np.integer) and not isinstance(values, bool)
     if not available or values < minimum:
         raise ValueError(
-            f"{name} is {values!r}; allowed is a whole number of at least {minimum}{more}."
+            f"{name} is {values!r}; it must be a whole number of at least {minimum}{more}."
         )
     return int(values)
 
@@ -94,7 +94,7 @@ def _bound(name: str, values: Any, size: int) -> BoxBound:
     except (TypeError, ValueError):
         item = np.asarray(np.nan)
     if np.isnan(item).any():
-        raise ValueError(f"Box: {name} is {values!r}; allowed is a number, or one per component.")
+        raise ValueError(f"Box: {name} is {values!r}; it must be a number, or one per component.")
     if item.ndim == 0:
         return float(item)
     if item.shape != (size,):
@@ -296,7 +296,7 @@ class Integers(Actions):
         for name, bound in zip(("low", "high"), box.bounds()):
             broken = bound[np.isfinite(bound) & (bound != np.round(bound))]
             if broken.size:
-                raise ValueError(f"Integers: {name} is {broken[0]:g}; allowed is a whole number.")
+                raise ValueError(f"Integers: {name} is {broken[0]:g}; it must be a whole number.")
         self.low, self.high, self.size = box.low, box.high, box.size
 
     @property

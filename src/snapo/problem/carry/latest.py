@@ -14,7 +14,7 @@ LONGEST = 100  # bytes of the text file
 
 
 def target(link: Path) -> Path | None:
-    """The folder that `link` points to; None where it is neither such a link nor such a file."""
+    """The folder that `link` points to; None if it is neither such a link nor such a file."""
     try:
         if link.is_symlink():
             text = os.readlink(link)

@@ -37,7 +37,7 @@ def difference(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
     """
     for position, text in now.items():
         if stored.get(position, text) != text:
-            return f"its {position} is {stored[position]}, and here it is {text}"
+            return f"its {position} is {stored[position]}, but {text} is required here"
     return ""
 
 
@@ -243,7 +243,7 @@ class _Named(NamedTuple):
 
 
 def reduced(module: eqx.Module) -> tuple:
-    """What `__reduce__` of a module with functions in its fields gives."""
+    """The result of `__reduce__` for a module with functions in its fields."""
     held = {field.name: getattr(module, field.name) for field in fields(module)}  # pyright: ignore
     return _unpacked, (type(module), {name: _packed(value) for name, value in held.items()})
 
@@ -273,9 +273,9 @@ class PolicyFileError(ValueError):
 class StoredPolicy(NamedTuple):
     """The content of a policy's file.
 
-    - `policy`: None where its class is user code, of which no file has the code.
+    - `policy`: None if its class is user code, of which no file has the code.
     - `described`: {position: text} of its kinds, sizes and functions; `leaves`: its arrays.
-    - `features`: the length of its observation, None where that is unknown.
+    - `features`: the length of its observation, None if that is unknown.
     """
 
     policy: Any

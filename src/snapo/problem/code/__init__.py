@@ -1,2 +1,2 @@
-"""What a user's code reads in addition to its arguments: programs that were compiled before follow
-it."""
+"""The objects that a user's code reads in addition to its arguments; compiled programs depend on
+them."""

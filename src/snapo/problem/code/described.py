@@ -40,7 +40,7 @@ class _NoTextError(Exception):
 
 
 def described(*trees: Any) -> str | None:
-    """The text of some trees of JAX; None where a part of them has none."""
+    """The text of some trees of JAX; None if a part of them has none."""
     try:
         return "\n".join(part for tree in trees for part in _tree(tree))
     except _NoTextError:

@@ -133,7 +133,7 @@ def of_formula(objective: Any, totals: Any) -> Version:
 
 
 def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
-    """The version of all code in some trees; None where none of it is a user's.
+    """The version of all code in some trees; None if none of it is a user's.
 
     What may have changed in place, or cannot be seen, is compared by the program that `trace`
     gives.

@@ -1,4 +1,5 @@
-"""Everything a user's code reads, from the classes and functions in a tree to the objects to which
+"""All objects that a user's code reads, from the classes and functions in a tree to the objects to
+which
 they refer.
 
 Functions are read by their code, constants by value, mutable objects by their present content.
@@ -69,9 +70,7 @@ SET_BY_PYTHON = {"_abc_impl", "__annotate__", "__annotate_func__"}
 
 
 class Walk:
-    """What is read.
-
-    - `fixed`: code and constants, on which the program depends.
+    """The objects that are read. - `fixed`: code and constants, on which the program depends.
     - `moving`: the content of mutable objects, such as lists and NumPy arrays, and variables that
       the code itself sets, such as a counter: the program may depend on them.
     - `unseen`: whether there is anything else that cannot be inspected.
@@ -339,7 +338,7 @@ def _is_hashable(x: Any) -> bool:
 
 
 def _marshalled(items: tuple) -> bytes | None:
-    """A digest of plain numbers and texts; None where there is anything else."""
+    """A digest of plain numbers and texts; None if there is anything else."""
     try:
         return blake2b(marshal.dumps(items, 2)).digest()
     except ValueError:

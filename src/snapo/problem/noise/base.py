@@ -137,7 +137,7 @@ def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> N
         return
     above = "" if high == np.inf else f" and below {high:g}"
     raise ValueError(
-        f"{type(noise).__name__}: {name} is {value.tolist()}; allowed is above {low:g}{above}."
+        f"{type(noise).__name__}: {name} is {value.tolist()}; it must be above {low:g}{above}."
     )
 
 

@@ -26,7 +26,7 @@ class Markov(Noise):
 
     Regimes have no order, so that a path has no derivative with respect to the probabilities.
     `likelihood` is the number 1, with the derivative of the log probability; carried along as here,
-    it makes the derivative of the mean right (likelihood ratio). Without: `draw(noise[:1],
+    it makes the derivative of the mean correct (likelihood ratio). Without: `draw(noise[:1],
     state["regime"])`.
 
     **Arguments:**
@@ -88,7 +88,7 @@ class Empirical(Noise):
         values = concrete(self.values)
         if values is not None and (values.ndim not in (1, 2) or not len(values)):
             raise ValueError(
-                f"Empirical: values have shape {values.shape}; allowed is [n] or [n, K]."
+                f"Empirical: values have shape {values.shape}; it must be [n] or [n, K]."
             )
 
     def prepare(self) -> "Empirical":

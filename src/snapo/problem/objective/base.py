@@ -1,4 +1,4 @@
-"""What an objective is: the value of all paths' totals together, to be maximised.
+"""Objectives: the value of all paths' totals together, to be maximised.
 
 An objective gives a value and the weight of every path and output, its derivative; engines
 take weights, never objectives, so risk measures need no second kind of adjoint. `influence`
@@ -20,7 +20,7 @@ A user-defined objective is one formula in `jax.numpy`; weights and errors follo
 A negative weight on it multiplies its numbers; `as_cost` states where something else is meant.
 
 A comparison with a number is a constraint that holds on average or with a probability:
-`Mean("unserved") <= 0.05`. What never may be exceeded is for the simulator.
+`Mean("unserved") <= 0.05`. A limit that must hold on every path belongs in the simulator.
 """
 
 import abc
@@ -94,7 +94,7 @@ class Objective(abc.ABC):
         return functional.influence(self, self.used(totals))
 
     def certainty_equivalent(self, value: float) -> float | None:
-        """The certainty equivalent; None where the objective does not declare one."""
+        """The certainty equivalent; None if the objective does not declare one."""
         return None
 
     def used(self, totals: Totals) -> dict[str, np.ndarray]:
@@ -158,7 +158,7 @@ class Objective(abc.ABC):
     def _compared(self, kind: Any, level: Any) -> Any:
         if not _number(level):
             name = type(self).__name__
-            raise TypeError(f"{name}: compared with {level!r}; allowed is a number.")
+            raise TypeError(f"{name}: compared with {level!r}; it must be a number.")
         return kind(self, level)
 
     def _times(self, over: Any, under: Any, text: str) -> "Weighted":
@@ -167,7 +167,7 @@ class Objective(abc.ABC):
         factor = float(over) / float(under) if under else np.nan
         if not np.isfinite(factor):
             kind = type(self).__name__
-            raise ValueError(f"{kind}: the factor is {text}; allowed is a finite number.")
+            raise ValueError(f"{kind}: the factor is {text}; it must be a finite number.")
         return Weighted((factor, self))
 
 
@@ -325,9 +325,9 @@ class Limit:
         kind, level = type(self).__name__, self.level
         if not isinstance(self.of, str | Objective):
             allowed = 'the name of an output or an objective, such as Probability("x", 0.0)'
-            raise ValueError(f"{kind}: of is {self.of!r}; allowed is {allowed}.")
+            raise ValueError(f"{kind}: of is {self.of!r}; it must be {allowed}.")
         if not (_number(level) and np.isfinite(level)):
-            raise ValueError(f"{kind}: level is {level!r}; allowed is a finite number.")
+            raise ValueError(f"{kind}: level is {level!r}; it must be a finite number.")
         _ = self.measure  # which refuses a utility of a cost
 
     @property

@@ -152,7 +152,7 @@ class ExpectedUtility(ByPath):
     @property
     def as_cost(self) -> Objective:
         raise ValueError(
-            f"ExpectedUtility of {self.output}: a utility is of a quantity to be maximised, so its "
+            f"ExpectedUtility of {self.output}: a utility is for a quantity to maximise, so its "
             "weight is positive and it has no upper limit. For a cost, let the simulator return "
             f"-{self.output} as an output, and write the utility of that."
         )

@@ -123,7 +123,7 @@ def as_policy(values: Any) -> Policy:
     if isinstance(values, Policy):
         return values
     if not isinstance(values, eqx.Module) or not callable(values):
-        raise TypeError(f"solve: policy is {values!r}; allowed is {NEEDED}.")
+        raise TypeError(f"solve: policy is {values!r}; it must be {NEEDED}.")
     needed = [
         parameter
         for parameter in inspect.signature(values).parameters.values()
@@ -132,7 +132,7 @@ def as_policy(values: Any) -> Policy:
     ]
     if len(needed) not in (1, 2):
         raise TypeError(
-            f"solve: {type(values).__name__} is called with {len(needed)} arguments; allowed is "
+            f"solve: {type(values).__name__} is called with {len(needed)} arguments; it must be "
             f"{NEEDED}."
         )
     return Plain(values, raw=len(needed) == 1)

@@ -75,7 +75,7 @@ class GRU(Memory):
         hidden: int | None = None,
     ):
         if hidden is not None and (not isinstance(hidden, int) or hidden < 1):
-            raise ValueError(f"GRU: hidden is {hidden!r}; allowed is a whole number above 0.")
+            raise ValueError(f"GRU: hidden is {hidden!r}; it must be a whole number above 0.")
         if hidden is None and action is not None:
             hidden = widths(action)[0] // 2
         self.hidden, self.action = hidden, action
@@ -120,7 +120,9 @@ class GRU(Memory):
             interface.features,
             interface.action.size,
         ):
-            raise ValueError(f"GRU: it takes {features} features; here are {interface.features}.")
+            raise ValueError(
+                f"GRU: it takes {features} features; the simulator has {interface.features}."
+            )
         return self
 
 
@@ -139,7 +141,7 @@ class LastObservations(Memory):
     def __init__(self, steps: int, policy: Policy | None = None, width: int = 0):
         if not isinstance(steps, int) or steps < 2:
             raise ValueError(
-                f"LastObservations: steps is {steps!r}; allowed is a whole number of 2 or more."
+                f"LastObservations: steps is {steps!r}; it must be a whole number of 2 or more."
             )
         self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
         if isinstance(self.policy, Memory):
@@ -172,7 +174,7 @@ class LastObservations(Memory):
 
 
 def remembered(policy: Policy | None) -> int:
-    """How many numbers a policy remembers; 0 for all without a memory."""
+    """The number of values that a policy remembers; 0 for policies without a memory."""
     return policy.memory if isinstance(policy, Memory) else 0
 
 

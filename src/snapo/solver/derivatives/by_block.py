@@ -57,7 +57,7 @@ class PassResult(NamedTuple):
     """Derivatives with respect to every input and the policy, and the number of paths left out.
 
     `schedule`: those with respect to the schedule, from which those of the inputs follow.
-    `totals` {output: [paths]} in the order of the blocks; None where some were passed one by one.
+    `totals` {output: [paths]} in the order of the blocks; None if some were passed one by one.
     """
 
     inputs: dict[str, Estimate]

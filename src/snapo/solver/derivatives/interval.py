@@ -160,7 +160,7 @@ class Reported(NamedTuple):
 
 
 def _multiple(direction: np.ndarray, by: np.ndarray) -> float | None:
-    """How many times `by` a direction is; None where it is another one."""
+    """How many times `by` a direction is; None if it is another one."""
     square = float(np.sum(by * by))
     if not square:
         return None

@@ -223,7 +223,7 @@ def rollouts(count: int) -> int:
 def surface_of(
     problem: Problem, coordinates: Coordinates, paths: int, seed: int, engine: Engine
 ) -> Surface | None:
-    """The surface on `paths` of fresh scenarios; None where the value knows no such coordinate."""
+    """The surface on `paths` of fresh scenarios; None if the value knows no such coordinate."""
     count = len(coordinates.directions)
     source = fresh(problem.sources.evaluation, SEARCH)
     paths = source.available(paths)

@@ -168,7 +168,7 @@ def sampled_norms(
     memory: int | None = None,
     paths: int = PATHS,
 ) -> Norms:
-    """How large the adjoints of a few paths are, for the mean of the objective's outputs."""
+    """The norms of the adjoints of a few paths, for the mean of the objective's outputs."""
     draws = problem.sources.training.batch(step, paths, problem.simulator)
     weights = dict.fromkeys(problem.objective.outputs, np.full(draws.size, 1 / draws.size))
     return adjoint_norms(problem, policy, draws, smooth, weights, memory)
@@ -240,7 +240,7 @@ class Growth(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Growth | None":
-        """From plain data, as JSON gives it."""
+        """From plain data, as read from JSON."""
         if stored is None:
             return None
         step, usual, largest, leaves = stored

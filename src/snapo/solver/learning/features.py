@@ -71,7 +71,7 @@ class FeatureScale(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "FeatureScale | None":
-        """From plain data, as JSON gives it."""
+        """From plain data, as read from JSON."""
         return None if stored is None else cls(*map(tuple, stored))
 
     def _applied(self, policy: Policy, work: Callable[..., tuple[Any, Any]]) -> Policy:
@@ -150,7 +150,7 @@ def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
 
 
 def fixed(problem: Problem) -> FeatureScale | None:
-    """Over time and paths, of the features that no decision moves; None where there is none."""
+    """Over time and paths, of the features that no decision moves; None if there is none."""
     moved = _moved(problem)
     if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
         return None

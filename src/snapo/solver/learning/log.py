@@ -1,6 +1,6 @@
-"""What a training reports while it runs: `snapo.log`, callbacks that write files.
+"""The reports of a training while it runs: `snapo.log`, callbacks that write files.
 
-What training chose and why, in sentences for the notes of a solution.
+The choices of training with their reasons, in sentences for the notes of a solution.
 """
 
 import struct

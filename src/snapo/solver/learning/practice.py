@@ -89,7 +89,7 @@ class MoreNoise(Scenarios):
 
 
 def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
-    """The setting that this problem does not support, and the reason; None where it can have
+    """The setting that this problem does not support, and the reason; None if it can have
     all."""
     simulator = problem.simulator
     if training.spread != 1 and not simulator.initial_noise_size:

@@ -71,7 +71,7 @@ class Round(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Round":
-        """From plain data, as JSON gives it."""
+        """From plain data, as read from JSON."""
         step, values = stored
         return cls(step, tuple((number, value) for number, value in values))
 

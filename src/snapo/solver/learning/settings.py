@@ -126,7 +126,7 @@ class Training:
             )
         if isinstance(self.window, str) and self.window != "auto":
             raise ValueError(
-                f"Training: window is {self.window!r}; allowed is a number of steps, 'auto' or "
+                f"Training: window is {self.window!r}; it must be a number of steps, 'auto' or "
                 "None."
             )
         if self.clip is not None and self.clip != "auto":
@@ -140,7 +140,7 @@ class Training:
 
 @dataclass(frozen=True)
 class TrainingPlan(Training):
-    """A training with numbers instead of every "auto"; `automatic`: the settings that were."""
+    """Settings with numbers instead of "auto"; `automatic`: the settings that were "auto"."""
 
     steps: int = 0
     paths: int = 2
@@ -200,7 +200,7 @@ def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str
     plain = isinstance(value, int | float | np.integer | np.floating)
     available = float(value) if plain and not isinstance(value, bool) else np.nan
     if not (np.isfinite(available) and allowed[0](available)):
-        raise ValueError(f"{name} is {value!r}; allowed is {allowed[1]}.")
+        raise ValueError(f"{name} is {value!r}; it must be {allowed[1]}.")
 
 
 ABOVE = (lambda value: value > 0), "a number above 0"

@@ -133,7 +133,7 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
     if count > 1 and not any(_is_network(node) for node in _nodes(policy)):
         raise ValueError(
             f"Training: starts is {count}, and {type(policy).__name__} has no network whose first "
-            "weights could be others; allowed is 1."
+            "weights could vary; it must be 1."
         )
     rng = [np.random.default_rng((seed, number)) for number in range(count)]
     return [policy, *(_redrawn(policy, item) for item in rng[1:])]
@@ -183,7 +183,7 @@ def describe(rounds: tuple[Round, ...]) -> str:
         summary.append(f"{who} {' to '.join(both)} at step {step}")
     metadata = "; ".join(summary)
     more = (
-        f" Where a policy starts matters here: try more of them (starts={2 * count})."
+        f" The result depends on the initial weights: try more of them (starts={2 * count})."
         if furthest > APART
         else ""
     )

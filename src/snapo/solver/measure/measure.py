@@ -175,7 +175,7 @@ def _compiled_meanwhile(run: MeasuredRun) -> AbstractContextManager:
 
 
 def _surface(run: MeasuredRun, problem: Problem) -> Surface | None:
-    """The value around the newest policy; None where no derivative is needed."""
+    """The value around the newest policy; None if no derivative is needed."""
     progress, effort = run.progress, run.effort
     if not effort.maximum or not np.isfinite(progress.best_value):
         return None
@@ -221,7 +221,7 @@ def _sensitivities(
     """The table of the reported policy, whose totals are `exact` and whose first decisions are
     known, unless they are many, and the totals of the smooth simulator, where they are known.
 
-    None where no paths are given to it.
+    None if no paths are given to it.
     """
     evaluation, progress, engine = run.evaluation, run.progress, run.engines.evaluate
     policy, paths = progress.best, run.held_paths
@@ -323,7 +323,7 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
         if rebuilt_once(run.problem):
             notes.append(
                 "For the bump of an input the policy's tables were recomputed at one move of the "
-                "input; at its other moves they are to first order."
+                "input; at its other moves they were approximated to first order."
             )
     return [" ".join(notes)]
 

@@ -38,7 +38,7 @@ PAIR = 2  # coordinates that a surface has in any case
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How a policy is measured. With zero paths a result is omitted.
+    """The settings for the evaluation of a policy. With zero paths a result is omitted.
 
     - `paths`: fresh scenarios for the value.
     - `sensitivity_paths`: for the derivatives with decisions held; `smooth_paths`: for those
@@ -62,7 +62,7 @@ class Evaluation:
     def __post_init__(self):
         if self.scenarios not in SCENARIOS:
             allowed = " or ".join(map(repr, SCENARIOS))
-            raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; allowed is {allowed}.")
+            raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; it must be {allowed}.")
         for name in MINIMUM:
             count(f"Evaluation: {name}", getattr(self, name), MINIMUM[name])
 
@@ -84,7 +84,7 @@ MINIMUM = {
 
 
 class Effort(NamedTuple):
-    """How many paths the derivatives of a policy may take in addition to its training.
+    """The number of paths that the derivatives of a policy may use in addition to its training.
 
     The unit is one path that is valued. A training has valued and gone back over `steps * paths` of
     them; the surface around the policy, its margin and the bumps each value a third as many paths,

@@ -36,7 +36,7 @@ NONE = 1e-9  # of a total: a difference that is round-off
 def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
     """Whether every path has the same totals of the objective, although paths are random.
 
-    An error of zero is no proof: antithetic pairs have none if noise enters linearly.
+    An error of zero proves nothing: antithetic pairs have none if noise enters linearly.
     """
     results = [np.asarray(totals[name]) for name in problem.objective.outputs]
     return problem.is_random and all(
@@ -99,7 +99,7 @@ class ConstantDecision(NamedTuple):
 
     @property
     def suffix(self) -> str:
-        """Its name behind a space, where it has one."""
+        """Its name behind a space, if it has one."""
         return f" ({self.name})" if self.name else ""
 
     @property
@@ -124,7 +124,7 @@ def constant_decisions(action: Actions, actions: np.ndarray) -> list[ConstantDec
 
 
 def describe(constants: list[ConstantDecision], of: int) -> str:
-    """A sentence on decisions that never change, out of several."""
+    """A sentence on those of several decisions that never change."""
     if len(constants) == of:
         limit = ", at its limit" if at_limit(constants) else ""
         where = numbers_text(np.concatenate([item.value for item in constants]))

@@ -96,8 +96,8 @@ def ending(
     engine: Engine,
     gradient: tuple[float, float] | None = None,
 ) -> Ending:
-    """How training ended, by the exact simulator on paths of the evaluation; a training that broke
-    off has notes but no keyword.
+    """How training ended, by the exact simulator on paths of the evaluation; a training that was
+    aborted has notes but no keyword.
 
     A rule that violates a limit of the problem more than the trained one is not a baseline.
 

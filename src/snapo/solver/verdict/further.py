@@ -176,7 +176,7 @@ def room(
     bounds: Mapping[str, Any] | None = None,
     exact: float | None = None,
 ) -> Room | None:
-    """What is known of a value; None where nothing is, or no more than `USEFUL` could say.
+    """The known bounds of a value; None if there are none, or none tighter than `USEFUL`.
 
     - `bounds`: as `Bound.row` has it; `exact`: the exact value, which no policy exceeds.
     """

@@ -167,7 +167,7 @@ def _chart(
     caption = (
         "The upper bound is the value and the gap: the mean over fresh paths of the earnings"
         " of the best decisions with perfect foresight, less those of the policy."
-        f" A penalty for knowing it costs nothing on average to those who do not ({result.words})."
+        f" The penalty on foresight has mean zero for policies without it ({result.words})."
     )
     return Chart(svg, caption)
 

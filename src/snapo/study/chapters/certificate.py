@@ -28,7 +28,7 @@ class BumpRow:
 
     - `inputs`: a description of the direction, or how many inputs were bumped.
     - `worst_error`, `allowed`: of the adjoint, in the unit of the value.
-    - `passed`: None where most paths are at a kink; `crossing`: the share of paths at one.
+    - `passed`: None if most paths are at a kink; `crossing`: the share of paths at one.
     """
 
     family: str = ""

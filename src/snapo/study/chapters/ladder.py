@@ -112,7 +112,7 @@ class CommonPaths:
     groups: np.ndarray
 
     def joined(self, of: Callable[[Draws, Rollout], np.ndarray]) -> np.ndarray:
-        """What a function of a block returns, [..., N] of all."""
+        """The results of a function of a block, [..., N] for all blocks."""
         return np.concatenate([of(*rollout) for rollout in self.rollouts], axis=-1)
 
 
@@ -230,7 +230,7 @@ def show(run: RunFiles, result: MethodLadder) -> Sequence[Block]:
         "are 95 % intervals."
     )
     blocks: list[Block] = [ladder("methods-ladder", bars, caption), table(rows, columns)]
-    right = "Every method is in its order: no bound from below is above one from above."
+    right = "Every method is in its order: no bound from below is above any from above."
     blocks += [Text(f"Warning: {x}.") for x in result.warnings] or [Text(right)]
     return blocks + [Text(f"{x.method}: no value, for {x.reason}.") for x in result.missing]
 

@@ -54,7 +54,7 @@ class BandSeries:
 
     @property
     def constant(self) -> float | None:
-        """Its number where that is equal at every step of every path; None where it varies."""
+        """Its number where that is equal at every step of every path; None if it varies."""
         lines = self.lines
         if not {"mean", "p01", "p99"} <= lines.keys():
             return None

@@ -37,7 +37,7 @@ LONGEST = 15  # bars of the tornado
 ROWS = 400  # derivatives in the table; sensitivities.csv has all of them
 CAVEAT = (
     "To first order. The derivative is that of the best policy's value. Held: the exact simulator "
-    "with the decisions held, which is that derivative where decisions are optimal, see the whole "
+    "with the decisions held, which is that derivative where decisions are optimal, see the full "
     "state and cause no jump. Through the policy: a bump of the exact simulator by one percent, "
     "or by the step of the input, with the policy reacting, where it refutes the held one (at a "
     "level of 1 % for all inputs together). Range: at a kink, between the derivatives for less and "
@@ -48,7 +48,7 @@ CAVEAT = (
 
 
 class ReportedInterval:
-    """The interval of a record with `low` and `high`, None where it is unknown."""
+    """The interval of a record with `low` and `high`, None if it is unknown."""
 
     low: float | None
     high: float | None
@@ -61,7 +61,7 @@ class ReportedInterval:
 
 @dataclass(frozen=True)
 class InputMove(ReportedInterval):
-    """The effect on the value when all numbers of an input move together; None where unknown.
+    """The effect on the value when all numbers of an input move together; None if unknown.
 
     - `words`, `group`: of the input; `numbers`: how many it has.
     - `amount`, `unit`: by how much every number moves, in the unit of the trade; `amount` is None
@@ -126,14 +126,14 @@ def measure(run: StudyRun) -> InputMoves:
 
 
 def direction(entry: Input) -> np.ndarray:
-    """How every number of an input moves, shaped like it."""
+    """The move of every number of an input, in its shape."""
     if entry.move is None:
         return SHARE * entry.value
     return np.full(entry.value.shape, entry.move)
 
 
 def interval(table: Sensitivities, name: str, along: np.ndarray) -> dict[str, float | None]:
-    """The reported derivative along a direction as numbers of a table; None where unknown."""
+    """The reported derivative along a direction as numbers of a table; None if unknown."""
     names = ("effect", "low", "high", "sampling", "policy")
     numbers = table.along(name, along)
     return {key: float(x) if np.isfinite(x) else None for key, x in zip(names, numbers)}

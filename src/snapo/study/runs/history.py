@@ -24,7 +24,7 @@ class RunRow(NamedTuple):
     """One run of a case.
 
     - `run`: its name; `folder`; `latest`: whether `run` points to it; `began`: the date and time.
-    - `value`, `low`, `high`: with its 95 % interval, None where there is none.
+    - `value`, `low`, `high`: with its 95 % interval, None if there is none.
     - `status`: of result.json; or "running", or the reason why there is none.
     - `changes`: the settings that differ from the run before.
     """
@@ -72,7 +72,7 @@ def _home(path: Path) -> Path:
 def _row(
     folder: Path, before: Mapping[str, Any] | None, latest: bool
 ) -> tuple[RunRow, Mapping[str, Any] | None]:
-    """The row of a run, and the settings that decide it; None where they cannot be read."""
+    """The row of a run, and the settings that decide it; None if they cannot be read."""
     result = RunResult.read(folder)
     status = RUNNING if is_busy(folder) else result.status or STOPPED
     try:
@@ -172,7 +172,7 @@ def _named(name: str, available: Mapping[str, Path]) -> Path:
 
 
 def _point_elsewhere(home: Path, left: Sequence[Path]) -> None:
-    """Makes `run` point to one of the runs that are left; to none where there is none."""
+    """Makes `run` point to one of the runs that are left; to none if there is none."""
     if target(home / LATEST) in left:
         return
     best = [folder for folder in left if is_good(folder)] or left

@@ -45,7 +45,7 @@ def _check_links(home: Path, out: Path | None) -> None:
     try:
         same = out is not None and out.resolve() == home.resolve()
     except (OSError, RuntimeError):  # links in a circle
-        message = "this cannot be the name of a folder: its links go in a circle"
+        message = "this cannot be the name of a folder: its links form a circle"
         raise CaseError(str(out), "", None, message) from None
     if same:
         message = "this is the folder of the case; a run needs a separate folder"
@@ -56,7 +56,7 @@ def _explicit(home: Path, out: Path, resume: bool) -> Path:
     run_folder.check_writable(out)
     if not resume and home_of(out.resolve()) is not None and (out / run_folder.RUN).exists():
         message = (
-            "a run that is kept is there, and no other one replaces it: leave out --out, or name "
+            "this folder contains a stored run, which is not replaced: leave out --out, or name "
             "another folder"
         )
         raise CaseError("--out", "", Unquoted(str(out)), message)
@@ -64,7 +64,7 @@ def _explicit(home: Path, out: Path, resume: bool) -> Path:
 
 
 def _to_resume(home: Path, same: Callable[[Path], bool]) -> Path | None:
-    """The latest run that the command describes; None where there is no run at all.
+    """The latest run that the command describes; None if there is no run at all.
 
     **Raises:** `CaseError` where all runs are of another description, or it is being worked on.
     """

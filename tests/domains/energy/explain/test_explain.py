@@ -241,7 +241,7 @@ def test_a_plant_that_begins_in_another_mode_keeps_its_policy():
 def test_messages(tmp_path):
     few = STRIP | {"evaluation.paths": 64, "contract.end": datetime.date(2026, 10, 4)}
     first, *_ = valued(tmp_path / "a", "swing", few)
-    with pytest.raises(CaseError, match="--cash gives the cash flow"):
+    with pytest.raises(CaseError, match="use --cash for the cash flow"):
         explained_change(first, first, silent, flows={})
     with pytest.raises(CaseError, match="no decision lies between"):
         explained_change(first, first, silent, cash=1.0)

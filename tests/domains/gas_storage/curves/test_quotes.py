@@ -122,7 +122,7 @@ def test_a_month_that_a_quarter_and_two_months_imply_is_made_from_them(tmp_path)
         (QUOTES, 'curve = { smoother = "cubic" }', 'smoother "daily" or "spline"'),
         (QUOTES, "curve = { factors = { sunday = 0.0 } }", "above 0"),
         (QUOTES, "curve = { factors = { sun = 0.9 } }", "day of the week"),
-        (QUOTES, 'forward_curve = "curve.csv"', "[market] has one of the two"),
+        (QUOTES, 'forward_curve = "curve.csv"', "[market] needs exactly one of"),
     ],
 )
 def test_mistakes_are_named(tmp_path, quotes, market, words):

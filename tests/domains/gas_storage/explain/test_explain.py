@@ -241,13 +241,13 @@ def test_a_run_without_a_value(tmp_path, monkeypatch):
 def test_runs_of_two_currencies():
     first, second = run_of("quick"), run_of("quick")
     other = replace(second, case=replace(second.case, currency="USD"))
-    with pytest.raises(CaseError, match="allowed is the same unit"):
+    with pytest.raises(CaseError, match="both must have the same unit"):
         check_pair(first, other)
 
 
 def test_a_measure_of_risk_is_refused():
     run = run_of("quick", objective={"kind": "cvar", "level": 0.95})
-    with pytest.raises(CaseError, match='allowed is "mean"'):
+    with pytest.raises(CaseError, match='it must be "mean"'):
         run.check()
 
 

@@ -1,4 +1,4 @@
-"""`snapo backtest`: no decision sees the future, and the mean over drawn histories is the value."""
+"""`snapo backtest`: no decision sees the future, and the mean over simulated histories is the value."""
 
 import datetime
 import json
@@ -218,7 +218,7 @@ def test_a_trained_policy_decides(solved, tmp_path, ledger, paths, capsys):
     ("spot", "curves", "named"),
     [
         ("2025-01-01,20\n2025-01-02,-1\n", "", ["spot.csv", "line 3", "price", "-1", "above 0"]),
-        ("2025-01-01,20\n2025-01-01,21\n", "", ["spot.csv", "line 3", "date", "must rise"]),
+        ("2025-01-01,20\n2025-01-01,21\n", "", ["spot.csv", "line 3", "date", "must increase"]),
         ("2025-01-01,20\n", "2025-01-01,soon,3\n", ["curves.csv", "line 2", "product", "'soon'"]),
         ("2025-01-01,20\n", "2025-01-01,2025-02,x\n", ["curves.csv", "line 2", "price", "'x'"]),
         ("2025-01-01,\n", "", ["spot.csv", "it has no price"]),

@@ -48,7 +48,7 @@ def days(count: int, price: str = "20.5", **others: str) -> str:
     [
         (SPOT, ONE, days(30, d3="-1.5"), ["spot.csv", "line 5", "price", "-1.5", "normal"]),
         (SPOT, ONE, days(30, d3="abc"), ["spot.csv", "line 5", "'abc'", "a finite number"]),
-        (SPOT, ONE, days(30).replace("2024-01-03", "2024-01-01"), ["line 4", "must rise"]),
+        (SPOT, ONE, days(30).replace("2024-01-03", "2024-01-01"), ["line 4", "must increase"]),
         (SPOT, ONE, days(12), ["history.spot", "12 prices", "at least 20 dates"]),
         ("[history]\n", ONE, days(30), ["history.spot", "spot, quotes or maturities"]),
         (SPOT + 'exact = ["sport"]\n', ONE, days(30), ["history.exact", "'sport'", "spot"]),

@@ -346,7 +346,7 @@ def test_the_command_writes_hedges_and_estimates(tmp_path, capsys):
     assert result["hedges"] == answer["hedges"] and result["estimates"] == []
     assert main(options) == 0
     printed = capsys.readouterr().out
-    assert "the model before is kept" in printed and "deviation" in printed
+    assert "the previous model is used" in printed and "deviation" in printed
 
 
 def test_dates_of_estimates_are_options(capsys):

@@ -183,7 +183,7 @@ COVERED = {
 @pytest.mark.prove
 @pytest.mark.parametrize("case", list(COVERED))
 def test_intervals_contain_the_truth(case):
-    """Of 50 drawn histories the 95 % interval contains the truth 42 to 50 times."""
+    """Of 50 simulated histories the 95 % interval contains the truth 42 to 50 times."""
     model, table, empty = COVERED[case]
     truth = numbers(model, table)
     histories = [drawn(model, table, empty, seed) for seed in range(50)]

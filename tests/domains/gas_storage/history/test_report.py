@@ -76,8 +76,8 @@ def test_the_first_screen_has_the_result_and_its_expectation(whole):
     result = whole.partition("Cash flow over time")[0]
     assert "Realised EUR 390.000" in result
     assert "−10.000 ± 3.920 against the expectation; ± is half of a 95 % interval" in result
-    assert "40 % of drawn histories bring less" in result
-    assert "✓ within the range of 95 % of drawn histories" in result
+    assert "40 % of simulated histories earn less" in result
+    assert "✓ within the range of 95 % of simulated histories" in result
     assert "Expected EUR 400.000 ± 3.920; standard deviation of one history 30" in result
     assert "Rolling intrinsic EUR 380.000" in result and "Intrinsic at start EUR 300" in result
     assert "A Daily, deltas: months +7.0000 397.00 5.000 9.0000 2.0000" in result
@@ -97,7 +97,7 @@ def test_months_add_up(whole):
 @pytest.mark.prove
 def test_an_improbable_history_and_a_better_classical_method_are_named():
     text = texts(result_of(share=0.999, rolling=500.0))
-    assert "✗ outside the range of 95 % of drawn histories" in text
+    assert "✗ outside the range of 95 % of simulated histories" in text
     assert "✗ rolling intrinsic brought EUR 110.000 more" in text
 
 

@@ -126,11 +126,11 @@ def test_a_nominated_swing_is_worth_less():
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ({"objective": {"kind": "cvar", "level": 0.1}}, "allowed is the objective \"mean\""),
+        ({"objective": {"kind": "cvar", "level": 0.1}}, "the objective must be \"mean\""),
         ({"contract": {"nomination": {"days": 0}}}, "contract.nomination.days: got 0"),
         ({"contract": {"nomination": {"calendar": "bank"}}}, '"every-day" or "business"'),
         ({"model": {"kind": "regimes", "tightens": 0.05, "eases": 0.2, "premium": 0.4}},
-         "with .contract. nomination allowed is one of"),
+         "with .contract. nomination it must be one of"),
     ],
 )  # fmt: skip
 def test_what_needs_the_spot_price_is_refused(changes, message):

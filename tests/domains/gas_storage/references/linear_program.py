@@ -25,7 +25,7 @@ from snapo.domains.gas_storage.references.piecewise import visited
 
 
 def intrinsic_by_linear_program(schedule, interpolation: Interpolation) -> IntrinsicPlan | None:
-    """The intrinsic value by HiGHS, or None where a linear program would overstate it.
+    """The intrinsic value by HiGHS, or None if a linear program would overstate it.
 
     Variables: each day's injection, withdrawal and inventory at its end, and the end value. Every
     linear piece of a concave rate limit is a tangent cut, and so is every piece of a concave end

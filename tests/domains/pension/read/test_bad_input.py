@@ -102,7 +102,7 @@ MISTAKES = {
     ),
     "windows without a mean": (
         "case.toml", "steps = 300\n", "steps = 300\nwindow = 12\n",
-        ["training.window", "12", 'kind "mean", and there is "crra"'],
+        ["training.window", "12", 'kind "mean", but this one is "crra"'],
     ),
     "unknown input held": ("case.toml", '"asset_cost"', '"asset_csot"', ["held", "asset_cost"]),
     "both members and cash flows": (
@@ -132,7 +132,7 @@ MISTAKES = {
     # Curves.
     "tenors out of order": (
         "curve.csv", "\n5,", "\n2.5,",
-        ["curve.csv, line 7", "tenor", "'2.5'", "must rise", "3"],
+        ["curve.csv, line 7", "tenor", "'2.5'", "must increase", "3"],
     ),
     "negative tenor": ("curve.csv", "\n1,", "\n-1,", ["curve.csv, line 4", "'-1'", "above 0"]),
     "rate in percent": (

@@ -138,7 +138,7 @@ def samples():
 
 
 def with_key(data, name, key, value):
-    """The case with one more key; None where it has that key, or not that table."""
+    """The case with one more key; None if it has that key, or not that table."""
     above, _, inner = name.rpartition(".")
     table = data.get(above or inner) or {}
     table = (table.get(inner) or {}) if above else table
@@ -175,7 +175,7 @@ def test_every_key_is_refused_where_it_means_nothing_and_only_there(mode):
             where = f"{name}.{key}"
             assert len(places) == 1 and places[0] in (where, name), message
             assert f"case.toml, {places[0]}:" in message
-            assert "has a meaning only" in message, message
+            assert "is used only" in message, message
             found.add(where)
     assert tried > 60
     assert found == expected
@@ -189,7 +189,7 @@ def test_every_key_is_refused_where_it_means_nothing_and_only_there(mode):
 def test_tables_without_a_meaning_are_refused(table, case):
     places, message = refusal(MODES[case][0] | {table: CASES["everything"][table]})
     assert places == [table]
-    assert "does not use this key; it has a meaning only for" in message
+    assert "does not use this key; it is used only for" in message
 
 
 def test_all_mistakes_are_named_at_once():
@@ -197,7 +197,7 @@ def test_all_mistakes_are_named_at_once():
     places, message = refusal(FLOWS | {"plan": terms})
     assert places == ["plan.spouse_share", "plan.married_share", "plan.indexation.cap"]
     assert len(message.splitlines()) == 3
-    assert '0.05; "none" does not use this key; it has a meaning only with kind "capped"' in message
+    assert '0.05; "none" does not use this key; it is used only with kind "capped"' in message
 
 
 @pytest.mark.parametrize("size", DOMAIN.templates)

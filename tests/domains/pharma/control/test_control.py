@@ -45,7 +45,7 @@ def test_what_is_measured_must_be_known_in_time():
 @pytest.mark.parametrize(
     ("of", "low", "high", "words"),
     [
-        ("charge.volume", "50 L", "70 L", "none of a unit"),
+        ("charge.volume", "50 L", "70 L", "does not belong to a unit"),
         ("crystalliser.seed.size", "10 um", "30 um", "fields that change over time"),
     ],
 )
@@ -105,7 +105,7 @@ def test_a_rule_is_read_in_its_units():
         ({"loops": [LOOPS[0] | {"measure": "crystalliser.d32"}]}, "there is no such measurement"),
         ({"loops": [LOOPS[0] | {"gain": "0 K/um"}]}, "a gain that is not 0"),
         ({"loops": [LOOPS[0] | {"gain": "2 K"}]}, r"loops\[0\].gain.*2 K"),
-        ({"loops": LOOPS * 2}, "one control has one loop"),
+        ({"loops": LOOPS * 2}, "a control can have only one loop"),
         ({"loops": [], "tuning": "simc"}, "loops"),
         ({"loops": LOOPS, "tuning": "by hand"}, "ziegler-nichols"),
     ],
@@ -158,7 +158,7 @@ def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
     head = page.partition("Quality attributes of one batch")[0]
     assert "Best fixed recipe" in page and result["verdict"] in head
     assert "All limits, best fixed recipe" in head
-    assert "Out of specification, recipe as given" in head
+    assert "Out of specification, original recipe" in head
     assert "reactor.temperature, K" in page and "Policy, median" in page
     # The controller on the same batches, as given and trained.
     first, tuned = loop["rules"]

@@ -69,9 +69,9 @@ def test_a_fit_that_leaves_numbers_free_is_not_handed_on(tmp_path):
     [
         ("product", "main", "its entries are 0 to 1 or product, impurity"),
         ("26540.0 m3", "-26540.0 m3", "kinetics.prefactor[product] is at least 0"),
-        ("true", "yes", "allowed is true or false"),
-        ("1.0 0.5\n", "1.0\n", "allowed are 2 numbers"),
-        ("1.0 0.5\n", "1.0 0.7\n", "not the correlations of any numbers"),
+        ("true", "yes", "it must be true or false"),
+        ("1.0 0.5\n", "1.0\n", "must be 2 numbers"),
+        ("1.0 0.5\n", "1.0 0.7\n", "not a correlation matrix"),
     ],
 )
 def test_mistakes_in_the_file_are_named(tmp_path, old, new, words):

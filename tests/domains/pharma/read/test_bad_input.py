@@ -46,7 +46,7 @@ MISTAKES = {
     ),
     "no equation": (
         '"A + B -> C"', '"A + B = C"',
-        "reactions[0].equation: got 'A + B = C'; allowed is an equation such as \"A + 2 B -> C\".",
+        "reactions[0].equation: got 'A + B = C'; it must be an equation such as \"A + 2 B -> C\".",
     ),
     "missing unit": (
         REACTOR, REACTOR.replace('"313.15 K"', "313.15"),
@@ -81,23 +81,23 @@ MISTAKES = {
     ),
     "negative concentration": (
         '{ A = "0.33 mol/L", B', '{ A = "-0.33 mol/L", B',
-        "feeds.charge.concentration.A: got '-0.33 mol/L'; allowed is a quantity of at least 0.",
+        "feeds.charge.concentration.A: got '-0.33 mol/L'; it must be a quantity of at least 0.",
     ),
     "negative time": (
         'duration = "7200 s"', 'duration = "-7200 s"',
-        "units.crystalliser.duration: got '-7200 s'; allowed is a quantity above 0.",
+        "units.crystalliser.duration: got '-7200 s'; it must be a quantity above 0.",
     ),
     "no volume": (
         'volume = "60 L"\n', 'volume = "0 L"\n',
-        "feeds.charge.volume: got '0 L'; allowed is a quantity above 0.",
+        "feeds.charge.volume: got '0 L'; it must be a quantity above 0.",
     ),
     "temperature below zero": (
         REACTOR, REACTOR.replace('"313.15 K"', '"-300 degC"'),
-        "units.reactor.temperature: got '-300 degC'; allowed is a quantity from 100 to 1,000 K (25 degC is 298.15 K).",
+        "units.reactor.temperature: got '-300 degC'; it must be a quantity from 100 to 1,000 K (25 degC is 298.15 K).",
     ),
     "infinite": (
         'growth = "5 um/s"', 'growth = "1e999 um/s"',
-        "units.crystalliser.kinetics.growth: got '1e999 um/s'; allowed is a quantity of at least 0, and finite.",
+        "units.crystalliser.kinetics.growth: got '1e999 um/s'; it must be a quantity of at least 0, and finite.",
     ),
     "loop": (
         '[[connections]]\nfrom = "charge"\nto = "reactor.feed"', '[units.mix]\ntype = "tank"\n'
@@ -148,7 +148,7 @@ MISTAKES = {
     "limit without a citation": (
         'citation = "own limit, constructed for this example"\n\n[[attributes]]\nname = "mean',
         '\n[[attributes]]\nname = "mean',
-        "attributes[0].citation: a limit needs its source, or a note that you set it.",
+        "attributes[0].citation: a limit needs a source, or a note that you set it.",
     ),
     "nominal outside its range": (
         'range = ["304 K", "311 K"]', 'range = ["309 K", "311 K"]',
@@ -182,7 +182,7 @@ MISTAKES = {
     ),
     "shares that do not rise": (
         'ramp = "0.6 K/min" }', 'at = [0, 0.6, 0.5, 1] }',
-        "units.crystalliser.temperature.at: got [0, 0.6, 0.5, 1]; the shares must rise from 0 "
+        "units.crystalliser.temperature.at: got [0, 0.6, 0.5, 1]; the shares must increase from 0 "
         "to 1.",
     ),
     "ramp that is a temperature": (
@@ -192,11 +192,11 @@ MISTAKES = {
     ),
     "porosity": (
         "porosity = 0.4", "porosity = 1.0",
-        "units.filter.porosity: got 1; allowed is a number from 0.1 to 0.95.",
+        "units.filter.porosity: got 1; it must be a number from 0.1 to 0.95.",
     ),
     "probability": (
         "required = 0.9", "required = 1.5",
-        "design_space.required: got 1.5; allowed is a probability between 0 and 1.",
+        "design_space.required: got 1.5; it must be a probability between 0 and 1.",
     ),
     "unknown axis": (
         'axes = ["T1", "T_d"]', 'axes = ["T1", "T_g"]',

@@ -49,8 +49,8 @@ def test_all_mistakes_of_a_unit_are_named_at_once():
     with pytest.raises(CaseError) as caught:
         mill(speed="-1 m/s", fragments=101, rate="1 kg")
     text = str(caught.value)
-    assert "units.mill.speed: got '-1 m/s'; allowed is a quantity of at least 0." in text
-    assert "units.mill.fragments: got 101; allowed is a number from 2 to 100." in text
+    assert "units.mill.speed: got '-1 m/s'; it must be a quantity of at least 0." in text
+    assert "units.mill.fragments: got 101; it must be a number from 2 to 100." in text
     assert "units.mill.rate: got '1 kg'" in text
 
 
@@ -60,8 +60,8 @@ def test_mistakes_of_a_feed_are_named_with_their_keys():
     with pytest.raises(CaseError) as caught:
         resolve(TEMPLATE, tables)
     text = str(caught.value)
-    assert "feeds.charge.solvent: got '4 kg/L'; allowed is a quantity from 0 to 3,000 kg/m3" in text
-    assert "feeds.charge.duration: got '-2 h'; allowed is a quantity above 0" in text
+    assert "feeds.charge.solvent: got '4 kg/L'; it must be a quantity from 0 to 3,000 kg/m3" in text
+    assert "feeds.charge.duration: got '-2 h'; it must be a quantity above 0" in text
 
 
 def test_keys_of_two_records_stand_in_one_table():

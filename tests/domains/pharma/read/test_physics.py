@@ -30,10 +30,10 @@ REFUSED = {
         '"5000 K"', "from 100 to 1,000 K (25 degC is 298.15 K)"),
     "Celsius typed as kelvin": (
         'temperature = "323.15 K"\nrate', 'temperature = "25 K"\nrate', "25 degC is 298.15 K"),
-    "porosity 0.99": ("porosity = 0.4", "porosity = 0.99", "allowed is a number from 0.1 to 0.95"),
+    "porosity 0.99": ("porosity = 0.4", "porosity = 0.99", "it must be a number from 0.1 to 0.95"),
     "seed that fills the vessel": (
         'loading = "0.02 kg/m^3"', 'loading = "2000 kg/m^3"',
-        "units.crystalliser.seed: the seed takes 166.7 % of the volume; allowed is less than 50 %"),
+        "units.crystalliser.seed: the seed takes 166.7 % of the volume; it must be less than 50 %"),
     "negative solubility": (
         "coefficients = [226.9, -1.88, 3.89e-3]", "coefficients = [216.9, -1.88, 3.89e-3]",
         "units.crystalliser.solubility: at 278.15 K, which crystalliser reaches, it is -5."),
@@ -45,11 +45,11 @@ REFUSED = {
         'A = "0.33 mol/L", B', 'A = "33 mol/L", B', "weigh 4204.1 kg in a cubic metre"),
     "normal rate constants below zero": (
         GROWTH, GROWTH.replace('"lognormal", spread = 0.1', '"normal", spread = "9 um/s"'),
-        "29 % of its draws are none that crystalliser.kinetics.growth can have (at least 0 m/s); "
+        "29 % of its draws are impossible values of crystalliser.kinetics.growth (at least 0 m/s); "
         'kind "lognormal" stays above 0'),
     "uniform rate constants below zero": (
         GROWTH, GROWTH.replace('"lognormal", spread = 0.1', '"uniform", spread = "10 um/s"'),
-        "25 % of its draws are none"),
+        "25 % of its draws are impossible"),
     "a studied wash ratio below zero": (
         "range = [1, 4]", "range = [-1, 4]", "filter.wash_ratio is at least 0"),
     "a studied temperature at 5 K": (
@@ -86,7 +86,7 @@ ODD = {
     "growth": ('growth = "5 um/s"', 'growth = "5 mm/s"', "units.crystalliser.kinetics.growth: "),
     "a film": ('film = "30 um"', 'film = "30 mm"', "units.tablet.film: tablet.film is 30 mm"),
     "rare": (GROWTH, GROWTH.replace('"lognormal", spread = 0.1', '"normal", spread = "1.5 um/s"'),
-             "uncertainty[1]: 0.043 % of its draws are none that"),
+             "uncertainty[1]: 0.043 % of its draws are impossible values"),
     "solubility where it is studied": (
         'range = ["273.15 K", "283.15 K"]', 'range = ["240 K", "283.15 K"]',
         "crystalliser.temperature may reach 241.3"),

@@ -60,7 +60,7 @@ def test_order_conditions():
 
 class Known(NamedTuple):
     """y' = rate(y, p) from `start` over `time`, and the published y at its end; `step` in the
-    logarithms of p at which central differences are best, None where round-off drowns them."""
+    logarithms of p at which central differences are best, None if round-off drowns them."""
 
     rate: Callable
     parameters: tuple[float, ...]

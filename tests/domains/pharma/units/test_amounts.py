@@ -163,7 +163,7 @@ REFUSED = {
     "longer than its feed": (
         STIRRED, ('duration = "2 h"', 'duration = "3 h"'),
         "units.reactor.duration: got '10800 s'; reactor runs 10800 s, and its inlet feed flows for "
-        "7200 s; allowed is up to 7200 s, or a feed that lasts longer."),
+        "7200 s; use at most 7200 s, or a feed that lasts longer."),
     "studied longer than its feed": (
         STIRRED + parameter_text("t", "reactor.duration", ["1 h", "3 h"], ["1.5 h", "2.5 h"]), (),
         "parameters.t: got '10800 s'; reactor may run 10800 s, and its inlet feed flows for 7200 s"),
@@ -171,7 +171,7 @@ REFUSED = {
         DOSED + parameter_text("q", "reactor.dosing", ["0.4 L/h", "0.6 L/h"],
                                ["0.45 L/h", "0.55 L/h"]), (),
         "parameters.q: got 'reactor.dosing'; a flow of one value is set by the volume of its feed "
-        "and the duration of reactor, which may vary in its place"),
+        "and the duration of reactor, which may vary instead"),
 }  # fmt: skip
 
 

@@ -252,7 +252,7 @@ def test_nuclei_are_washed_out():
 def test_mistakes():
     with pytest.raises(CaseError) as found:
         process(suspension_power=1.5)
-    assert "units.cold.suspension_power: got 1.5; allowed is a share from 0 to 1" in str(
+    assert "units.cold.suspension_power: got 1.5; it must be a share from 0 to 1" in str(
         found.value
     )
     data = tomllib.loads(CASE)

@@ -133,7 +133,7 @@ MISTAKES = {
     ),
     "largest below smallest": (
         lambda: with_crystalliser(sizes={**SIZES, "largest": "1 um"}),
-        f"{HERE}.sizes.largest: got '1 um'; allowed is above `smallest`.",
+        f"{HERE}.sizes.largest: got '1 um'; it must be above `smallest`.",
     ),
     "a seed outside its grid": (
         lambda: with_crystalliser(sizes={**SIZES, "largest": "30 um"}),
@@ -151,7 +151,7 @@ MISTAKES = {
     ),
     "vapour pressure that falls": (
         lambda: with_dryer({**LIQUID, "antoine": [9.0, -1200.0, -40.0]}),
-        "units.dryer.liquid.antoine: got [9, -1200, -40]; allowed is B above 0: vapour "
+        "units.dryer.liquid.antoine: got [9, -1200, -40]; it must be B above 0: vapour "
         "pressure rises with temperature.",
     ),
     "vapour pressure in kilograms": (

@@ -46,7 +46,7 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Baselines:
-    """The rules, the best first; `optimum`: the closed form, None where there is none."""
+    """The rules, the best first; `optimum`: the closed form, None if there is none."""
 
     rivals: tuple[Baseline, ...]
     optimum: float | None = None
@@ -78,7 +78,7 @@ def plant_of(run: StudyRun) -> Plant:
 
 
 def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
-    """A ladder of rewards, and what the policy earns more than each rule."""
+    """A ladder of rewards, and the advantage of the policy over each rule."""
     value = run.result.value
     rules = [rule for rule in result.rivals if np.isfinite(rule.value)]
     if not rules or value is None:
@@ -95,7 +95,7 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
         Column("Policy earns more", lambda x: WithError(x.less, x.less_error), sign=True),
     )
     blocks: list[Block] = [
-        ladder("rivals-ladder", bars, "Mean reward of an episode; more is better.", digits),
+        ladder("rivals-ladder", bars, "Mean reward of an episode; higher is better.", digits),
         table(rules, columns, "Classical rules on the paths of the policy", decimal_places=digits),
     ]
     if (best := result.optimum) is not None:

@@ -119,11 +119,11 @@ def show(run: RunFiles, plane: Plane) -> Sequence[Block]:
     count = len(plane.paths)
     alt = f"{plane.label(0)} and {plane.label(1)}: {count} paths from initial states, as dots."
     svg = draw("plane", alt, lambda axes: _paint(axes, plane), 330)
-    caption = f"{count} paths; a dot is an initial state, a ring the last."
+    caption = f"{count} paths; a dot is an initial state, a ring a terminal one."
     if plane.action.size:
         caption += (
-            " Behind them the decision of the first step: blue is the lowest, orange the highest, "
-            "paper the middle."
+            " The background is the decision of the first step: blue is the lowest, orange "
+            "the highest, no colour the middle."
         )
     blocks: list[Block] = [Chart(svg, caption)]
     if any(plane.turn):

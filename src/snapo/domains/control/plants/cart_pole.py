@@ -45,7 +45,7 @@ class CartPole(Plant):
         "position": Variable("m", "position", {"mean": 0.0, "deviation": 0.1}),
         "angle": Variable("rad", "angle from upright", {"mean": np.pi, "deviation": 0.1}, True),
         "speed": Variable("m/s", "speed of the cart", {"mean": 0.0, "deviation": 0.1}),
-        "spin": Variable("rad/s", "speed of turning", {"mean": 0.0, "deviation": 0.1}),
+        "spin": Variable("rad/s", "angular speed", {"mean": 0.0, "deviation": 0.1}),
     }
     actions: ClassVar = {"force": Variable("N", "force on the cart")}
 

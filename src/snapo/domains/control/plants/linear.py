@@ -46,27 +46,27 @@ class LinearQuadratic(Plant):
         }  # fmt: skip
         for key, (inputs, shape) in shapes.items():
             if inputs.shape != shape:
-                message = f"allowed are {shape[0]} rows of {shape[1]} numbers"
+                message = f"it must be {shape[0]} rows of {shape[1]} numbers"
                 yield key, inputs.tolist(), message
         for key in ("Q", "Q_T", "R"):
             inputs, minimum = cost[key], 1e-12 if key == "R" else -1e-9
-            message = "allowed is a symmetric matrix without negative eigenvalues"
+            message = "it must be a symmetric matrix without negative eigenvalues"
             message = (
-                "allowed is a symmetric matrix with eigenvalues above 0" if key == "R" else message
+                "it must be a symmetric matrix with eigenvalues above 0" if key == "R" else message
             )
             if not np.allclose(inputs, inputs.T) or np.linalg.eigvalsh(inputs).min() < minimum:
                 yield f"cost.{key}", inputs.tolist(), message
         for key, inputs in values["start"]["x"].items():
             if inputs.shape != (size,):
-                yield f"start.x.{key}", inputs.tolist(), f"allowed are {size} numbers"
+                yield f"start.x.{key}", inputs.tolist(), f"it must be {size} numbers"
         for inputs in values["noise"].values():
             if inputs.shape != (size, size):
-                message = f"allowed are {size} numbers, or {size} rows of {size}"
+                message = f"it must be {size} numbers, or {size} rows of {size}"
                 yield "noise.x", inputs.tolist(), message
 
         for inputs in values["measurement"].values():
             if inputs.shape != (size,):
-                yield "measurement.x", inputs.tolist(), f"allowed are {size} numbers"
+                yield "measurement.x", inputs.tolist(), f"it must be {size} numbers"
 
     def decisions(self, inputs):
         size = inputs["plant"]["B"].value.shape[1]

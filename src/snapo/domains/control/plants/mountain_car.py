@@ -19,7 +19,7 @@ class MountainCar(Plant):
     """A car in a valley; at the goal the episode ends with a prize (Gymnasium 1.4).
 
     speed' = clip(speed + power a - gravity cos(3 position)), position' = clip(position + speed'),
-    speed' = 0 where it runs into the left wall. A step costs 0.1 a^2 while the car is on its way.
+    speed' = 0 where it runs into the left wall. A step costs 0.1 a^2 until the car arrives.
 
     The exact reward gives no hint of the goal. In training the goal counts as reached by energy:
     each step ends the episode with a probability that is 1/2 where the energy, v^2 / 2 + gravity
@@ -37,8 +37,8 @@ class MountainCar(Plant):
         "power": PlantParameter(0.0015, "1/step2", "acceleration of the engine at full power"),
         "gravity": PlantParameter(0.0025, "1/step2", "steepest pull of the hill"),
         "max_speed": PlantParameter(0.07, "1/step", "largest speed"),
-        "left": PlantParameter(-1.2, "1", "place of the left wall", False),
-        "right": PlantParameter(0.6, "1", "place of the right wall", False),
+        "left": PlantParameter(-1.2, "1", "position of the left wall", False),
+        "right": PlantParameter(0.6, "1", "position of the right wall", False),
         "goal": PlantParameter(0.45, "1", "place of the goal", False),
     }
     weights: ClassVar = {
@@ -56,7 +56,7 @@ class MountainCar(Plant):
         yield from super().faults(values)
         plant = values["plant"]
         if not plant["left"] < BOTTOM < plant["goal"] <= plant["right"]:
-            message = f"allowed is left < {BOTTOM:.3f} (the bottom of the valley) < goal <= right"
+            message = f"it must be left < {BOTTOM:.3f} (the bottom of the valley) < goal <= right"
             yield "plant.goal", float(plant["goal"]), message
 
     def initial(self, constants, noise):

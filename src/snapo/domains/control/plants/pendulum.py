@@ -37,7 +37,7 @@ class Pendulum(Plant):
     }
     states: ClassVar = {
         "angle": Variable("rad", "angle from upright", {"low": -np.pi, "high": np.pi}, True),
-        "speed": Variable("rad/s", "speed of turning", {"low": -1.0, "high": 1.0}),
+        "speed": Variable("rad/s", "angular speed", {"low": -1.0, "high": 1.0}),
     }
     actions: ClassVar = {"torque": Variable("N m", "torque of the motor")}
 

@@ -100,7 +100,7 @@ class Plant(Simulator):
 
     @classmethod
     def faults(cls, values: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-        """What does not fit together in a case: (key, value, allowed). `values`: as the inputs."""
+        """Contradictions in a case: (key, value, allowed). `values`: as the inputs."""
         for name, start in values["start"].items():
             if np.size(_any(start)) > 1:
                 message = "this state is one number"
@@ -168,11 +168,11 @@ class Plant(Simulator):
         return {}
 
     def from_twin(self, p: PlantValues, observed: np.ndarray) -> np.ndarray:
-        """[N, features] from the twin's observations [N, k]."""
-        raise NotImplementedError(f"{self.type} has no twin in Gymnasium.")
+        """[N, features] from the environment's observations [N, k]."""
+        raise NotImplementedError(f"{self.type} has no counterpart in Gymnasium.")
 
     def to_twin(self, p: PlantValues, action: np.ndarray) -> np.ndarray:
-        """[N, m] the twin's actions from decisions."""
+        """[N, m] the environment's actions from decisions."""
         return np.asarray(self.drive(p, action), np.float32)
 
     def prepare(self, inputs: Mapping[str, PlantValues]) -> Schedule:

@@ -19,7 +19,7 @@ class Quadrotor(Plant):
     """
 
     type: ClassVar = "quadrotor"
-    description: ClassVar = "a quadrotor in the plane, flown to its place"
+    description: ClassVar = "a quadrotor in the plane, flown to its target"
     steps: ClassVar = 80
     parameters: ClassVar = {
         "mass": PlantParameter(0.5, "kg", "mass"),
@@ -30,7 +30,7 @@ class Quadrotor(Plant):
         "step": PlantParameter(0.03, "s", "time step"),
     }
     weights: ClassVar = {
-        "place": PlantParameter(1.0, "1/m2", "weight of the squared distance to the place", False),
+        "place": PlantParameter(1.0, "1/m2", "weight of the squared distance to the target", False),
         "speed": PlantParameter(0.1, "s2/m2", "weight of the squared speed", False),
         "tilt": PlantParameter(0.1, "1/rad2", "weight of the squared tilt", False),
         "spin": PlantParameter(0.01, "s2/rad2", "weight of the squared spin", False),
@@ -42,7 +42,7 @@ class Quadrotor(Plant):
         "tilt": Variable("rad", "tilt to the left", {"mean": 0.0, "deviation": 0.3}),
         "vx": Variable("m/s", "speed to the right", {"mean": 0.0, "deviation": 0.3}),
         "vz": Variable("m/s", "speed upward", {"mean": 0.0, "deviation": 0.3}),
-        "spin": Variable("rad/s", "speed of turning", {"mean": 0.0, "deviation": 0.3}),
+        "spin": Variable("rad/s", "angular speed", {"mean": 0.0, "deviation": 0.3}),
     }
     actions: ClassVar = {
         "right": Variable("N", "thrust of the right rotor"),

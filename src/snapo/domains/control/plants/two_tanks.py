@@ -28,7 +28,7 @@ class TwoTanks(Plant):
         "gravity": PlantParameter(981.0, "cm/s2", "gravity"),
         "flow": PlantParameter(40.0, "cm3/s", "largest flow of the pump"),
         "height": PlantParameter(30.0, "cm", "height of a tank"),
-        "target": PlantParameter(15.0, "cm", "level wanted in the lower tank"),
+        "target": PlantParameter(15.0, "cm", "target level in the lower tank"),
         "step": PlantParameter(2.0, "s", "time step"),
     }
     weights: ClassVar = {
@@ -50,11 +50,11 @@ class TwoTanks(Plant):
         ratio = float(plant["lower"] / plant["upper"])
         maximum = float(plant["height"]) / max(1.0, ratio**2)
         if plant["target"] > maximum:
-            message = f"allowed is at most {maximum:.4g}: no tank may overflow while it is held"
+            message = f"it must be at most {maximum:.4g}: no tank may overflow while it is held"
             yield "plant.target", float(plant["target"]), message
         holding = float(_holding(plant, np))
         if holding > plant["flow"]:
-            message = f"allowed is at least {holding:.4g}, which holds the target"
+            message = f"it must be at least {holding:.4g}, which holds the target"
             yield "plant.flow", float(plant["flow"]), message
 
     def drive(self, p, action):

@@ -21,7 +21,7 @@ PATHS = 16384
 
 @dataclass(frozen=True)
 class MethodValue:
-    """The value by one method, its error where it has one, and the meaning."""
+    """The value by one method, its error if it has one, and the meaning."""
 
     name: str
     value: Number

@@ -182,7 +182,7 @@ def bumps(
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
     """The least energy and cycles that keep volumes, halfway too, on the common measure of
-    all, on whose multiples methods have their nodes; of at least 1 %. None where they are more than
+    all, on whose multiples methods have their nodes; of at least 1 %. None if they are more than
     `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
     limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]
@@ -211,7 +211,7 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         intraday = replace(intraday.half_spread, unit=unit)
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
-        raise where.error("stored", stored, f"allowed is at most energy, {energy:g}")
+        raise where.error("stored", stored, f"it must be at most energy, {energy:g}")
     steps = bumps(energy, stored, (charge, discharge), cycles)
     day, term = (x and replace(x, judge_bump=steps[1]) for x in (cycles.day, cycles.term))
     ends = [one != following for one, following in zip(days, [*days[1:], None])]

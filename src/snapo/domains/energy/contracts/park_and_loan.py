@@ -161,15 +161,15 @@ def read_park_and_loan(
     )
     park, loan = (float(x.used().max()) for x in limits)
     if park <= 0 and loan <= 0:
-        raise where.error("max_park", park, "allowed is more than 0, of max_park or of max_loan")
+        raise where.error("max_park", park, "it must be more than 0, of max_park or of max_loan")
     balance = float(table.balance.values[0])
     if not -loan <= balance <= park:
-        message = f"allowed is -max_loan to max_park, {-loan:g} to {park:g}"
+        message = f"it must be from -max_loan to max_park, {-loan:g} to {park:g}"
         raise where.error("balance", balance, message)
     left = [None if x is None else float(x.values[0]) for x in (table.cash_out_park,
                                                                  table.cash_out_loan)]  # fmt: skip
     if left[0] is not None and left[1] is not None and left[0] > left[1]:
-        message = f"allowed is at most cash_out_loan, {left[1]:g}"
+        message = f"it must be at most cash_out_loan, {left[1]:g}"
         raise where.error("cash_out_park", left[0], message)
     flows = [
         EnergyFlow(name, f"{table.volume_unit}/day", (effect,))
@@ -202,9 +202,9 @@ def _within(where: TableContext, key: str, raw: dict | None, days: Sequence[date
         return np.ones(len(days), bool)
     window = where.nested(WindowTable, raw, key)
     if window.last < window.first:
-        raise where.error(f"{key}.last", window.last, f"allowed is from {window.first} on")
+        raise where.error(f"{key}.last", window.last, f"it must be {window.first} or later")
     inside = np.array([window.first <= day <= window.last for day in days], bool)
     if not inside.any():
-        message = f"allowed is a day from {days[0]} to {days[-1]}, on which the contract decides"
+        message = f"it must be a day from {days[0]} to {days[-1]}, on which the contract decides"
         raise where.error(f"{key}.first", window.first, message)
     return inside

@@ -40,9 +40,15 @@ class PlantContract(EnergyContract):
     """The terms of a plant.
 
     - `min_power`, `max_power`: MW on. `idle`, `rate`: fuel of an hour on, and for a MWh of power.
+<<<<<<< HEAD
     - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price
       (None where it moves: it is then in the index), and other money for each MWh.
     - `start_money`, `start_fuel` [classes]: of a start; None where starts are free.
+=======
+    - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price,
+      and other money for each MWh.
+    - `start_money`, `start_fuel` [classes]: of a start; None if starts are free.
+>>>>>>> reader
     - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
       is on.
     - `start_limit`: how many starts there may be; 0 without a limit.

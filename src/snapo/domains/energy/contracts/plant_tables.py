@@ -31,7 +31,7 @@ class PowerTable(CaseTable):
     """{ market = "power", min = 50.0, max = 110.0, ramp = 60.0 }: MW in an hour on."""
 
     market: Literal["power"] = Field("power", description='"power"')
-    min: CaseInput = POWER("least of an hour on", 0.0, name="power_min")
+    min: CaseInput = POWER("minimum power of an hour on", 0.0, name="power_min")
     max: CaseInput = POWER("largest power of an hour on", range=POSITIVE, name="power_max")
     ramp: CaseInput | None = POWER(
         "largest change of the power from an hour on to the next", None, range=POSITIVE, name="ramp"
@@ -62,7 +62,7 @@ class EmissionTable(CaseTable):
 
 
 class StartTable(CaseTable):
-    """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after so many hours off."""
+    """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
 
     off: int = Field(ge=1, le=LONGEST, description=HOURS)
     money: CaseInput = MONEY("paid for a start", 0.0, name="start_money")
@@ -103,15 +103,19 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
         EmissionTable, {"price": 0.0} if table.emission is None else table.emission, "emission"
     )
     if (emission.price is None) == (emission.market is None):
-        message = 'allowed is one of `price` and `market = "co2"`'
+        message = 'it must have one of `price` and `market = "co2"`'
         raise where.error("emission", table.emission, message)
     low, high = (float(x.values[0]) for x in (power.min, power.max))
     if low > high:
-        raise where.error("power.min", low, f"allowed is at most power.max, {high:g}")
+        raise where.error("power.min", low, f"it must be at most power.max, {high:g}")
     starts, before = _starts(where, table), where.nested(BeforeTable, table.before or {}, "before")
     if before.on is not None and before.off is not None:
-        raise where.error("before", table.before, "allowed is `off` or `on`, not both")
+<<<<<<< HEAD
+        raise where.error("before", table.before, "it must have `off` or `on`, not both")
     steps = _power_steps(where, power, before)
+=======
+        raise where.error("before", table.before, "it must be `off` or `on`, not both")
+>>>>>>> reader
     first = (False, before.off or LONGEST) if before.on is None else (True, before.on)
     # A limit that no plant of these minimum times can reach is none.
     possible = -(-(len(days) + table.min_down) // (table.min_up + table.min_down))
@@ -148,13 +152,13 @@ def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) ->
     """The powers of a plant with a ramp; None without a ramp."""
     before_power = None if before.power is None else float(before.power.values[0])
     if before_power is not None and (power.ramp is None or before.on is None):
-        message = "allowed is a power only of a plant that is on and has a ramp"
+        message = "it must have a power only if the plant is on and has a ramp"
         raise where.error("before.power", before_power, message)
     if power.ramp is None:
         return None
     low, high, ramp = (float(x.values[0]) for x in (power.min, power.max, power.ramp))
     if before_power is not None and not low <= before_power <= high:
-        message = f"allowed is from power.min, {low:g}, to power.max, {high:g}"
+        message = f"it must be from power.min, {low:g}, to power.max, {high:g}"
         raise where.error("before.power", before_power, message)
     if before.on is not None and before_power is None and ramp < high:
         message = "with a ramp it needs the power of that hour, such as { on = 6, power = 80.0 }"
@@ -191,10 +195,10 @@ def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
     for i, start in enumerate(starts):
         if not i and start.off > table.min_down:
             message = (
-                f"allowed is at most min_down = {table.min_down}, so that every start has a class"
+                f"it must be at most min_down = {table.min_down}, so that every start has a class"
             )
             raise where.error("starts.1.off", start.off, message)
         if i and start.off <= starts[i - 1].off:
-            message = f"allowed is more than that of the class before, {starts[i - 1].off}"
+            message = f"it must be more than that of the class before, {starts[i - 1].off}"
             raise where.error(f"starts.{i + 1}.off", start.off, message)
     return starts

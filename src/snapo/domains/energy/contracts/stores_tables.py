@@ -26,7 +26,7 @@ ONLY: dict[str, Any] = {
     "injection_cost_settlement": "flow", "withdrawal_cost_settlement": "flow",
     "first_decision": "valuation-date", "nomination": None,
 }  # fmt: skip
-NOTHING = "allowed is 0 in a store of several"
+NOTHING = "it must be 0 in a store of several"
 ZERO = "min_injection", "min_withdrawal", "inventory_loss"
 
 
@@ -73,20 +73,20 @@ class OpenedStores:
 def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedStores:
     """The tables of the stores, from their files; `market`: the table of the case."""
     if len(table.stores) != STORES:
-        message = f"allowed are {STORES} stores: their inventories and the joint flow are counted"
+        message = f"there must be {STORES} stores: their inventories and the joint flow are counted"
         raise where.error("stores", ", ".join(table.stores), message)
     opened = [_open(where, name, market) for name in table.stores]
     first, second = (x.table for x in opened)
     if opened[0].name == opened[1].name:
-        raise where.error("stores", ", ".join(table.stores), "allowed are two different files")
+        raise where.error("stores", ", ".join(table.stores), "it must be two different files")
     for key in ("start", "end", "volume_unit", "currency"):
         value = getattr(first, key)
         if getattr(second, key) != value:
-            message = f"allowed is that of {table.stores[0]}, {value}"
+            message = f"it must be that of {table.stores[0]}, {value}"
             raise opened[1].where.error(key, getattr(second, key), message)
     today = table.inventory or [None] * STORES
     if len(today) != STORES:
-        message = f"allowed is a list of {STORES} numbers, one for each store"
+        message = f"it must be a list of {STORES} numbers, one for each store"
         raise where.error("inventory", str(today), message)
     unit = f"{first.volume_unit}/day"
     into, out = (x and replace(x, unit=unit) for x in (table.net_injection, table.net_withdrawal))
@@ -99,23 +99,23 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
 def _open(where: TableContext, name: str, market: Any) -> NamedTable:
     path = where.file.parent / name
     if path.suffix.lower() != ".toml" or path.parent.resolve() != where.file.parent.resolve():
-        message = "allowed is the name of a TOML file next to the case"
+        message = "it must be the name of a TOML file next to the case"
         raise where.error("stores", name, message)
     if not re.fullmatch(r"\w[\w -]*", path.stem) or path.stem == JOINT_FLOW:
-        message = "allowed is a name of letters, digits, spaces, - and _"
+        message = "it must be a name of letters, digits, spaces, - and _"
         raise where.error("stores", name, message)
     if not path.is_file():
         raise where.error("stores", name, "there is no such file next to the case")
     data = load(path)[1]
     if list(data) != ["contract"]:
-        message = "allowed is the table [contract] alone; market and prices are those of the case"
+        message = "it must be only the table [contract]; market and prices are those of the case"
         raise CaseError(str(path), ", ".join(data), None, message)
     inner = TableContext(path, "contract", where.notes)
     table = parse(ContractTable, data["contract"], str(path), "contract", where.notes)
     for key, only in ONLY.items():
         if (value := getattr(table, key)) != only:
             allowed = "no such key in a store of several" if only is None else f'"{only}"'
-            raise inner.error(key, str(value), f"allowed is {allowed}")
+            raise inner.error(key, str(value), f"it must be {allowed}")
     for key in ZERO:
         if np.any(getattr(table, key).values):
             raise inner.error(key, getattr(table, key).written, NOTHING)
@@ -123,7 +123,7 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
         raise inner.error("end_value", table.end_value, NOTHING)
     costs = table.injection_cost, table.withdrawal_cost, table.inventory_cost
     if market.settlement != "flow" and any(np.any(x.values) for x in costs):
-        message = 'with costs, which are paid on the day of the flow, allowed is "flow"'
+        message = 'with costs, which are paid on the day of the flow, it must be "flow"'
         raise CaseError(str(where.file), "market.settlement", str(market.settlement), message)
     return NamedTable(path.stem, table, inner)
 
@@ -163,7 +163,7 @@ def _read_store(
     low, high = limits.min_inventory, limits.max_inventory
     start = float(table.inventory.values[0]) if today is None else today
     if not low.used()[0] <= start <= high.used()[0]:
-        message = f"allowed is {low.used()[0]:g} to {high.used()[0]:g} on {days[0]}"
+        message = f"it must be {low.used()[0]:g} to {high.used()[0]:g} on {days[0]}"
         raise where.error("inventory", start, message)
     end, move = None, 2 * small_move(limits.ratchets)
     if table.end_inventory != "free":
@@ -172,7 +172,7 @@ def _read_store(
         end = replace(end, unit=table.volume_unit, meaning="gas owed at the end", move=move)
     if not transfers:
         if end is not None and table.end_inventory:
-            message = 'without transfers allowed is 0 or "free"'
+            message = 'without transfers it must be 0 or "free"'
             raise where.error("end_inventory", table.end_inventory, message)
         if np.any(np.diff(low.used()) > 0):
             message = "without transfers it may not rise"

@@ -49,7 +49,7 @@ class SwingContract(EnergyContract):
     - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
     - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up from last year;
-      `older`: from the year before, None where units are lost after one year; `carry_max`,
+      `older`: from the year before, None if units are lost after one year; `carry_max`,
       `carried`: the most that is carried forward, and the amount by which this year's minimum is
       lower. None without that clause.
     - `sign`: 1 where the volume is bought at the strike, -1 where it is sold.
@@ -213,11 +213,11 @@ class SwingContract(EnergyContract):
             raise where.error("nomination", None, message)
         if prices.kind not in ONE_FACTOR:
             allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
-            message = f"with an indexed strike allowed is {allowed}"
+            message = f"with an indexed strike it must be {allowed}"
             raise CaseError(str(where.file), "model.kind", prices.kind, message)
         first, month = delivery.dates[0], delivery.dates[0].replace(day=1)
         if delivery.end.day != 1:
-            message = "with an indexed strike allowed is the first day of a month"
+            message = "with an indexed strike it must be the first day of a month"
             raise where.error("end", delivery.end, message)
         if self.fixing is None and first != month:
             message = f"the index of {first:%Y-%m} was fixed before today: give it as `fixing`"

@@ -47,8 +47,8 @@ class RightsTable(CaseTable):
 
 
 class MakeUpTable(CaseTable):
-    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up in so many
-    years."""
+    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up within that
+    number of years."""
 
     years: int = Field(1, ge=1, le=2, description="1, or 2: at most three volumes are counted")
     price: CaseInput = PAID("paid for a unit that is made up", 0.0, name="make_up_price")
@@ -81,7 +81,7 @@ def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
     """A number, a CSV, or a table."""
     if not isinstance(raw, dict):
         if isinstance(raw, bool) or not isinstance(raw, int | float | str):
-            raise key.error(raw, f"allowed is {STRIKES}")
+            raise key.error(raw, f"it must be {STRIKES}")
         return STRIKE.read(raw, key)
     unit = key.filled(PRICE)
     return _with_units(key.table.nested(IndexTable, raw, key.name), {"add": unit, "fixing": unit})
@@ -98,7 +98,7 @@ def _short(raw: Any, key: Any) -> CaseInput | str:
     if raw in ("firm", "strike"):
         return raw
     if isinstance(raw, str):
-        raise key.error(raw, f"allowed is {SHORTFALL}")
+        raise key.error(raw, f"it must be {SHORTFALL}")
     result = SHORT.read(raw, key)
     assert result is not None
     return result
@@ -137,10 +137,10 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
     if isinstance(strike, IndexTable):
         strike, index = None, strike
         if table.start.day != 1:
-            message = "with an indexed strike allowed is the first day of a month"
+            message = "with an indexed strike it must be the first day of a month"
             raise where.error("start", table.start, message)
         if table.shortfall == "strike":
-            message = 'with an indexed strike allowed is "firm", or money such as 6.0'
+            message = 'with an indexed strike it must be "firm", or money such as 6.0'
             raise where.error("shortfall", "strike", message)
     else:
         strike = strike.on(days, notes)
@@ -149,7 +149,7 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
         raise where.error("min_daily", float(daily_min.used()[t]), message)
     limits = _annual(where, table, annual)
     if rights is not None and np.any(daily_min.used() > 0):
-        raise where.error("min_daily", float(daily_min.used().max()), "with rights, allowed is 0")
+        raise where.error("min_daily", float(daily_min.used().max()), "with rights, it must be 0")
     minimum = limits[0]
     firm = table.shortfall == "firm"
     last_days = year_ends(where, table, days)
@@ -198,15 +198,15 @@ def _check_promise(
 ) -> None:
     """A firm minimum with rights is of one contract year, at one volume a day, and can be met."""
     if np.sum(last_days) > 1:
-        message = "with rights a minimum of several contract years is not firm; allowed is "
+        message = "with rights a minimum of several contract years is not firm; use "
         raise where.error("shortfall", "firm", f'{message}"strike" or an amount of money')
     if np.ptp(daily_max) > 0:
-        message = "with rights and a firm minimum allowed is one number for all days"
+        message = "with rights and a firm minimum it must be one number for all days"
         raise where.error("max_daily", float(daily_max.max()), message)
     uses = min(rights.most, -(-len(last_days) // (rights.rest + 1)))
     highest = float(table.taken.values[0]) + uses * float(daily_max[0])
     if minimum > highest * (1 + 1e-12):
-        message = f"allowed is at most {highest:g}, from {uses} uses of {daily_max[0]:g}"
+        message = f"it must be at most {highest:g}, from {uses} uses of {daily_max[0]:g}"
         raise where.error("annual.min", minimum, message)
 
 
@@ -237,14 +237,14 @@ def _check_bank(
     minimum, units = float(limits[0].values[0]), [0.0, 0.0]
     if made_up is not None:
         if table.shortfall != "strike":
-            message = 'with make_up allowed is "strike": units short are paid, and made up'
+            message = 'with make_up it must be "strike": units short are paid, and made up'
             raise where.error("shortfall", table.shortfall, message)
         if table.side == "put":
-            raise where.error("side", "put", 'with make_up allowed is "call"')
+            raise where.error("side", "put", 'with make_up it must be "call"')
         price, balances = float(made_up.price.values[0]), {"units": made_up.units}
         lowest = float(strike.used().min()) if strike is not None else np.inf
         if price > lowest:
-            raise where.error("make_up.price", price, f"allowed is at most the strike, {lowest:g}")
+            raise where.error("make_up.price", price, f"it must be at most the strike, {lowest:g}")
         if made_up.older_units is not None:
             balances["older_units"] = made_up.older_units
             if made_up.years == 1:
@@ -254,15 +254,15 @@ def _check_bank(
             balance = float(number.values[0])
             units[0] += balance
             if balance > minimum:
-                message = f"allowed is at most annual.min, {minimum:g}"
+                message = f"it must be at most annual.min, {minimum:g}"
                 raise where.error(f"make_up.{name}", balance, message)
     if carried is not None:
         units[1], highest = float(carried.units.values[0]), float(carried.max.values[0])
         if units[1] > highest:
-            message = f"allowed is at most carry_forward.max, {highest:g}"
+            message = f"it must be at most carry_forward.max, {highest:g}"
             raise where.error("carry_forward.units", units[1], message)
     if min(units) > 0:
-        message = "allowed is 0: a year is either short of its minimum or in excess"
+        message = "it must be 0: a year is either short of its minimum or in excess"
         raise where.error("make_up.units", units[0], message)
     if table.shortfall != "firm":
         return
@@ -276,13 +276,13 @@ def _check_bank(
 
 
 def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
-    """Least and most of a year, None where there is none, with their units."""
+    """Least and most of a year, None if there is none, with their units."""
     if annual is None:
         return None, None
     unit = f"{table.volume_unit}/year"
     limits = _with_units(annual, {"min": unit, "max": unit})
     if limits.max is not None and limits.min.values[0] > limits.max.values[0]:
-        message = f"allowed is at most annual.max, {limits.max.values[0]:g}"
+        message = f"it must be at most annual.max, {limits.max.values[0]:g}"
         raise where.error("annual.min", float(limits.min.values[0]), message)
     return limits.min, limits.max
 
@@ -300,7 +300,7 @@ def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
         except ValueError:
             first = None
         if first is None or not MONTH_DAY.fullmatch(text):
-            message = 'allowed is a day of the year such as "10-01"'
+            message = 'it must be a day of the year such as "10-01"'
             raise where.error("year_begins", text, message)
 
     def begins(day: datetime.date) -> bool:

@@ -1,1 +1,1 @@
-"""The contract core: what a contract tells it, and the simulator and policy of all of them."""
+"""The contract core: the interface of a contract, and the simulator and policy of all contracts."""

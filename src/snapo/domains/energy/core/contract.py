@@ -50,12 +50,12 @@ class EnergyFlow(NamedTuple):
 
 
 class ContractMove(NamedTuple):
-    """A way through one step.
+    """A passage through one step.
 
     - `name`: in reports; `before`, `after`: modes.
     - `flows`: indices of those that may flow, at most one of them on a step of a method that
       compares volumes; the others are zero.
-    - `changes`: of each level, whatever flows.
+    - `changes`: of each level, for all flows.
     """
 
     name: str
@@ -66,7 +66,7 @@ class ContractMove(NamedTuple):
 
 
 class ContractLayout(NamedTuple):
-    """What is fixed in a contract: compiled code depends on it.
+    """The fixed properties of a contract, on which compiled code depends.
 
     - `indexed`: whether its cash depends on an index as well as on the spot price.
     - `banks`: how many of its last levels are balances of a bank of the first one, by age, see
@@ -261,7 +261,7 @@ class StepPrices(NamedTuple):
         return np.asarray(self.unit(terms, (t, slice(None), None)))
 
     def move(self, terms: StepTerms, row: Any) -> Any:
-        """The earnings of a move, whatever flows; `row` as the place of `unit`."""
+        """The earnings of a move, for all flows; `row` as the place of `unit`."""
         money = terms.fixed[row]
         if terms.fixed_index is None:
             return money

@@ -88,8 +88,8 @@ def volumes(
 ) -> FeasibleVolumes:
     """The volumes of one move from these levels [levels], in the order of its flows.
 
-    A flow is forced where levels would otherwise leave the next interval, and is at most what
-    keeps them in it. `now`: a row of a schedule with `terms` and `intervals`.
+    A flow is forced where levels would otherwise leave the next interval, and is limited so that
+    they remain in it. `now`: a row of a schedule with `terms` and `intervals`.
     """
     this = layout.every_move[move]
     start = [levels[i] + change for i, change in enumerate(this.changes)]
@@ -180,7 +180,7 @@ def of_fixed_moves(
 
 
 def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None:
-    """(step, level) at which no decision can keep the limits; None where all can be met.
+    """(step, level) at which no decision can keep the limits; None if all can be met.
 
     The step is -1 where only the start is the reason.
     """

@@ -7,7 +7,7 @@ bought at the spot price plus it. With the units sold s of the schedule, m of th
     earnings of a step = s F(auction, step) + (m - s) S - half spread x |m - s| + other money.
 
 The schedule is feasible: flows that begin from the levels at the auction, and keep all limits.
-Since E[S | auction] = F, it earns nothing over the spot price in the mean. Without a spread the
+Since E[S | auction] = F, it earns on average nothing over the spot price. Without a spread the
 value is therefore that without auctions, and at any spread it is between that and the value of a
 schedule that is never left.
 

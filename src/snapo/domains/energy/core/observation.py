@@ -44,7 +44,7 @@ class Head(NamedTuple):
 
 
 def head_size(layout: ContractLayout) -> int:
-    """How many numbers a head has."""
+    """The number of entries of a head."""
     return OF_PAIR * len(layout.pairs) + len(layout.choices)
 
 

@@ -28,11 +28,11 @@ class UnitValues(NamedTuple):
 
     - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
     - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, less those of
-      the first move of its mode; None where there is no choice.
-    - `units` [pairs, searches]: the volume of a row along each flow; in that many searches the last
-      row that gains is found. None where one row is enough, since no volume is longer.
-    - `between`: the same where levels are between rows: in so many searches the last piece between
-      two rows of any level that gains is found. Then `units` is None.
+      the first move of its mode; None if there is no choice.
+    - `units` [pairs, searches]: the volume of a row along each flow; the last row that gains is
+      found in that number of searches. None if one row is enough, since no volume is longer.
+    - `between`: the same for levels between rows: the number of searches for the last piece between
+      two rows of any level that gains. Then `units` is None.
     """
 
     rows: LevelRows

@@ -54,7 +54,7 @@ def explained_change(
     **Raises:** `CaseError` where the second run cannot follow the first one.
     """
     if flows is not None:
-        message = "volumes of these days are for a gas store; --cash gives the cash flow"
+        message = "--flows is for a gas store; use --cash for the cash flow of this contract"
         raise CaseError("--flows", "", None, message)
     check_pair(first, second)
     for run in (first, second):
@@ -126,7 +126,7 @@ class _ContractChain(ChangeChain):
         new = curves_of(self.second.case)
         old = curves_of(case)
         if list(old) != list(new):
-            message = f"{self.first.folder} has other curves: allowed are the same"
+            message = f"{self.first.folder} has other curves: both runs need the same ones"
             raise CaseError(str(self.second.file), "market", ", ".join(new), message)
         changes = [
             CurveChange(

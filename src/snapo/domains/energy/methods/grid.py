@@ -79,7 +79,7 @@ class ContractGrid:
         return [step.before for step in self.steps] + [self.last]
 
     def size(self, t: int) -> int:
-        """How many nodes there are at the start of a step."""
+        """The number of nodes at the start of a step."""
         return int(np.prod([len(x) for x in self.nodes[t]], dtype=int))
 
 
@@ -244,7 +244,7 @@ def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _origin(layout: ContractLayout, terms, i: int) -> float:
-    """A point of evenly spaced nodes: the limit of a level that only rises, where it has one, since
+    """A point of evenly spaced nodes: the limit of a level that only rises, if it has one, since
     the value bends wherever whole volumes lead to that limit; else zero."""
     limit, effects = terms.high[:, i], [flow.effects[i] for flow in layout.flows]
     effects += [move.changes[i] for move in layout.every_move]
@@ -272,7 +272,7 @@ def _settled(after: list[np.ndarray], restarts) -> list[np.ndarray]:
 
 
 def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
-    """All levels to which extreme flows lead; None where they are too many.
+    """All levels to which extreme flows lead; None if they are too many.
 
     The nodes of a step are led to those of the next one and back until none is missing.
     """

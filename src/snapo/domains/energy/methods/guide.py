@@ -108,7 +108,7 @@ class _UnitRows:
         return UnitValueTable(table)
 
     def _units(self) -> np.ndarray | None:
-        """[T, pairs, searches] the volume of a row along each flow. None where no volume is
+        """[T, pairs, searches] the volume of a row along each flow. None if no volume is
         longer, or where the rows of levels that a flow joins are of different volumes."""
         if self.largest is None:
             return None

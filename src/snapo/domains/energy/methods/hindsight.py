@@ -1,7 +1,8 @@
 """The upper bound: the best moves of each path with its prices known, penalised for knowing them.
 
 The penalty of ending a step in a mode and at levels is the innovation of the fitted value there,
-V(next prices) - E[V(next prices)], which has mean zero for whoever does not know them. Whatever V
+V(next prices) - E[V(next prices)], which has mean zero for decisions without that knowledge.
+Whatever V
 is, the bound holds; see `snapo.solver.bound`. V is linear between nodes, and where all volumes of
 best decisions lead from node to node (`ContractGrid.exact`) the best penalised moves do too.
 """

@@ -71,7 +71,7 @@ def with_idle(columns: list, start: np.ndarray, restarts: np.ndarray, idle: tupl
 
 
 def extremes(layout: ContractLayout, terms: Any, t: int, i: int) -> np.ndarray:
-    """What a step can change a level by, at the ends of each flow."""
+    """The changes of a level in a step, at the ends of each flow."""
     result: set[float] = set()
     for move in layout.every_move:
         if all(terms.least[t, flow] <= 0 for flow in move.flows):

@@ -85,7 +85,7 @@ class IndexGrid:
         return np.linspace(-1, 1, self.slow | 1) * SLOW_REACH * deviation
 
     def columns(self, t: int) -> int:
-        """How many there are on a date."""
+        """Their number on a date."""
         return len(self.index_nodes(t)) * len(self.fast.fast)
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
@@ -152,7 +152,7 @@ class PairGrid:
         return cls(of, factor_grid(of._replace(index=None), (0, 1), spacing, slow))
 
     def columns(self, t: int) -> int:
-        """How many there are."""
+        """Their number."""
         return self.both.columns
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:

@@ -102,7 +102,7 @@ def _times(counts: list[float], nodes: float) -> float:
 
 
 def common_measure(volumes: Iterable[float]) -> float | None:
-    """The largest number of which all are multiples; None where they are no simple fractions."""
+    """The largest number of which all are multiples; None if they are no simple fractions."""
     sizes = [abs(x) for x in volumes if x]
     fractions = [Fraction(x).limit_denominator(DIGITS) for x in sizes]
     if not sizes:

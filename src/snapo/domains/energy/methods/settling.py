@@ -39,8 +39,8 @@ class Settling(NamedTuple):
 
     @property
     def money(self) -> np.ndarray | None:
-        """[nodes after], or [modes, nodes after] with joint limits: what levels, settling and units
-        made up earn; None where there is none."""
+        """[nodes after], or [modes, nodes after] with joint limits: the earnings of levels,
+        settling and units made up; None if there are none."""
         lost = self.lost if self.missed is None else self.lost + self.missed
         if self.held is not None:
             return self.held[1] - lost
@@ -94,7 +94,7 @@ def _missed(terms: StepTerms, t: int, after) -> np.ndarray | None:
 
 
 def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarray] | None:
-    """Money of the nodes before and after step t; None where levels have none."""
+    """Money of the nodes before and after step t; None if levels have none."""
     result = [np.zeros(1), np.zeros(1)]
     if terms.bank is not None:
         bank = terms.bank.at(t)

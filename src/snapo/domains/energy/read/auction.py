@@ -40,12 +40,12 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
         return hours
     auction = where.nested(AuctionTable, table.auction, "auction")
     if auction.at not in TIMES:
-        message = 'allowed is a full hour from "00:00" to "23:00"'
+        message = 'it must be a full hour from "00:00" to "23:00"'
         raise where.error("auction.at", auction.at, message)
     if table.intraday is None:
         where.notes.append(
             "contract.auction: flows are fixed at the auctions. Prices and money on paths are "
-            "those seen then, and spread less than the spot prices of the hours."
+            "those at that time, and vary less than the spot prices of the hours."
         )
     zone, step = ZoneInfo(table.time_zone), int(auction.step[:-1])
     instants = (*hours.instants, hours.instants[-1] + datetime.timedelta(hours=1))
@@ -55,7 +55,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
         before = int((instant - fixed).total_seconds()) // 3600
         notice.append(min(before, ahead))  # an auction before the valuation date is on it
     if table.intraday is not None and notice[0] and hours.ahead[0]:
-        message = "with `intraday` allowed is a start at an auction, or on the valuation date"
+        message = "with `intraday` it must be a start at an auction, or on the valuation date"
         raise where.error("start", hours.local[0], message)
     return replace(
         hours,
@@ -83,6 +83,6 @@ def check_auction(where: TableContext, table: Any, objective: str) -> None:
     if table.auction is not None and table.intraday is None and objective != "mean":
         message = (
             "the money of an hour counts at the forward price of its auction, so that the "
-            f'objective "{objective}" is not known; allowed is the objective "mean"'
+            f'objective "{objective}" is not known; the objective must be "mean"'
         )
         raise where.error("auction", None, message)

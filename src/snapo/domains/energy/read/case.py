@@ -91,7 +91,7 @@ class EnergyTable(CaseTable):
 
 
 class ContractKind(NamedTuple):
-    """What a kind of contract brings: its table, its reader, tables within it, a title.
+    """The parts of a kind of contract: its table, its reader, tables within it, a title.
 
     `hourly`: whether its steps are hours of the local calendar, not days; `pair`: whether its cash
     depends on two commodities; `steps`: of a day, at one price; `opened`: its table with those of
@@ -188,7 +188,7 @@ class EnergyCase:
     - `kind`: of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
       [T]: in years; `first_step`: steps from the valuation date to the first.
-    - `products`: the traded products; None where the case names none.
+    - `products`: the traded products; None if the case names none.
     - `scheduled`: the prices at auctions, of a contract that trades differences from its schedules
       intraday; else None, and `model` is the prices of all decisions.
     - `sources`: numbers of the case from which inputs are made.
@@ -269,10 +269,10 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     if others is None:
         if kind.steps > 1 and top.model.get("kind") not in BY_STEP:
             allowed = ", ".join(f'"{item}"' for item in BY_STEP)
-            raise section.error("kind", top.model.get("kind"), f"for stores allowed is {allowed}")
+            raise section.error("kind", top.model.get("kind"), f"for stores it must be {allowed}")
         if kind.hourly and top.model.get("kind") not in BY_HOUR:
             allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
-            raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
+            raise section.error("kind", top.model.get("kind"), f"by the hour it must be {allowed}")
         model = read_prices(section, top.model, delivery)
         check_curve(_curve_file(market_table), model, delivery)
         model = contract.priced(where, model, delivery)

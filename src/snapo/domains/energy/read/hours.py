@@ -83,7 +83,7 @@ class Hours:
 
     @property
     def times(self) -> Times:
-        """When there are prices, in years."""
+        """The times of the prices, in years."""
         years, before = np.array(self.ahead) / HOURS, self.ahead[0]
         rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
         age = (before - 1 - np.arange(max(rows, 1))) / HOURS
@@ -96,7 +96,7 @@ def hours_of(where: TableContext, table: Any, valuation: datetime.date) -> Hours
     try:
         zone = ZoneInfo(table.time_zone)
     except (ZoneInfoNotFoundError, ValueError):
-        message = 'this is no name of a time zone such as "Europe/Berlin"'
+        message = 'this is not the name of a time zone, such as "Europe/Berlin"'
         raise where.error("time_zone", table.time_zone, message) from None
     first = max(_instant(where, "start", table.start, zone), _utc(valuation, zone))
     last = _instant(where, "end", table.end, zone)
@@ -125,11 +125,11 @@ def _instant(where: TableContext, key: str, value: Any, zone: ZoneInfo) -> datet
     """A date or a local time of the TOML file, in UTC."""
     if isinstance(value, datetime.datetime) and value.tzinfo is None:
         if value.minute or value.second:
-            raise where.error(key, value, f"allowed is {TIME}")
+            raise where.error(key, value, f"it must be {TIME}")
         return value.replace(tzinfo=zone).astimezone(datetime.UTC)
     if isinstance(value, datetime.date) and not isinstance(value, datetime.datetime):
         return _utc(value, zone)
-    raise where.error(key, value, f"allowed is {TIME}")
+    raise where.error(key, value, f"it must be {TIME}")
 
 
 def read_hourly(
@@ -192,7 +192,7 @@ def _local_hour(row: Row) -> str:
             return f"{datetime.datetime.fromisoformat(match[1]):%Y-%m-%dT%H:%M}"
     except ValueError:
         pass
-    raise row.error("time", "an hour of local time is written 2026-05-01T07:00")
+    raise row.error("time", "an hour of local time must be written like 2026-05-01T07:00")
 
 
 def dated_curve(

@@ -143,12 +143,12 @@ def _correlations(section: TableContext, entries: list[Any], names: list[str]) -
         allowed += f", one entry for two of {', '.join(names)}"
     for i, entry in enumerate(entries):
         if len(entries) > len(names) * (len(names) - 1) // 2 or not isinstance(entry, list):
-            raise section.error("correlation", entries, f"allowed is {allowed}")
+            raise section.error("correlation", entries, f"it must be {allowed}")
         *pair, rho = entry
         valid = all(isinstance(name, str) and name in names for name in pair)
         if not valid or len(pair) != 2 or pair[0] == pair[1] or frozenset(pair) in result:
-            raise section.error("correlation", entries, f"allowed is {allowed}")
+            raise section.error("correlation", entries, f"it must be {allowed}")
         if isinstance(rho, bool) or not isinstance(rho, int | float) or not RHO.contains(rho):
-            raise section.error("correlation", rho, f"allowed is {RHO}")
+            raise section.error("correlation", rho, f"it must be {RHO}")
         result[frozenset(pair)] = float(rho), (*section.keys, "correlation", i, 2)
     return result

@@ -49,7 +49,7 @@ class PolynomialBasis:
 
     @property
     def plain(self) -> int:
-        """How many are without hinges."""
+        """The number of functions without hinges."""
         return len(self.powers) + bool(self.common)
 
     @property
@@ -94,7 +94,7 @@ class PolynomialBasis:
 
     @property
     def hinges(self) -> np.ndarray:
-        """[hinges] where they are, in standard deviations of the fast factor."""
+        """[hinges] their positions, in standard deviations of the fast factor."""
         return hinges(len(self.selected))
 
     @property

@@ -57,7 +57,7 @@ class SpikeBasis:
 
     @property
     def plain(self) -> int:
-        """How many are without hinges."""
+        """The number of functions without hinges."""
         return self.inner.plain * COUNT
 
     @property

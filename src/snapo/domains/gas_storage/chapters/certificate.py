@@ -25,7 +25,7 @@ TRIES = 16  # at finding inputs nearby that still can be met
 
 
 def off_ties(problem: Problem) -> Problem:
-    """The problem a hair away, where the contract still can be met, for a check by differences.
+    """The problem at slightly moved inputs, where the contract can still be met.
 
     With round numbers a store fills or empties on the very day that its rates allow, and a full
     one without losses stays exactly full: kinks on every path.
@@ -52,7 +52,7 @@ class Homogeneity:
 class StorageCertificate(Certificate):
     """The checks of a store.
 
-    - `homogeneity`: None where the price or the contract is not proportional to the curve.
+    - `homogeneity`: None if the price or the contract is not proportional to the curve.
     - `control_variate`: {"explained": share of the variance}.
     """
 

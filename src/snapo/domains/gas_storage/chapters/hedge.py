@@ -34,8 +34,8 @@ TEXT = (
     "of the contract without a hedge."
 )
 BY_PRODUCT = (
-    "How much of the variance is left with the positions in one product only, and with all others "
-    "but these."
+    "How much of the variance is left with the positions in one product only, and in all products "
+    "but this one."
 )
 
 

@@ -23,7 +23,7 @@ NO_LATTICE = "its prices have other risks than one or two Gaussian factors"
 
 
 class ReferenceValue(Protocol):
-    """The exact value, None where there is none, and its error."""
+    """The exact value, None if there is none, and its error."""
 
     @property
     def dynamic_programming(self) -> float | None: ...

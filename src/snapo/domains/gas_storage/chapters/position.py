@@ -47,7 +47,7 @@ class LowHigh:
     high: Floats = floats()
 
     def until(self, length: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """The first `length` of both; None where there are none."""
+        """The first `length` of both; None if there are none."""
         return (self.low[:length], self.high[:length]) if self.low.size else None
 
 
@@ -210,7 +210,7 @@ def inventory(run: StorageRun) -> Section:
     )
     svg = draw("inventory-fan", alt, paint, height, rows)
     caption = (
-        "Grey is every inventory from which the contract can still be met; the policy cannot leave"
+        "Grey: all inventories from which the contract can still be met; the policy cannot leave"
         " it. Below, the mean flow of each day: withdrawals up, injections down."
     )
     return Section("inventory", title, short, [Chart(svg, caption)])

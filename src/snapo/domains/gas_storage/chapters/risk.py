@@ -37,8 +37,8 @@ CAVEAT = (
 )
 # Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
 BOUND = (
-    "For a move of the forward curve the change is that of the present plan; with the decisions"
-    " chosen again the contract has at least this value, and the gap grows with the square of the"
+    "For a move of the forward curve the change is that with the present decisions; with"
+    " re-optimised decisions the value is at least that, and the gap grows with the square of the"
     " move. "
 )
 

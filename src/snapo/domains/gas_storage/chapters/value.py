@@ -189,7 +189,7 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
 
 
 def ladder_bars(run: StorageRun, values: Sequence[ContractValue]) -> list[charts.LadderBar]:
-    """The bars of the ladder; that of the headline's value is set apart."""
+    """The bars of the ladder; the bar of the headline's value is highlighted."""
     digits, headline = decimals([x.value for x in values]), run.result.value
     strong = next((i for i, x in enumerate(values) if x.value == headline), None)
     return [

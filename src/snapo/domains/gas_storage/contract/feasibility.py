@@ -146,7 +146,7 @@ def _moves(day: FeasibleDay, interval: FlowInterval, tolerance: float) -> Iterat
 
 
 def _able(day: FeasibleDay, piece: tuple[Corner, Corner], tolerance: float):
-    """The part of a piece whose rates allow the day's forced flow; None where none does."""
+    """The part of a piece whose rates allow the day's forced flow; None if none does."""
     left, right = piece
     if day.min_injection > 0:
         spare = [corner.injection - day.min_injection + tolerance for corner in piece]

@@ -55,7 +55,7 @@ class EndRule(eqx.Module):
 
     @property
     def owed(self) -> float | None:
-        """The inventory that must be in store; None where any is allowed."""
+        """The inventory that must be in store; None if any is allowed."""
         return None
 
     @property
@@ -233,7 +233,7 @@ class StorageCase:
     - `expired`: the valuation date lies after the end date; the value is zero.
     - `notes`: remarks for the user of the case, one sentence each.
     - `quotes`: those from which the forward curve is made; None of a curve by day and month.
-    - `products`: the traded products; None where the case names none. `hedges`: of its [hedge].
+    - `products`: the traded products; None if the case names none. `hedges`: of its [hedge].
     - `backtest`: of its [backtest].
     """
 
@@ -279,7 +279,7 @@ def storage_inputs(case: StorageCase) -> dict[str, Input]:
 
 
 def numbers_by_name(case: StorageCase) -> dict[str, CaseInput]:
-    """The same as they were given."""
+    """The same, unchanged."""
     return by_name(numbers_of(case))
 
 

@@ -88,7 +88,8 @@ class ContractTerms(NamedTuple):
 
 
 class KnownSchedule(NamedTuple):
-    """What the methods of `references` read of a schedule whose prices are the forward prices."""
+    """The data that the methods of `references` read from a schedule whose prices are the forward
+    prices."""
 
     constants: ContractTerms
     steps: Day

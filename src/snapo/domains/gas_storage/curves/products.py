@@ -64,7 +64,7 @@ def delivery(name: str) -> tuple[datetime.date, datetime.date]:
             if last < first:
                 raise ValueError("the last day is before the first one")
             if first.year < FIRST or last.year > LAST:
-                raise ValueError(f"allowed are days of the years {FIRST} to {LAST}")
+                raise ValueError(f"it must be days of the years {FIRST} to {LAST}")
             return first, last
     raise ValueError(f"a product is {NAMES}")
 

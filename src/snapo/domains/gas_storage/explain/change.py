@@ -28,7 +28,7 @@ class ChangePart:
 class CurveMove:
     """The mean move of the forward price of a delivery period, in currency per unit.
 
-    - `delta`: discounted, in the unit of gas; None where the mean price did not move.
+    - `delta`: discounted, in the unit of gas; None if the mean price did not move.
     """
 
     period: str

@@ -170,7 +170,7 @@ def page(change: ExplainedChange) -> str:
     sections = [_parts(change), _curve_section(change)]
     if change.flows:
         sections.append(_flows(change))
-    footer = f"Made by snapo {__version__} from two run folders; the page needs and sends nothing."
+    footer = f"Made by snapo {__version__} from two run folders; the page loads and sends nothing."
     title = f"Explained change: {change.title}"
     menu = [(section.name, section.short) for section in sections]
     return render(Page(title, about, sections, footer, menu=menu))

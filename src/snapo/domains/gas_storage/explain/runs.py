@@ -30,7 +30,7 @@ FIXED = "snapo explain needs flows that are decided at delivery: leave this key 
 class ValuedRun:
     """A run that came to its end: its case, and the value in its result.json.
 
-    - `shares` [G]: of independent groups of paths in the value, None where they are not saved.
+    - `shares` [G]: of independent groups of paths in the value, None if they are not saved.
     """
 
     folder: Path
@@ -56,7 +56,7 @@ class ValuedRun:
             raise CaseError(str(folder), "kind", record["kind"], message)
         run_folder.check_whole(folder, record, (POLICY, SOLUTION, run_folder.GROUPS))
         if "result" in record and changed_files(folder, {run_folder.RESULT: record["result"]}):
-            message = "this file was changed since it was written: solve with --resume again"
+            message = "this file was changed after it was written: solve with --resume again"
             raise CaseError(str(folder / run_folder.RESULT), "", None, message)
         result = RunResult.read(folder)
         if result.value is None or result.standard_error is None:
@@ -76,7 +76,7 @@ class ValuedRun:
         if not case.days:
             raise CaseError(str(self.file), "contract.end", case.end, "no decision is left")
         if case.objective.kind != "mean":
-            message = 'a change is explained of a mean: allowed is "mean"'
+            message = 'only the change of a mean can be explained: it must be "mean"'
             raise CaseError(str(self.file), "objective.kind", case.objective.kind, message)
         if case.model.calendar:
             message = FIXED
@@ -108,7 +108,7 @@ def check_pair(first: ValuedRun, second: ValuedRun) -> None:
     """**Raises:** `CaseError` where the second run cannot follow the first one."""
     one, other = first.case, second.case
     if one.kind != other.kind:
-        message = f'{first.folder} is of kind "{one.kind}": allowed is the same kind'
+        message = f'{first.folder} is of kind "{one.kind}": both runs must be of the same kind'
         raise CaseError(str(second.file), "kind", other.kind, message)
     if other.valuation_date < one.valuation_date:
         message = f"it is before that of {first.folder}, {one.valuation_date}: name the runs in "
@@ -116,7 +116,7 @@ def check_pair(first: ValuedRun, second: ValuedRun) -> None:
         raise CaseError(str(second.file), "market.valuation_date", date, message + "their order")
     for key in ("currency", "volume_unit"):
         if getattr(one, key) != getattr(other, key):
-            message = f"{first.folder} has {getattr(one, key)!r}: allowed is the same unit"
+            message = f"{first.folder} has {getattr(one, key)!r}: both must have the same unit"
             raise CaseError(str(second.file), key, getattr(other, key), message)
     ends = [getattr(case, "end", case.days[-1]) for case in (one, other)]
     if other.days != one.days[len(one.days) - len(other.days) :] or ends[0] != ends[1]:
@@ -171,7 +171,7 @@ class LaterPaths(Pseudo):
 def later_paths(
     source: Scenarios, earlier: Simulator, later: Simulator, passed: int
 ) -> LaterPaths | None:
-    """The paths of `earlier` after the first `passed` of its days; None where no shift gives
+    """The paths of `earlier` after the first `passed` of its days; None if no shift gives
     them."""
     if type(source) is not Pseudo:
         return None

@@ -100,7 +100,7 @@ class DailyHedges:
         rows: Sequence[HeldProducts],
         moving: np.ndarray,
     ) -> list[list[HeldVolume]]:
-        """What each hedge sells in its products `rows` after the flow of step t.
+        """The volumes that each hedge sells in its products `rows` after the flow of step t.
 
         `moving` [T - t, N]: discounted prices of the dates after the step, as noise moves them.
         """

@@ -54,7 +54,7 @@ def backtest(
     policy: Path | None = None,
     out: Path | None = None,
 ) -> dict[str, Any]:
-    """Decides the store of a case on the prices in a folder, and writes the results.
+    """Operates the store of a case on the prices in a folder, and writes the results.
 
     - `history`: a folder with `spot.csv` and, if there are any, forward curves in `curves.csv`.
     - `every`: days from one solution to the next, with the curve of its date; by default 30, and
@@ -107,7 +107,7 @@ class DrawnHistories(NamedTuple):
     """The rule on histories that its model draws: `money` [N], `cash` [T, N] by day, discounted.
 
     `controls`: arrays [N] of mean zero. `groups` [N]: equal for histories that depend on one
-    another; None where none do. `paths`: of all price factors; None without a forward curve.
+    another; None if none do. `paths`: of all price factors; None without a forward curve.
     """
 
     money: np.ndarray
@@ -166,7 +166,7 @@ def run_backtest(
         if models is not None and start in due:
             estimate = models.estimate(date)
             if estimate.reason:
-                progress(f"note: {date}: the model before is kept: {estimate.reason}")
+                progress(f"note: {date}: the previous model is used: {estimate.reason}")
         if start:
             progress(f"{date}: solving again")
         tables = data if models is None else models.data
@@ -258,7 +258,7 @@ def _drawn(rule: DatedRule, curved: bool, engine: Engine) -> DrawnHistories:
     """The rule on histories that its model draws.
 
     Curves show all price factors, and one factor is known from the spot price. Else the rule sees
-    spot prices only, on the drawn histories too.
+    spot prices only, on the simulated histories too.
     """
     problem, seed = rule.problem, rule.case.training.seed
     if rule.filter is not None and (curved or rule.filter.gain.shape[1] == 1):

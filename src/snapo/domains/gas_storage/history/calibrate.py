@@ -171,7 +171,7 @@ def derivatives_of(run: Path, kind: str) -> dict[str, float]:
     if not table:
         message = (
             "the run has no derivative with respect to a plain mean_reversion or volatility; "
-            "allowed is a run of a case with a model that snapo calibrate estimates"
+            "it must be a run of a case with a model that snapo calibrate estimates"
         )
         raise CaseError(str(run), "", None, message)
     return table

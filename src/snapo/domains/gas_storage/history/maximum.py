@@ -118,7 +118,7 @@ class HistoryEstimate:
 def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
     """Intervals from the observed information, the negative Hessian in unbounded variables.
 
-    To be called in the precision in which the maximum was found.
+    Must be called in the precision of the search for the maximum.
     """
     x, hessian = np.asarray(maximum.variables), np.asarray(maximum.hessian)
     curvature, axes = np.linalg.eigh(-hessian)
@@ -269,7 +269,7 @@ def _movement(calibration: Calibration, column: int) -> tuple[float, float]:
 
 
 def _vanishing(model: HistoryModel, maximum: Maximum, calibration: Calibration) -> str | None:
-    """The series whose measurement error tends to zero; None where no further series may be
+    """The series whose measurement error tends to zero; None if no further series may be
     exact."""
     numbers = dict(zip(model.names, np.asarray(model.numbers(maximum.variables))))
     for i, name in enumerate(model.columns):

@@ -133,7 +133,7 @@ def read_observed(folder: Path, positive: bool, notes: list[str]) -> ObservedMar
     **Raises:** `CaseError` where a file, a date, a product or a price is wrong.
     """
     if not folder.is_dir():
-        raise CaseError("--history", "", str(folder), "allowed is a folder with spot.csv")
+        raise CaseError("--history", "", str(folder), "it must be a folder with spot.csv")
     low, allowed = (5e-324, "a number above 0") if positive else (-np.inf, "")
     section = TableContext(folder / "history", "history", notes)
     rows = read_rows(FileReference(section, "spot", SPOT), ("date", "price"))

@@ -77,7 +77,7 @@ class ObservedPrice(NamedTuple):
     column: str = ""
 
     def error(self, message: str) -> CaseError:
-        """What is wrong with it."""
+        """Its fault."""
         if self.row is None:
             return CaseError(self.series, self.day.isoformat(), self.price, message)
         return self.row.error(self.column, message)
@@ -112,13 +112,13 @@ def read_calibration(path: Path) -> Calibration:
     model = parse(GaussianTable, top.model, str(file), "model", notes)
     section = TableContext(file, "history", notes)
     if (model.kind == "one-factor-shifted") != (model.shift is not None):
-        message = 'kind "one-factor-shifted" has a shift, a number above 0, and no other kind has'
+        message = 'kind "one-factor-shifted" needs a shift above 0, and no other kind takes one'
         raise TableContext(file, "model", notes).error("shift", model.shift, message)
     first, last = table.first or datetime.date.min, table.last or datetime.date.max
     if first > last:
-        raise section.error("last", table.last, f"allowed is a date that is not before {first}")
+        raise section.error("last", table.last, f"it must be a date that is not before {first}")
     if table.spot is None and table.quotes is None and table.maturities is None:
-        message = "[history] names at least one file: spot, quotes or maturities"
+        message = "[history] must name at least one file: spot, quotes or maturities"
         raise section.error("spot", None, message)
     prices = [price for price in _prices(section, table) if first <= price.day <= last]
     if not prices:
@@ -186,7 +186,7 @@ def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPric
                 raise row.error("product", f"an earlier row has its price of {day} already")
             visited.add((day, first, last))
             if first < day:
-                message = f"its first day is {first}; allowed is a product that has not begun"
+                message = f"its first day is {first}; its delivery must not have begun"
                 raise row.error("product", message)
             yield from _observed(row, "price", "quotes", day, first + (last - first) / 2)
 
@@ -211,7 +211,7 @@ def _months(row: Row) -> dict[str, int]:
 def _product(row: Row) -> tuple[datetime.date, datetime.date]:
     first, last = delivery_of(row)
     if (last - first).days >= LONGEST:
-        message = f"allowed is a product of at most {LONGEST} days"
+        message = f"it must be a product of at most {LONGEST} days"
         raise row.error("product", message)
     return first, last
 
@@ -228,7 +228,7 @@ def _observed(
 def observed_price(
     day: datetime.date, series: str, ahead: float | datetime.date, price: float
 ) -> ObservedPrice:
-    """A price that is delivered in so many years, or on a day."""
+    """A price for delivery after a number of years, or on a day."""
     years = (ahead - day).days / YEAR if isinstance(ahead, datetime.date) else ahead
     length = 366 if calendar.isleap(day.year) else 365
     start = (day.timetuple().tm_yday - 1) / length
@@ -238,7 +238,7 @@ def observed_price(
 def _check_sign(prices: Sequence[ObservedPrice], shift: float) -> None:
     for price in prices:
         if price.price + shift <= 0:
-            message = f"allowed is a number above {-shift:g}, whose logarithm the model needs"
+            message = f"it must be a number above {-shift:g}, whose logarithm the model needs"
             if not shift:
                 message += '; kind = "one-factor-normal" has prices of any sign'
             raise price.error(message)
@@ -276,7 +276,7 @@ def _check_exact(model: HistoryModel, prices: Sequence[ObservedPrice]) -> None:
         if price.years in times or len(times) == model.factors:
             message = (
                 f"{price.series} is exact, and a model of {model.factors} factor"
-                f"{'s' if model.factors > 1 else ''} cannot meet more prices of {price.day} "
+                f"{'s' if model.factors > 1 else ''} cannot match more prices of {price.day} "
                 "exactly; leave it out of history.exact"
             )
             raise price.error(message)

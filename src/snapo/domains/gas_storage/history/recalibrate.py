@@ -31,8 +31,8 @@ NEEDED = frozenset(INPUTS.values())  # by a case: its curve is that of the marke
 class DatedEstimate:
     """An estimate on a date, from the `prices` that were known then.
 
-    - `parameters`: none where there are too few prices.
-    - `model`: the table of a case; `reason`: why the model before it was kept, "" where it was not.
+    - `parameters`: none if there are too few prices.
+    - `model`: the table of a case; `reason`: why the previous model is used, "" if it is not.
     """
 
     date: datetime.date

@@ -1,4 +1,4 @@
-"""The report of a back-test: what was realised against the expectation, with and without hedges."""
+"""The report of a back-test: realised result against expectation, with and without hedges."""
 
 import datetime
 from string import ascii_uppercase
@@ -36,7 +36,7 @@ from ..contract.records import StorageCase
 from .hedged import HedgeDay, HedgedStore, HedgePosition
 from .results import StoreBacktest
 
-TAIL = 0.025  # of drawn histories, below or above which the realised cash flow is improbable
+TAIL = 0.025  # of simulated histories, below or above which the realised cash flow is improbable
 COLOURS = ("withdraw", "good", "inject", "limit", "other")  # of the hedges in a chart
 FEW = len(COLOURS)  # hedges that a chart can show
 METHOD = (
@@ -83,7 +83,8 @@ def _letters(result: StoreBacktest) -> dict[str, str]:
 def _outcome(result: StoreBacktest, case: StorageCase) -> Section:
     currency, digits = case.currency, decimals([result.realised, result.expected], 6)
     less = percent(result.share, 0)
-    note = f"{less} of drawn histories bring less; discounted to {long_date(case.valuation_date)}"
+    discounted = f"discounted to {long_date(case.valuation_date)}"
+    note = f"{less} of simulated histories earn less; {discounted}"
     difference, half = measured(result.realised - result.expected, result.error, digits, sign=True)
     context = f"{difference} {half} against the expectation; {PLUS_MINUS}."
     realised = money(result.realised, currency, digits)
@@ -115,7 +116,7 @@ def _marks(result: StoreBacktest, case: StorageCase, digits: int) -> list[Mark]:
     better."""
     probable = TAIL <= result.share <= 1 - TAIL
     where = "within" if probable else "outside"
-    marks = [Mark(probable, f"{where} the range of 95 % of drawn histories")]
+    marks = [Mark(probable, f"{where} the range of 95 % of simulated histories")]
     if result.rolling is not None and result.rolling > result.realised:
         more = money(result.rolling - result.realised, case.currency, digits)
         marks.append(Mark(False, f"rolling intrinsic brought {more} more"))
@@ -197,10 +198,10 @@ def _cash(result: StoreBacktest, case: StorageCase) -> Section:
 
     alt = (
         f"Cash flow so far by day: realised {number(cash[-1])} at the end, expected "
-        f"{number(expected[-1])}, with a band of 90 % of drawn histories."
+        f"{number(expected[-1])}, with a band of 90 % of simulated histories."
     )
     caption = (
-        "Cash flow so far: realised, and its mean on drawn histories with the band of 90 % of them"
+        "Cash flow so far: realised, and its mean on simulated histories with a band of 90 %"
         + ("; with the gains of hedges so far." if gains else ".")
         + " The value of gas left and fixed costs are not in it."
     )
@@ -224,7 +225,7 @@ def _marked(result: StoreBacktest, case: StorageCase) -> Chart:
     svg = draw("marked", alt, lambda axes: charts.lines(axes, when, lines, case.currency), 260)
     caption = (
         "Cash flow so far and the expectation of the rest, marked to the curve of each solution. "
-        "A hedge that fits holds it level."
+        "A good hedge keeps it level."
     )
     return Chart(svg, caption)
 
@@ -351,14 +352,14 @@ def _estimates(result: StoreBacktest) -> Section:
         Column("Parameter", "parameter"),
         Column("Estimate", "estimate"),
         Column("95 % interval", "interval"),
-        Column("Why the model before was kept", "reason"),
+        Column("Why the previous model was used", "reason"),
     ]
     unchanged = [x for x in result.estimates if x.reason and not x.parameters]
     blocks: list[Block] = []
     if rows:
         caption = "The model, estimated again from the prices until each date"
         blocks.append(table(rows, columns, caption, by_row=True, folded=_folded(len(rows))))
-    blocks += [Text(f"{_day(x.date)}: the model before is kept: {x.reason}.") for x in unchanged]
+    blocks += [Text(f"{_day(x.date)}: the previous model is used: {x.reason}.") for x in unchanged]
     return Section("estimates", "Estimates of the model", "Model", blocks)
 
 

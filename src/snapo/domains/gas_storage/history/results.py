@@ -1,4 +1,4 @@
-"""What a back-test results in: records, tables, and the text for a reader."""
+"""The results of a back-test: records, tables, and text."""
 
 import datetime
 import math
@@ -49,7 +49,7 @@ class StoreBacktest:
       `expected_cash` [T]: the mean on the first valuation date.
     - `band`: [T] 5 and 95 % quantiles of the cash so far on those histories.
     - `realised`: the sum of the cash, the value of the gas left, and fixed costs.
-    - `expected`, `error`: its mean on drawn histories of the model and the standard error;
+    - `expected`, `error`: its mean on simulated histories of the model and the standard error;
       `deviation`: of one history; `share`: of histories that bring less than the realised one.
     - `rolling`: of rolling intrinsic on the same curves; None without curves.
     - `marks`: of every solution. `mark_deviation`: the standard deviation of the change of the
@@ -156,7 +156,7 @@ def summary(answer: Mapping[str, Any]) -> str:
 
 def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     yield f"{answer['days']} days from {answer['first']} to {answer['last']}"
-    less = f"{answer['share']:.0%} of drawn histories bring less"
+    less = f"{answer['share']:.0%} of simulated histories earn less"
     yield f"{'realised':<20}{answer['realised']:>16,.2f}   {less}"
     interval = plus_minus(answer["standard_error"])
     spread = f"{interval} (95 %); standard deviation of one history {answer['deviation']:,.2f}"
@@ -191,7 +191,7 @@ def _estimates(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         text = "".join(f"{_interval(cells.get(name)):<32}" for name in names)
         yield f"{row['date']:<14}{row['prices']:>8,}  {text}".rstrip()
         if row["reason"]:
-            yield f"{'':<24}the model before is kept: {row['reason']}"
+            yield f"{'':<24}the previous model is used: {row['reason']}"
 
 
 def _interval(row: Mapping[str, Any] | None) -> str:

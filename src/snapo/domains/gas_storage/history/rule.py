@@ -250,7 +250,7 @@ def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None)
 
 
 def spot_filter(problem: Problem) -> SpotFilter | None:
-    """The filter of a problem; None where prices have other risks than Gaussian factors."""
+    """The filter of a problem; None if prices have other risks than Gaussian factors."""
     model = factors(problem)
     if model is None or not model.exact or model.spikes is not None:
         return None

@@ -17,7 +17,7 @@ from snapo.case.table import CaseTable, Range, TableContext, parse
 
 NEVER, SPOT, BOTH = "never", "spot", "spot and curves"
 PERIODS = {"month": 1, "quarter": 3, "year": 12}  # in months
-ALLOWED = 'allowed is "never", "month", "quarter", "year", or a number of days'
+ALLOWED = 'it must be "never", "month", "quarter", "year", or a number of days'
 
 
 class BacktestTable(CaseTable):
@@ -29,7 +29,7 @@ class BacktestTable(CaseTable):
         '"quarter" or "year", or after a number of days',
     )
     window: (
-        Annotated[int, Range(30, note=" days of history of an estimate; without it, all")] | None
+        Annotated[int, Range(30, note=" days of history in an estimate; by default all")] | None
     ) = None
     prices: Literal["spot", "spot and curves"] = Field(
         SPOT, description='of the estimates: "spot", or "spot and curves"'

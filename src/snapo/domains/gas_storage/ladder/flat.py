@@ -81,7 +81,7 @@ def slopes(period: FlatPeriod, forward: np.ndarray, held: np.ndarray) -> Slopes:
 
 
 def earned(period: FlatPeriod, slope: Slopes, q: np.ndarray) -> np.ndarray:
-    """The money of q [..., N] without that of the positions held, at the prices of the paths."""
+    """The money of q [..., N] without the positions held, at the prices of the paths."""
     money = np.where(q > 0, slope.into, slope.out) * q
     if period.spread:
         money -= period.spread * np.abs(bought(period, q) - slope.held)

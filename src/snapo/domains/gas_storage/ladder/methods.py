@@ -1,4 +1,4 @@
-"""The methods of a desk on given paths: intrinsic in products, rolling intrinsic, least squares.
+"""The methods of a desk on supplied paths: intrinsic in products, rolling intrinsic, least squares.
 
 Least-squares Monte Carlo: on simulated paths the value of the next day is regressed on prices,
 backwards in time, on nodes of the level. The regression decides, and the value that is carried is

@@ -1,4 +1,4 @@
-"""`[products]`: the traded products, until when, and what a trade costs.
+"""`[products]`: the traded products, the last trading days, and the cost of a trade.
 
     [products]
     day_ahead = { bid_offer = 0.05 }
@@ -143,7 +143,8 @@ class TradedProducts:
         return bool(self.days) and self.valuation < self.days[0]
 
     def named(self, t: int) -> tuple[ProductDays, ...]:
-        """What trades on step t, or on the valuation date for -1, in the order of delivery."""
+        """The products that trade on step t, or on the valuation date for -1, in the order of
+        delivery."""
         today = self.days[t] if t >= 0 else self.valuation
         rows = []
         if t >= 0:

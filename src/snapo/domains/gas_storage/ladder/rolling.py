@@ -88,7 +88,7 @@ class FlatContract(Protocol):
         ...
 
     def end_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray | None:
-        """The same of levels at its end, before settling; None where there is none."""
+        """The same of levels at its end, before settling; None if there is none."""
         ...
 
     def discount(self, first: int, after: int) -> np.ndarray:
@@ -96,7 +96,7 @@ class FlatContract(Protocol):
         ...
 
     def settled(self, t: int, levels: np.ndarray) -> np.ndarray | None:
-        """What settling takes after a step, where the level is then set to zero; else None."""
+        """The cost of settling after a step, if the level is then set to zero; else None."""
         ...
 
     def final(self, levels: np.ndarray, price: np.ndarray) -> np.ndarray:
@@ -153,7 +153,7 @@ class Chains:
             nodes = self._nodes(low, high)
         inside = range(first, after - 1)
         if any(contract.settled(t, np.zeros(1)) is not None for t in inside):
-            raise Infeasible("a product goes across the end of a contract year")
+            raise Infeasible("a product must not extend over the end of a contract year")
         before = self._nodes(*_possible(contract, first, after, low, high))
         minimum, maximum = contract.limits(first, after, before, low, high)
         keep, span = contract.growth(first, after)

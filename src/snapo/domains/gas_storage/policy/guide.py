@@ -139,7 +139,7 @@ class DateValues(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """How the functions of one date read the price factors."""
+    """The mapping from price factors to the functions of one date."""
 
     whiten: Array
     common: Array

@@ -287,13 +287,13 @@ def _correlation(section: TableContext, values, size: int) -> list[float]:
     matrix = np.array(values, np.float64)
     for i in range(size):
         if matrix[i, i] != 1:
-            raise section.error(f"correlation.{i + 1},{i + 1}", matrix[i, i], "allowed is 1")
+            raise section.error(f"correlation.{i + 1},{i + 1}", matrix[i, i], "it must be 1")
         for j in range(i):
             if matrix[i, j] != matrix[j, i]:
                 message = f"the matrix must be symmetric, and {j + 1},{i + 1} is {matrix[j, i]:g}"
                 raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], message)
             if not -1 <= matrix[i, j] <= 1:
-                message = "allowed is a number from -1 to 1"
+                message = "it must be a number from -1 to 1"
                 raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], message)
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest <= 1e-12:

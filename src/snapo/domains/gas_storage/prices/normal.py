@@ -124,7 +124,7 @@ class Shifted(SignedPrices):
         shift = replace(table.shift, unit=delivery.curve.unit)
         lowest = float(np.min(delivery.curve.used(), initial=np.inf))
         if lowest + float(shift.values[0]) <= 0:
-            message = f"the lowest forward price is {lowest:g}: allowed is a number above"
+            message = f"the lowest forward price is {lowest:g}: the shift must be above"
             raise section.error("shift", float(shift.values[0]), f"{message} {-lowest:g}")
         numbers: dict[str, Any] = read_factors(section, [table], [], [], delivery)
         return cls.of(delivery, **numbers, shift=shift)

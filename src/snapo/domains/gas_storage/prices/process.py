@@ -187,7 +187,7 @@ class PriceProcess(Process):
     """A price process of a store: its answers beyond the core's `Process`.
 
     As it is read it has the numbers of the case; in a simulator it has none of them (see
-    `snapo.problem.form`), so that methods for paths ask their `inputs`.
+    `snapo.problem.form`), so that methods for paths read their `inputs`.
 
     The level is the spot price in currency per unit; the state is that of the prices only.
     `prepare` gives T + 1 rows: the decision days, and the end date.

@@ -30,12 +30,12 @@ def read_prices(section: TableContext, data: Mapping[str, Any], delivery: Delive
     record_kinds(data, section.name, "kind", KINDS)
     if not isinstance(kind, str) or kind not in KINDS:
         available = ", ".join(f'"{item}"' for item in sorted(KINDS))
-        raise section.error("kind", kind, f"allowed is one of {available}")
+        raise section.error("kind", kind, f"it must be one of {available}")
     process = KINDS[kind]
     if delivery.nominated is not None and not issubclass(process, FactorPrices):
         suited = [item for item, of in KINDS.items() if issubclass(of, FactorPrices)]
         allowed = ", ".join(f'"{item}"' for item in sorted(suited))
-        raise section.error("kind", kind, f"with [contract] nomination allowed is one of {allowed}")
+        raise section.error("kind", kind, f"with [contract] nomination it must be one of {allowed}")
     table = parse(process.table, data, str(section.file), section.name, section.notes)
     return process.read(section, table, delivery)
 

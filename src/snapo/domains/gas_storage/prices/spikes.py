@@ -1,7 +1,8 @@
 """The law of the spikes of a price, as dynamic programs read it: y(t + 1) = decay y(t) + J.
 
-J >= 0 is what spikes of a day leave at its end, independent of the past: at most one of exponential
-size ("Bernoulli"), or what is left of a compound Poisson process. Everything here is plain NumPy.
+J >= 0 is the effect of a day's spikes at its end, independent of the past: at most one of
+exponential
+size ("Bernoulli"), or the remainder of a compound Poisson process. Everything here is plain NumPy.
 """
 
 from typing import NamedTuple

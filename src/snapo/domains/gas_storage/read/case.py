@@ -70,11 +70,13 @@ def _forward(
 ) -> tuple[CaseInput, QuotedCurve | None]:
     """The forward price of each of `days`, from a curve or from quotes."""
     if (table.forward_curve is None) == (table.quotes is None):
-        message = "[market] has one of the two: forward_curve, a CSV file of date,price, or "
+        message = "[market] needs exactly one of: forward_curve, a CSV file of date,price, or "
         raise section.error("quotes", table.quotes, f"{message}quotes, one with product,price")
     if table.forward_curve is not None:
         if table.curve is not None:
-            raise section.error("curve", None, "it makes a curve from quotes; there are none")
+            raise section.error(
+                "curve", None, "this key makes a curve from quotes, but the case has none"
+            )
         return read_curve(section, table.forward_curve, days, unit), None
     assert table.quotes is not None
     forward = replace(FORWARD, unit=unit)
@@ -134,7 +136,7 @@ def quotes(rows: Sequence[Row]) -> CurveQuotes:
         price = Quote(FORWARD.cell(row), row.position("price"))
         period = row.period("date")
         if period is None:
-            raise row.error("date", "a day is written YYYY-MM-DD, a whole month YYYY-MM")
+            raise row.error("date", "a day must be written YYYY-MM-DD, a whole month YYYY-MM")
         _once(by_month if isinstance(period, tuple) else by_day, period, price, row)
     return by_day, by_month
 
@@ -177,10 +179,10 @@ def _by_price(case: StorageCase) -> Iterator[Plausible]:
     yield Plausible(low, high, hint, names=("forward_curve",), ratio=APART, by_size=True)
     highest = float(np.max(np.abs(case.market.forward_curve.values), initial=0.0))
     if highest > 0:
-        paid = f"a cost is in {name}, and the most expensive gas costs {highest:.6g}"
+        paid = f"a cost is in {name}, and the highest gas price is {highest:.6g}"
         names = ("injection_cost", "withdrawal_cost")
         yield Plausible(0.0, 3 * highest, paid, names=names, by_size=True)
-        paid = f"it is in {name} a day, and the most expensive gas costs {highest:.6g}"
+        paid = f"it is in {name} a day, and the highest gas price is {highest:.6g}"
         yield Plausible(0.0, highest / 20, paid, names=("inventory_cost",), by_size=True)
 
 

@@ -83,7 +83,7 @@ def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[dat
     if not name.lower().endswith((".csv", ".parquet")):
         rules = '"flow" or "gas"' if is_cost else '"flow"'
         message = (
-            f"allowed is {rules}, {{ days = 10 }}, {{ date = 2021-06-20 }}, "
+            f"it must be {rules}, {{ days = 10 }}, {{ date = 2021-06-20 }}, "
             "{ months = 1, day = 20 }, or a CSV file with columns delivery_month,date"
         )
         raise section.error(key, name, message)
@@ -182,7 +182,7 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
     if before:
         section.notes.append(
             f"{table.fixed_costs}, line {before[0].line}: the amount of {before[0].day('date')} is "
-            f"due before the valuation date, {valuation}{more(len(before) - 1)}: it does not count."
+            f"due before the valuation date, {valuation}{more(len(before) - 1)}: it is ignored."
         )
     labels = [date.isoformat() for date in dates]
     return amount.from_rows("fixed_costs", rows, labels, index=due), when[due]
@@ -205,7 +205,9 @@ def _read_end(section: TableContext, table: ContractTable, limits: LimitRows) ->
     levels = [row.number("inventory", 0.0) for row in rows]
     for row, below, level in zip(rows[1:], levels[:-1], levels[1:], strict=True):
         if level <= below:
-            raise row.error("inventory", f"inventories must rise, and the row before has {below:g}")
+            raise row.error(
+                "inventory", f"inventories must increase; the previous row has {below:g}"
+            )
     low, high = (limit.used()[-1] for limit in (limits.min_inventory, limits.max_inventory))
     for row, inside in ((rows[0], levels[0] <= low), (rows[-1], levels[-1] >= high)):
         if not inside:

@@ -88,12 +88,14 @@ def read_blocks(rows: Sequence[Row]) -> list[RatchetBlock]:
     for number, row in enumerate(rows):
         date = row.day("date") if row.cells["date"] else None
         if date is None and not blocks:
-            raise row.error("date", "the first row needs the date from which its block holds")
+            raise row.error("date", "the first row needs the date from which its block applies")
         if date is None or (blocks and date == blocks[-1][0]):
             _check_rises(rows[blocks[-1][1][-1]], row)
             blocks[-1][1].append(number)
         elif blocks and date < blocks[-1][0]:
-            message = f"blocks must be in order of date, and the one before is of {blocks[-1][0]}"
+            message = (
+                f"blocks must be in order of date, but the previous one is dated {blocks[-1][0]}"
+            )
             raise row.error("date", message)
         else:
             blocks.append((date, [number]))
@@ -103,7 +105,7 @@ def read_blocks(rows: Sequence[Row]) -> list[RatchetBlock]:
 def _check_rises(before: Row, row: Row) -> None:
     level = before.number("inventory", 0.0)
     if row.number("inventory", 0.0) <= level:
-        message = f"within a block inventories must rise, and the row before has {level:g}"
+        message = f"within a block inventories must increase; the previous row has {level:g}"
         raise row.error("inventory", message)
 
 
@@ -113,7 +115,7 @@ def _rows_by_day(name: str, blocks: Sequence[RatchetBlock], days) -> np.ndarray:
     padded = np.array([numbers + numbers[-1:] * (maximum - len(numbers)) for _, numbers in blocks])
     starts = ordinals([date for date, _ in blocks])
     if days and blocks[0][0] > days[0]:
-        message = f"ratchets are needed from {days[0]} on, and the first block holds from then"
+        message = f"ratchets are needed from {days[0]} on, but the first block applies from then"
         raise CaseError(name, "date", blocks[0][0], message)
     return padded[np.searchsorted(starts, ordinals(days), side="right") - 1]
 
@@ -246,7 +248,7 @@ def _outages(section: TableContext, values: list[str] | str) -> list[Outage]:
         try:
             first, last = map(_day, text.split("/"))
         except ValueError:
-            message = 'an outage is written "2021-07-01/2021-07-14", first day and last day'
+            message = 'an outage must be written "2021-07-01/2021-07-14", first day and last day'
             raise section.error("outages", text, message) from None
         if last < first:
             raise section.error("outages", text, "the last day cannot be before the first")

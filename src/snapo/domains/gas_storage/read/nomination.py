@@ -14,7 +14,7 @@ from .tables import DateKey
 
 
 class NominationTable(CaseTable):
-    """{ days = 1, calendar = "business" }: a flow is fixed so many days before its date.
+    """{ days = 1, calendar = "business" }: a flow is fixed this number of days before its date.
 
     One business day before, the flows of a weekend and of Monday are fixed on Friday; `holidays`
     are no business days.
@@ -35,7 +35,7 @@ def nominated_on(
     nomination = where.nested(NominationTable, table.nomination, "nomination")
     where.notes.append(
         "contract.nomination: flows are fixed days before them. Prices and cash flows on paths are "
-        "those seen then, and spread less than on the days of the flows."
+        "those at that time, and vary less than on the days of the flows."
     )
     if nomination.calendar == "every-day":
         return tuple(date - datetime.timedelta(nomination.days) for date in dates)
@@ -52,7 +52,7 @@ def check_nomination(where: TableContext, table: Any, objective: str, products: 
     if objective != "mean":
         message = (
             "a flow is paid at the forward price of its nomination, so that the "
-            f'objective "{objective}" is not known; allowed is the objective "mean"'
+            f'objective "{objective}" is not known; the objective must be "mean"'
         )
         raise where.error("nomination", None, message)
     if products is not None:

@@ -84,7 +84,7 @@ def flow_ends(
 
 
 def moves(schedule, day_rates: DayRates, t: int, inventory: np.ndarray) -> FlowChoices:
-    """The inventories at the end of day t that those at its start [n] can become.
+    """The inventories that can be reached at the end of day t from those at its start [n].
 
     Source: rates are read at the start of the day; end = start (1 - loss) + in - out.
     """

@@ -258,7 +258,7 @@ def slope_table(schedule) -> SlopeTable:
 
 
 def common_volume(steps) -> float | None:
-    """The volume of which all daily ones are multiples; None where they depend on the inventory."""
+    """The volume of which all daily ones are multiples; None if they depend on the inventory."""
     volumes = np.concatenate([steps.injection_rate, steps.withdrawal_rate])
     if np.any(np.ptp(volumes, axis=1) > 0) or np.any(np.asarray(steps.inventory_loss) != 0):
         return None

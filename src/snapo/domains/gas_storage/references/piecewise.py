@@ -2,7 +2,7 @@
 
 Between breakpoints the value of inventory, the rate limits and the cash of a move are linear, so
 one day's maximum is the upper envelope of a few lines on each interval: no grid, no interpolation
-error, whatever the shape of the ratchets.
+error, for any shape of the ratchets.
 """
 
 from typing import NamedTuple

@@ -101,7 +101,7 @@ def lead_time(run: RunFiles) -> Section:
     section = LEAD_TIME(run)
     if CaseSummary.of(run).other_leads:
         return section
-    text = "This run trains no other lead times: `lead_time = true` in [report] does."
+    text = "This run trains no other lead times: set `lead_time = true` in [report]."
     return replace(section, blocks=[Missing(text)])
 
 

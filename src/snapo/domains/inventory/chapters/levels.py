@@ -52,7 +52,7 @@ class OrderCurves:
 
     @property
     def places(self) -> int:
-        """Decimals of amounts: none where all of them are whole."""
+        """Decimals of amounts: none if all of them are whole."""
         amounts = [self.stock]
         for curve in self.curves:
             amounts += [np.array([curve.coming]), curve.orders, curve.levels]

@@ -102,7 +102,7 @@ def ratio(paths: PathTotals, top: str, bottom: str) -> PathMean:
 
 
 def service_of(paths: PathTotals) -> dict[str, PathMean]:
-    """What items and networks have in common, and the cycle service of an item."""
+    """The common part of items and networks, and the cycle service of an item."""
     cycles = {}
     if "cycles" in paths.totals:
         cycles["cycle_service"] = ratio(paths, "cycles_met", "cycles")

@@ -1,4 +1,4 @@
-"""What every kind of demand can do, and the list of all kinds.
+"""The interface of all kinds of demand, and their list.
 
 Demand of a period is a function of one standard normal and of the demand's parameters, with a
 derivative with respect to them in both simulators. Periods differ by a factor of the mean.
@@ -79,7 +79,7 @@ class Demand(eqx.Module):
 
     def probabilities(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
         """The probabilities of demand 0, 1, …, without a tail of 1e-8."""
-        raise NotImplementedError(f"demand {self.kind!r} does not come in whole units.")
+        raise NotImplementedError(f"demand {self.kind!r} is not in whole units.")
 
     def integral(self) -> bool:
         """Whether every demand is a whole number."""

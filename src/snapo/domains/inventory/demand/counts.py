@@ -37,7 +37,7 @@ from snapo.case.table import CaseTable, TableContext
 
 from .base import DEVIATION, MEAN, Demand, Parameters, deviation_key, mean_key, register
 
-LARGEST = Range(0.0, 1000.0, "(]", note=": where demand is larger, count it in boxes")
+LARGEST = Range(0.0, 1000.0, "(]", note=": if demand is larger, use a larger unit, such as boxes")
 TAIL = 1e-8  # the probability of a demand above those that are counted
 ROOM = 1.1  # the mean may rise by a tenth (a report moves it by 1 %)
 
@@ -165,10 +165,10 @@ class NegativeBinomialDemand(CountDemand):
         mean, deviation = float(table.mean.values[0]), float(table.deviation.values[0])
         if deviation**2 <= 1.01 * mean:
             minimum = (1.01 * mean) ** 0.5
-            message = f"allowed is a number above {minimum:.4g}, of a Poisson demand; see that kind"
+            message = f"it must be a number above {minimum:.4g}, of a Poisson demand; see that kind"
             raise section.error("deviation", deviation, message)
         if deviation > 10 * mean:
-            message = f"allowed is at most ten times the mean, {10 * mean:g}"
+            message = f"it must be at most ten times the mean, {10 * mean:g}"
             raise section.error("deviation", deviation, message)
         size = mean**2 / (deviation**2 - mean)
         largest = ROOM * maximum * mean

@@ -19,7 +19,7 @@ from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 
 FEWEST, MAXIMUM = 8, 520  # periods of a history: two weeks short of two months, ten years of weeks
 FileName = Annotated[str, Field(min_length=1)]
-MOVED = POSITIVE._replace(note=": the history is moved to this mean")
+MOVED = POSITIVE._replace(note=": the history is shifted to this mean")
 STRETCHED = ": the history is stretched to this standard deviation"
 
 
@@ -28,7 +28,7 @@ class EmpiricalTable(CaseTable):
 
     kind: Literal["empirical"]
     history: FileName = Field(
-        description="the name of a CSV file with columns period,demand, and factor if need be"
+        description="the name of a CSV file with columns period,demand, and optionally factor"
     )
     mean: CaseInput | None = mean_key(MOVED, None)
     deviation: CaseInput | None = deviation_key(STRETCHED, None)
@@ -60,7 +60,7 @@ class EmpiricalDemand(Demand):
         reference = FileReference(section, "history", table.history)
         rows = read_rows(reference, ["period", "demand"], ["factor"])
         if not FEWEST <= len(rows) <= MAXIMUM:
-            message = f"there are {len(rows)} periods; allowed are {FEWEST} to {MAXIMUM}"
+            message = f"there are {len(rows)} periods; {FEWEST} to {MAXIMUM} are allowed"
             raise CaseError(table.history, "", None, message)
         with_factor = "factor" in rows[0].cells
         numbers = [

@@ -29,7 +29,7 @@ class NormalDemand(Demand):
     def read(cls, section: TableContext, table: NormalTable, maximum: float):
         mean, deviation = table.mean.values[0], table.deviation.values[0]
         if deviation > mean:
-            message = f"allowed is at most the mean, {mean:g}: demand would often be below 0"
+            message = f"it must be at most the mean, {mean:g}: demand would often be below 0"
             raise section.error("deviation", float(deviation), message)
         return cls(table.mean, table.deviation)
 

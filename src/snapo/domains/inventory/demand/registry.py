@@ -32,7 +32,7 @@ def read_demand(
     record_kinds(data, section.name, "kind", KINDS)
     if not isinstance(kind, str) or kind not in KINDS:
         available = ", ".join(f'"{item}"' for item in sorted(KINDS))
-        raise section.error("kind", kind, f"allowed is one of {available}")
+        raise section.error("kind", kind, f"it must be one of {available}")
     table = parse(KINDS[kind].table, data, str(section.file), section.name)
     demand = KINDS[kind].read(section, table, maximum)
     return jax.tree.map(lambda x: replace(x, unit=unit) if isinstance(x, CaseInput) else x, demand)

@@ -22,7 +22,7 @@ class Item:
       limited.
     - `holding`, `shortage`, `purchase`, `ordering`: costs by unit held, unit short, unit ordered,
       order.
-    - `stock`, `coming`: at the start, None where the start is the usual one.
+    - `stock`, `coming`: at the start, None if the start is the usual one.
     """
 
     lost: bool
@@ -54,7 +54,7 @@ class Item:
 
 @dataclass(frozen=True, eq=False)
 class InventoryCase:
-    """What `snapo solve` needs of a case.
+    """The data that `snapo solve` needs from a case.
 
     - `currency`, `unit`, `period`: their names, "EUR", "piece", "week".
     - `periods`: those that count; `warm_up` before them do not; `discount` by period, 1 for the

@@ -69,7 +69,7 @@ def placed(
 class LikelihoodWeights:
     """The likelihood ratios, of value 1, by which outputs are multiplied for their derivatives.
 
-    - `likelihood` [m]: of this period; None where no order has a fixed cost.
+    - `likelihood` [m]: of this period; None if no order has a fixed cost.
     - `usual_costs` [n] of a period at each place.
     """
 

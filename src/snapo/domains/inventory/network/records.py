@@ -1,4 +1,4 @@
-"""A network of places, as it was read."""
+"""The data of a network of places."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -144,13 +144,13 @@ class SupplyNetwork:
 
 @dataclass(frozen=True, eq=False)
 class NetworkCase:
-    """What `snapo solve` needs of a case with places.
+    """The data that `snapo solve` needs from a case with places.
 
     - `demands`, `seasons`: of the places with customers, in the order of `network.sellers`; None
       where all periods are equal.
     - `holding`: by place, of goods there and on their way from there; `shortage`: by place with
       customers; `transshipment`: by pool, of a unit moved; `ordering`: of an order of any size, by
-      place in the order of `network.fixed`, None where no order costs anything.
+      place in the order of `network.fixed`, None if no order costs anything.
     - Other attributes as in `InventoryCase`.
     """
 

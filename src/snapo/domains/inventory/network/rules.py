@@ -26,7 +26,7 @@ class RuleNumbers(NamedTuple):
     - `above` [n]: its levels less those of the simulator.
     - `reserve`: the bands of stores; stores hold back nothing after demand, unless it is `ENDLESS`.
     - `wait` [m]: the levels of the simulator less the reorder points, for each place with a fixed
-      cost; None where a place orders whenever it is below its level.
+      cost; None if a place orders whenever it is below its level.
     """
 
     above: tuple[float, ...]

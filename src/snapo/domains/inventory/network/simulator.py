@@ -292,7 +292,7 @@ class NetworkSimulator(Simulator):
         return after, outputs
 
     def _placed(self, here, parts, state, noise, smooth):
-        """(which places order, None where no order has a cost; amounts asked for [n])."""
+        """(which places order, None if no order has a cost; amounts asked for [n])."""
         if not self.network.fixed:
             return None, parts["order"]
         assert isinstance(self.action, Product)

@@ -58,7 +58,7 @@ def _steps(size: int, together: Sequence[tuple[int, int]]) -> list[tuple[int, ..
 
 
 def cost_on_other_paths(setup: Setup) -> Callable[[Policy], float]:
-    """The cost of a rule on scenarios other than those of its value: where it looks for numbers."""
+    """The cost of a rule on scenarios other than those of its value, for the search."""
     sources, seed = setup.problem.sources, setup.training.seed
     other = Sources(sources.training, sources.validation, Pseudo(seed, stream=OTHER_PATHS))
     problem = replace(setup.problem, sources=other)

@@ -80,7 +80,7 @@ def _item(section: TableContext, table: ItemTable, complete: bool) -> Item:
 
 
 def _warm_up(table: HorizonTable, item: Item) -> int:
-    """As given; else ten lead times for an average, and none where money is discounted."""
+    """As given; else ten lead times for an average, and none if money is discounted."""
     if table.warm_up is not None:
         return table.warm_up
     return 0 if table.factor < 1 else 10 * (item.lead_time + 1)

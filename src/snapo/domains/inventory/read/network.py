@@ -172,7 +172,7 @@ def _check(
     """Names, suppliers without a circle, customers at every end, shortage where there are any."""
     names = [row.name for row in rows]
     if not 1 <= len(rows) <= MAXIMUM:
-        raise complete.error("place", len(rows), f"allowed are 1 to {MAXIMUM} tables [[place]]")
+        raise complete.error("place", len(rows), f"there must be 1 to {MAXIMUM} tables [[place]]")
     for i, (row, section) in enumerate(zip(rows, sections)):
         if row.name in names[:i]:
             raise section.error("name", row.name, "another place has this name")
@@ -180,13 +180,13 @@ def _check(
             raise section.error("supplier", row.supplier, f"the places are {', '.join(names)}")
         if (row.demand is None) != (row.shortage is None):
             key = "shortage" if row.shortage is None else "demand"
-            message = "a place with customers has both, demand and shortage; any other has neither"
+            message = "a place with customers needs both demand and shortage, any other neither"
             raise section.error(key, None, message)
         supplying = any(item.supplier == row.name for item in rows)
         if row.demand is None and not supplying:
             raise section.error("demand", None, "this place has no customers and supplies no other")
         if row.demand is not None and supplying:
-            message = "a place that supplies another one has no customers: add a place"
+            message = "a place that supplies another one must not have customers: add a place"
             raise section.error("demand", row.demand, message)
         observed, here = {row.name}, row.supplier
         while here is not None:
@@ -199,7 +199,7 @@ def _check(
 def _pools(
     file: Path, notes: list[str], tables: list[Any], rows: list[PlaceTable], money: str
 ) -> tuple[tuple[Pool, ...], CaseInput | None]:
-    """The pools of stores, and the cost of a unit moved in each; None where there are none."""
+    """The pools of stores, and the cost of a unit moved in each; None if there are none."""
     names, sell = [row.name for row in rows], [row.name for row in rows if row.demand is not None]
     pools, costs = [], {}
     for i, item in enumerate(tables):
@@ -233,7 +233,8 @@ def _place(
     demand, season = None, None
     if row.season is not None:
         if row.demand is None:
-            raise section.error("season", row.season, "only a place with customers has a season")
+            message = "only a place with customers can have a season"
+            raise section.error("season", row.season, message)
         season = read_season(_inner(section, "season"), row.season)
     if row.demand is not None:
         maximum = float(season.values.max()) if season is not None else 1.0

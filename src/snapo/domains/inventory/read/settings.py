@@ -62,7 +62,7 @@ def read_season(section: TableContext, data: Mapping[str, Any]) -> CaseInput:
     rows = read_rows(FileReference(section, "file", table.file), ["period", "factor"], [])
     if not SHORTEST_SEASON <= len(rows) <= LONGEST_SEASON:
         message = (
-            f"there are {len(rows)} periods; allowed are {SHORTEST_SEASON} to {LONGEST_SEASON}"
+            f"there are {len(rows)} periods; {SHORTEST_SEASON} to {LONGEST_SEASON} are allowed"
         )
         raise CaseError(table.file, "", None, message)
     return FACTOR.from_rows("season", rows, [row.label("period") for row in rows])
@@ -81,8 +81,8 @@ def unit_slips(files: CaseFiles, inputs: Iterable[Any], period: str) -> list[str
 
 def _ranges(entries: Sequence[CheckedNumbers], period: str) -> Iterator[Plausible]:
     """The ranges, some of them by the size of other numbers of the case."""
-    by_period = f"it is meant for one {period}"
-    yield Plausible(0.5, 1.0, f"a factor by {period} is meant, 0.999 and not the rate 0.001",
+    by_period = f"it should be for one {period}"
+    yield Plausible(0.5, 1.0, f"a factor by {period} is expected, 0.999 and not the rate 0.001",
                     names=("discount",))  # fmt: skip
     cost = {entry.name: entry.values[entry.values > 0] for entry in entries}
     short, bought = (cost.get(name, np.zeros(0)) for name in ("shortage_cost", "purchase_cost"))

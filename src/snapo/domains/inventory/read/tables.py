@@ -45,7 +45,7 @@ def _coming(raw: Any, key: KeyContext) -> CaseInput | None:
     if raw is None or "lead_time" not in key.values:
         return None
     if not isinstance(raw, list):
-        raise key.error(raw, f"allowed is {COMING}")
+        raise key.error(raw, f"it must be {COMING}")
     numbers = [STOCK.checked(x, key) for x in raw]
     lead_time, period = key.values["lead_time"], key.filled("{period}")
     arrivals = max(lead_time - 1, 0)

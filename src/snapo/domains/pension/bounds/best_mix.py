@@ -93,7 +93,7 @@ class GaussianReturns(NamedTuple):
     - `bonds`, `bond_load`: the same for the q bonds of which classes and swaps are made, on all
       paths.
     - `shares`: their weights [k, q of its own] in each kind, in the order of `by_kind`, and in the
-      swaps if there are any; None where nothing is made of bonds.
+      swaps if there are any; None if nothing is made of bonds.
     """
 
     mean: Float[Array, " m"]

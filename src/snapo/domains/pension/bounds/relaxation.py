@@ -87,7 +87,7 @@ class FundRelaxation:
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         if not scale.all():
-            raise ValueError('with foresight a fund has no limit: take --penalty "value"')
+            raise ValueError("with foresight the value of a fund is unbounded: use --penalty value")
         with jax.enable_x64(True):
             available = self._paths(rollout, draws), self._extremes(rollout)
             value, money = self._split(self.price, *available)

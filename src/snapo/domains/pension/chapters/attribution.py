@@ -316,7 +316,7 @@ def show_variance(run: PensionRun, result: tuple[SourceVariance, ...]) -> Sequen
     caption = (
         f"The funding ratio {run.horizon} on the same paths with the volatilities of one source"
         " at zero, the trained policy deciding. Shares need not add up to 100 %: sources offset"
-        " each other. A negative share hedged the rest."
+        " each other. A source with a negative share offsets the others."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]
 

@@ -73,7 +73,7 @@ def measure(run: StudyRun) -> tuple[MarketTest, ...]:
     """Discounted values and their expectations, with the trained policy.
 
     The scenarios are "Q" for any measure of the case, without the cost of hedging currencies,
-    which is paid to no one. Costs count where they are paid. None where scenarios are supplied;
+    which is paid to no one. Costs count where they are paid. None if scenarios are supplied;
     appraised values and bases with a spread are no prices.
     """
     case, setup = case_of(run), run.setup
@@ -197,7 +197,7 @@ def _glossary() -> Table:
     rows = [
         ("P, Q", "real-world and risk-neutral scenarios; next to everything simulated"),
         ("Funding ratio F", "assets over liability, both at the same instant"),
-        ("Certainty equivalent", "the certain ratio with the same utility as the policy"),
+        ("Certainty equivalent", "the certainty-equivalent ratio of the policy"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),
         ("Hedge ratio", "rate sensitivity of assets and swaps over that of the liability"),
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),

@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 TAIL = 50  # paths that the tail of a training batch must hold: a smaller one is biased
 CHECKS = 4  # validations in each training: a policy on the way may be better than the last one
 CAPTION = (
-    "Every point is the best policy for its mixture of both aims on the validation paths, of all"
-    " that were trained on the way up and down, and measured on the same fresh paths; bars are"
+    "Each point is the best policy for its weighting of the two objectives on the validation paths,"
+    " of all policies trained in both directions; all are valued on the same fresh paths; bars are"
     " 95 % intervals. Up and left is better. CVaR: mean of min(F − 1, 0) over the worst paths at"
-    " the horizon. Efficient: no other point asks for less and leaves less of a shortfall."
+    " the horizon. Efficient: no other point has both lower contributions and a smaller shortfall."
 )
 
 
@@ -187,7 +187,7 @@ def show(run: PensionRun, result: FrontierSweep) -> Sequence[Block]:
         f" {run.large(last.contributions)}."
     )
     svg = draw("sweep", alt, lambda axes: _paint(axes, result, scale, units), 250)
-    chart = Chart(svg, "The number at a point is the weight of contributions in its mixture.")
+    chart = Chart(svg, "The number at a point is the weight of contributions in its objective.")
     body = [_row(x, share(x.share, 0), scale) for x in result.points]
     body.append(_row(result.learned, "Learned policy", scale))
     head = [("Weight of contributions", ""), ("PV contributions", unit), ("", "")]

@@ -49,7 +49,7 @@ OF_POTS = (
     ("points of the funding ratio", "points of today's pension"),
     ("money is that share of today's liability, and for contributions their present value itself",
      "for contributions money is their present value"),
-    ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P being the pension over today's"),
+    ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P is the pension over today's"),
 )  # fmt: skip
 
 

@@ -98,7 +98,8 @@ class FirstAllocation:
 
 @dataclass(frozen=True)
 class PathTables:
-    """What the recorded paths say; `recovery`: before the regulator, where the case has one."""
+    """The results of the recorded paths; `recovery`: before the regulator, where the case has
+    one."""
 
     by_year: YearlyFans
     policy_map: PolicyMap
@@ -302,7 +303,7 @@ def show(run: PensionRun, result: PathTables) -> Sequence[Block]:
         _map("growth", "share of equity, property and other risky classes", table, table.growth)
     ]
     if table.hedge.size:
-        text = "mean place of the swap notionals between their limits"
+        text = "mean position of the swap notionals between their limits"
         blocks.append(_map("hedge", text, table, table.hedge))
     return [*blocks, _mix(result.mix)]
 
@@ -317,7 +318,7 @@ def _map(name: str, text: str, table: PolicyMap, values: np.ndarray) -> Chart:
     )
     caption = (
         f"{text[:1].upper()}{text[1:]}, in per cent: means over the paths that are at that"
-        " funding ratio in that year; empty where hardly any is."
+        " funding ratio in that year; empty where there are almost none."
     )
     return Chart(svg, caption)
 

@@ -64,7 +64,7 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
     standard error comes from the differences path by path. The classical policies take as many
     steps of training as the network did, those that follow the funding ratio on top of the
-    constant mix from which they start; of each the best along the way is kept. The present mix,
+    constant mix from which they start; of each the best one is used. The present mix,
     rebalanced at every step and yearly, is held unchanged: it may leave the bounds.
     """
     return tuple(compare(run.setup, run.solution, run.progress))
@@ -172,7 +172,7 @@ def show(run: PensionRun, policies: tuple[PolicyWorth, ...]) -> Sequence[Block]:
     head += [(text[0], "%"), ("5 % quantile", "%"), (text[1], "%"), ("PV contributions", unit)]
     caption = (
         "All on the same fresh paths, the classical ones tuned on the same objective within the"
-        " same bounds; the present mix is held, untuned. The lead is paired path by path."
+        " same bounds; the present mix is not tuned. Advantages are paired path by path."
     )
     table = Table(head, body, "", 1, strong=frozenset([0]))
     return [table, Text(caption, True), _cloud(run, policies, unit)]

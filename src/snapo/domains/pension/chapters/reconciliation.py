@@ -66,7 +66,7 @@ class FundFigures:
 
     - `lines`: checks against the actuary; `remarks`: on implausible numbers.
     - `in_words`: the plan. `cash_flow`: expected payments by year, money.
-    - `regulation`, `funding`: the fund before its regulator; None where the case names no rules.
+    - `regulation`, `funding`: the fund before its regulator; None if the case names no rules.
     """
 
     lines: tuple[ReconciledFigure, ...] = ()

@@ -29,10 +29,10 @@ LIFE = (
     " longer; to first order"
 )
 HELD = (
-    "Held: every path trades as it did, which at an optimum is also the effect on the re-optimised"
-    " policy, to first order; through the policy: a bump of the exact fund, where it refutes that."
+    "Held: every path keeps its trades; at an optimum this is to first order also the effect with a"
+    " re-optimised policy. Through the policy: a bump of the exact fund, where it contradicts that."
     " The 95 % interval adds the sampling error and the error of the policy."
-    " Reacting: the trained policy observes the moved fund and decides by its rule, without new "
+    " Reacting: the trained policy observes the moved fund and decides again, without new "
     "training; the two differ only by the error of training and smoothing. Prices of risk, excess "
     "returns and today's market values are held while the curve moves."
 )
@@ -63,7 +63,7 @@ def usual_move(entry: Input) -> UsualMove:
 
 @dataclass(frozen=True)
 class MoveEffect(ReportedInterval):
-    """The effect of a usual move on the objective; None where not known.
+    """The effect of a usual move on the objective; None if not known.
 
     - `effect`, `low`, `high`, `sampling`, `policy`, `source`: of the reported derivative, as in
       `study.chapters.sensitivities.InputMove`.

@@ -160,7 +160,7 @@ def _by_tenor(curve: MarketCurve, lines: Sequence[Shock], rates: np.ndarray) -> 
 def stressed(
     case: PensionCase, before: dict[str, Any], scenario: Stressed, notional: np.ndarray
 ) -> StressedBalance:
-    """Assets, liabilities and funding ratio at once after a shock, present holdings kept."""
+    """Assets, liabilities and funding ratio immediately after a shock, with present holdings."""
     after = before | {
         name: np.asarray(values, np.float64) for name, values in scenario.values.items()
     }
@@ -194,7 +194,7 @@ def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block
     head = [("Scenario", ""), ("Assets", unit), ("Liability", unit), ("Surplus", unit)]
     head += [("Funding ratio", "%"), ("Change", "points")]
     caption = (
-        "Instantaneous and fully revalued, present holdings and swaps kept. Classes with a "
+        "Instantaneous shocks, fully revalued, with unchanged holdings and swaps. Classes with a "
         "separate shock do not react to rates."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]

@@ -34,8 +34,8 @@ PRICES = "IE01: the same for +1 bp of break-evens at each tenor, nominal rates h
 RATES_TABLE = "Change for +1 bp, and hedge ratios: now, and after today's trades"
 PRICES_TABLE = "Inflation: change for +1 bp of break-evens, and inflation hedge ratios"
 REAL = (
-    "With break-evens held, a rise of nominal rates is one of real rates: the part of the rate"
-    " ladder that pays the price index follows. The rest follows only nominal rates."
+    "With break-evens held, a rise in nominal rates is a rise in real rates: it affects the part"
+    " of the rate ladder with index-linked payments. The rest depends only on nominal rates."
 )
 
 

@@ -24,7 +24,7 @@ class ContributionDue(NamedTuple):
     """A fund when a contribution is due: money, with the normal cost and salaries of the step.
 
     `step`: its length in years. `annuity`: years of level payments that have the value of a gap,
-    None where the rule has a rolling share of it (see `recovery`).
+    None if the rule has a rolling share of it (see `recovery`).
     """
 
     assets: Array

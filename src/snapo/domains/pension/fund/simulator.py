@@ -108,7 +108,7 @@ def actions(case: PensionCase) -> Box:
 
 
 def derived(case: PensionCase) -> DerivedNumbers:
-    """What a simulator has of the case's own numbers."""
+    """The numbers of the case that a simulator contains."""
     basis = case.liability
     spread = basis.annual and basis.basis == "spread"
     return DerivedNumbers(

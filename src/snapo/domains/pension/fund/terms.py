@@ -94,7 +94,7 @@ def trading_limits(assets: Assets, step: float) -> TradingLimits:
 
 
 def scales(case: PensionModel) -> Scales:
-    """Scales from the case's own numbers, whatever its inputs are moved to."""
+    """Scales from the case's own numbers, for all values of its inputs."""
     if case.derived is not None:
         return case.derived.scales
     rates, inflation, credit = case.rates, case.inflation, case.credit

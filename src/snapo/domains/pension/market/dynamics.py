@@ -65,7 +65,7 @@ class AssetSteps(NamedTuple):
 
 class Returns(NamedTuple):
     """Over one step: `log` [n] log returns as shown, `swaps` [b] log returns over cash, `reported`
-    [q] of the next step; `beneath` the bonds of each kind and of the swaps, None where log returns
+    [q] of the next step; `beneath` the bonds of each kind and of the swaps, None if log returns
     are Gaussian themselves."""
 
     log: Array

@@ -43,7 +43,7 @@ class CurveFit(NamedTuple):
 def log_bond(
     curve: MarketCurve, rate: Array, ultimate: Array, years: np.ndarray
 ) -> Float[Array, " times"]:
-    """ln P(0, t) at times `years` [times] >= 0; derivatives follow a speed that was found."""
+    """ln P(0, t) at times `years` [times] >= 0; derivatives take a computed speed into account."""
     result = fit(curve, rate, ultimate)
     added = heart(years, result.dates, result.speed) @ result.weights
     return jnp.log1p(added) - ultimate * years

@@ -53,7 +53,7 @@ class Projection(NamedTuple):
     - `accrued`: [N] money paid in each step out of rights accrued by time 0.
     - `fresh`: [T, N], row t: out of the accrual of step t, per unit of wages over indexation.
     - `payroll`: [T+1] salaries of each step at wages of time 0.
-    - `streams`: their components; None where the case gives cash flows.
+    - `streams`: their components; None if the case gives cash flows.
     """
 
     accrued: Array
@@ -83,7 +83,7 @@ def project(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, "
 
 
 def reserved(case: PensionModel, inputs: dict[str, Any]) -> Array:
-    """What is set aside per value of a payment: one, and the loading for expenses."""
+    """The reserve per unit of value of a payment: one plus the loading for expenses."""
     loading = case.liability.loading
     return jnp.ones(()) if loading is None else 1 + use(inputs, loading)
 

@@ -42,7 +42,7 @@ def in_payment(case: PensionModel, inputs: dict[str, Any], count: int) -> Float[
 def grown(
     case: PensionModel, inputs: dict[str, Any], lives: Lives, drawn: Array
 ) -> GrownPensions | None:
-    """The growth of all rights; None where nothing grows by a fixed rate.
+    """The growth of all rights; None if nothing grows by a fixed rate.
 
     **Arguments:**
 

@@ -91,7 +91,7 @@ class People(NamedTuple):
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
     - `baseline` [T+1]: the assumed w, exp(real wage growth).
     - `mix` [T+1]: share of step t's accrual in the value of fresh rights after it.
-    - `lpi`: the options in limited increases; None where they are not in the liability.
+    - `lpi`: the options in limited increases; None if they are not in the liability.
     - `decline` [T+1], `outlook` [T+1, J]: response of the logarithm of values to the mortality
       factor, see `longevity`; zeros without one.
     """

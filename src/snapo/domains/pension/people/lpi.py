@@ -35,7 +35,8 @@ MINIMUM = 1e-16  # variance that takes the place of none
 
 
 class Lpi(NamedTuple):
-    """What increases add to ln of the payments on the nodes, beyond that seen today. [T+1, ...].
+    """The addition of increases to ln of the payments on the nodes, beyond that known today. [T+1,
+    ...].
 
     - `mean`, `load`, `deviation` [T+1]: of the growth of prices up to the first date: its mean,
       that mean's rise with the factor, and its deviation.
@@ -119,7 +120,7 @@ def lpi(case: PensionModel, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
 
 
 def log_factor(now: Lpi, terms, growth: Array, factor: Array) -> Float[Array, " J"]:
-    """What is added to ln of the value of each node's payments on a path.
+    """The addition to ln of the value of each node's payments on a path.
 
     **Arguments:**
 

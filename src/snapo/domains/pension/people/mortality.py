@@ -1,4 +1,4 @@
-"""Who is alive when: hazards by sex, age and calendar year, and survival of cohorts by step."""
+"""Survival: hazards by sex, age and calendar year, and survival of cohorts by step."""
 
 from typing import Any, NamedTuple
 

@@ -21,7 +21,7 @@ from .sharing import Reserve
 
 
 class Cohorts(NamedTuple):
-    """What all paths share. Leading axis T + 1: at time t, before step t.
+    """The data that all paths share. Leading axis T + 1: at time t, before step t.
 
     - `value` [T+1, C, J]: forward value of each cohort's payments on the nodes, of pensions as they
       were earned at time 0; `benefit` [T+1, C]: those paid in step t.

@@ -65,7 +65,8 @@ class PotSimulator(PensionSimulator):
         return PotState(fund, constants.pots, constants.start_reserve, level, none)
 
     def observe(self, constants: PotTerms, now: PotPeriod, state: PotState):  # pyright: ignore
-        """What a fund sees, then ln of each pot over its annuity, and the reserve's share."""
+        """The observation of a fund, then ln of each pot over its annuity, and the reserve's
+        share."""
         terms, fund = constants.fund, state.fund
         books = balance(self.model, terms, now.fund.people, now.fund.shape, fund)
         observed = observe(self.model, terms, now.fund, fund, books.ratio)

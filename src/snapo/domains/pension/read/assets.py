@@ -66,7 +66,9 @@ def read_assets(
     smoothed = [i for i, row in enumerate(rows) if row.cells.get("smoothing")]
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
-            raise rows[_cash(classes)].error(column_name, "cash is what the other classes leave")
+            raise rows[_cash(classes)].error(
+                column_name, "the weight of cash follows from the other classes"
+            )
     low, high = _bounds(rows)
     groups = _groups(rows, classes, low, high)
     _check_bounds(section, low, high, groups)
@@ -110,7 +112,7 @@ def _risk(row: Row, of: AssetClass) -> str:
 
 
 def _limit(rows: Sequence[Row], column_name: str, default: float) -> np.ndarray | None:
-    """A column of shares from 0 to 1; None where no row has one."""
+    """A column of shares from 0 to 1; None if no row has one."""
     if not any(row.cells.get(column_name) for row in rows):
         return None
     return np.array([number(row, column_name, default, 0.0, 1.0) for row in rows])
@@ -170,7 +172,7 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
             raise row.error("low", f"the lower bound must not exceed the upper one, {maximum:g}")
         for name, bound in (("low", minimum), ("high", maximum)):
             if bound > 1 and not (low < 0).any():
-                message = "allowed is at most 1, unless a low below 0 lets some class be sold short"
+                message = "it must be at most 1, unless a low below 0 lets some class be sold short"
                 raise row.error(name, message)
         if minimum < 0 and row.cells.get("max_sale"):
             message = (

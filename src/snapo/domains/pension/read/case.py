@@ -108,7 +108,7 @@ class _Reader:
         return result
 
     def optional_table(self, kind: type[AnyTable], name: str) -> AnyTable | None:
-        """The table `name`, or None where the case has none."""
+        """The table `name`, or None if the case has none."""
         return self.table(kind, name) if name in self.read else None
 
 
@@ -149,7 +149,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     if pots is not None:  # rights are earned no more: contributions go into pots
         rules = replace(rules, accruing=False)
     if supplied is not None and market["overlay"] is not None and market["overlay"].inflation:
-        message = "ready-made scenarios hold no break-evens: swaps of inflation need the models"
+        message = "ready-made scenarios contain no break-evens: swaps of inflation need the models"
         raise CaseError(str(file), "overlay.file", None, message)
     case = PensionCase(
         file=file,

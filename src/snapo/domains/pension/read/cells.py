@@ -53,7 +53,7 @@ def word(row: Row, column: str, available: Sequence[str]) -> str:
     """One of a few names; in any case of letters."""
     text = row.cells[column].lower()
     if text not in available:
-        raise row.error(column, f"allowed is one of {', '.join(available)}")
+        raise row.error(column, f"it must be one of {', '.join(available)}")
     return text
 
 
@@ -64,7 +64,7 @@ def position(row: Row, column: str, names: Sequence[str], subject: str) -> int:
         return -1
     if text not in names:
         raise row.error(
-            column, f"there is no such {subject}; known are {', '.join(names) or 'none'}"
+            column, f"there is no such {subject}; available are {', '.join(names) or 'none'}"
         )
     return list(names).index(text)
 
@@ -87,9 +87,9 @@ def rising(rows: Sequence[Row], column: str, minimum: float = 0.0) -> np.ndarray
     for row in rows:
         value = row.number(column)
         if value <= minimum and not values:
-            raise row.error(column, f"allowed is a number above {minimum:g}")
+            raise row.error(column, f"it must be a number above {minimum:g}")
         if values and value <= values[-1]:
-            raise row.error(column, f"{column}s must rise, and the row before has {values[-1]:g}")
+            raise row.error(column, f"{column}s must increase; the previous row has {values[-1]:g}")
         values.append(value)
     return np.array(values)
 
@@ -106,7 +106,7 @@ def whole_steps(row: Row, column: str, step: float) -> int:
     """A time in years that is a whole number of steps, at least one."""
     steps = row.number(column, step, 100.0) / step
     if abs(steps - round(steps)) > WHOLE:
-        raise row.error(column, f"allowed is a whole number of steps of {years(step)}")
+        raise row.error(column, f"it must be a whole number of steps of {years(step)}")
     return round(steps)
 
 
@@ -122,4 +122,4 @@ def known_words(
         if item not in available:
             raise CaseError(file, where, item, f"{missing}; {nearest(item, available)}")
         if item in values[:i]:
-            raise CaseError(file, where, item, "this name is there twice")
+            raise CaseError(file, where, item, "this name appears twice")

@@ -89,7 +89,7 @@ def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -
         raise section.error("file", table.file, "swaps pay every year: whole tenors are needed")
     convergence = table.convergence or max(last + PERIOD, EARLIEST)
     if convergence <= last:
-        raise section.error("convergence", convergence, f"it must lie beyond the tenor {last:g}")
+        raise section.error("convergence", convergence, f"it must be above the tenor {last:g}")
     complete = np.round(curve.tenor) if curve.quote == "swap" else curve.tenor
     curve = replace(curve, tenors=complete, speed=table.speed, convergence=convergence)
     _possible(section, table, curve)
@@ -187,7 +187,7 @@ def read_rates(section: TableReader, table: RatesTable | None, grid: TimeGrid) -
         table = parse(RatesTable, IDLE, str(section.file), section.name)
     if table.kind not in MODELS:
         available = ", ".join(f'"{model}"' for model in sorted(MODELS))
-        message = f"allowed is one of {available}; {nearest(table.kind, sorted(MODELS))}"
+        message = f"it must be one of {available}; {nearest(table.kind, sorted(MODELS))}"
         raise section.error("kind", table.kind, message)
     return MODELS[table.kind].read(section, table, grid)
 
@@ -277,7 +277,8 @@ def _names(rows: Sequence[Row], available: Sequence[str], folded: Sequence[str])
         name = row.cells["name"].lower()
         if name not in folded:
             raise row.error(
-                "name", f"nothing random is called this; known are {', '.join(available)}"
+                "name",
+                f"there is no random quantity of this name; available are {', '.join(available)}",
             )
         names.append(available[folded.index(name)])
     columns = [column for column in rows[0].cells if column != "name"]

@@ -25,7 +25,7 @@ CREDIT = (
     SPREAD.of("credit").in_column(
         "spread", "the spread today, at unchanged prices of the holdings"
     ),
-    SPREAD.in_column("mean_spread", "where the spread reverts to"),
+    SPREAD.in_column("mean_spread", "the level to which the spread reverts"),
     REVERSION.in_column("mean_reversion", "mean reversion of the logarithm of a spread"),
     SHOCK.in_column("volatility", "volatility of the logarithm of a spread"),
     FEE.of("premium").in_column(

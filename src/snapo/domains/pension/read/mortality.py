@@ -96,7 +96,7 @@ def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
         rises = np.log(oldest) @ position > 0
     if not rises.all() or not (oldest.max() < HALF):
         message = (
-            f"a table that ends before {OLD} goes on from its oldest ages, and their death"
+            f"a table that ends before {OLD} is extrapolated from its oldest ages, but their death"
             f" probabilities do not rise, or reach {HALF:g}, at {ages}"
         )
         raise section.error("file", got, message)
@@ -136,7 +136,7 @@ def _square(count: int) -> np.ndarray:
 def _whole_age(row: Row) -> int:
     age = row.number("age", 0.0, 150.0)
     if age != int(age):
-        raise row.error("age", "allowed is a whole number of years")
+        raise row.error("age", "it must be a whole number of years")
     return int(age)
 
 
@@ -150,7 +150,7 @@ def _gompertz(section: TableContext, table: MortalityTable) -> CaseInput:
             raise section.error(key, None, f'kind "{table.kind}" needs this key')
         alpha, beta, makeham = (*inputs, 0.0)[:3]
         if beta <= 0 or makeham < 0:
-            raise section.error(key, inputs, "beta is above 0 and makeham at least 0")
+            raise section.error(key, inputs, "beta must be above 0 and makeham at least 0")
         values += [alpha, beta, makeham]
         positions += [(*section.keys, key, i) if i < len(inputs) else None for i in range(3)]
     labels = [f"{sex} {part}" for sex in SEX for part in ("alpha", "beta", "makeham")]
@@ -192,7 +192,7 @@ def bands(reference: FileReference, name: str, ages: range, quantity: FundQuanti
             raise reference.section.error(reference.key, got, f"{reference.name} must begin there")
         for row, before, here in zip(local[1:], begins[:-1], begins[1:]):
             if here <= before:
-                raise row.error("age", f"ages must rise, and the row before has {before}")
+                raise row.error("age", f"ages must increase; the previous row has {before}")
         position = np.searchsorted(begins, np.array(ages), side="right") - 1
         for band in np.unique(position):
             index[sex, position == band] = len(used)

@@ -49,10 +49,10 @@ def read_members(
     age = np.array([_age(row, mortality.first_age, last) for row in rows])
     for row, item, old in zip(rows, status, age):
         if item == ACTIVE and old >= retirement_age:
-            raise row.error("age", f"an active member is younger than {retirement_age:g}")
+            raise row.error("age", f"an active member must be younger than {retirement_age:g}")
         row.cells.setdefault("salary", "")
         if item != ACTIVE and number(row, "salary", 0.0) != 0:
-            raise row.error("salary", "only active members have a salary")
+            raise row.error("salary", "only active members can have a salary")
     yearly = f"{grid.currency}/year"
     return FundMembers(
         names=names,
@@ -103,14 +103,14 @@ def read_cash_flows(
     for row in rows:
         due = row.number("year", 0.0, PAYMENT_YEARS) / grid.step
         if abs(due - round(due)) > WHOLE:
-            raise row.error("year", f"allowed is a whole number of steps of {years(grid.step)}")
+            raise row.error("year", f"it must be a whole number of steps of {years(grid.step)}")
         paid = round(due) - arrears
         if paid < 0:
             raise row.error("year", "with payments in arrears the first one is after one step")
         if paid >= round(PAYMENT_YEARS / grid.step):
             raise row.error("year", f"payments in advance end before {PAYMENT_YEARS} years")
         if steps and paid <= steps[-1]:
-            raise row.error("year", "times must rise from row to row")
+            raise row.error("year", "times must increase from row to row")
         steps.append(paid)
     labels = [f"at {years(row.number('year'))}" for row in rows]
     money = grid.currency

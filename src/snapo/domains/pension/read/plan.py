@@ -74,7 +74,7 @@ def _nothing(name: str) -> CaseInput:
 
 def _check_limits(section: TableContext, floor: CaseInput, cap: CaseInput) -> None:
     if floor.used() > cap.used():
-        raise section.error("floor", floor.written, f"allowed is at most cap, {cap.written:g}")
+        raise section.error("floor", floor.written, f"it must be at most cap, {cap.written:g}")
 
 
 def read_indexation(section: TableContext, table: IndexationTable) -> Indexation:
@@ -86,7 +86,7 @@ def read_indexation(section: TableContext, table: IndexationTable) -> Indexation
         raise section.error("rate", None, 'kind "fixed" needs this key')
     _check_limits(section, table.floor, table.cap)
     if "lower_ratio" in used and table.lower_ratio.used() >= table.upper_ratio.used():
-        message = f"allowed is less than upper_ratio, {table.upper_ratio.written:g}"
+        message = f"it must be less than upper_ratio, {table.upper_ratio.written:g}"
         raise section.error("lower_ratio", table.lower_ratio.written, message)
 
     def input(key: str) -> CaseInput:
@@ -108,7 +108,7 @@ def read_indexation(section: TableContext, table: IndexationTable) -> Indexation
 
 
 def read_revaluation(section: TableReader, table: RevaluationTable | None) -> Revaluation | None:
-    """Rates of increase before payment; None where rights grow as pensions in payment do."""
+    """Rates of increase before payment; None if rights grow as pensions in payment do."""
     if table is None:
         return None
 
@@ -198,7 +198,7 @@ def check_limited(case: PensionCase) -> None:
     if case.plan.indexation.kind != "capped":
         message = 'increases of plan.indexation are not limited: kind "capped" is needed'
     elif case.scenarios is not None:
-        message = "ready-made scenarios hold no volatilities, which the options' value needs"
+        message = "ready-made scenarios contain no volatilities, which the options' value needs"
     elif any(np.ptp(model.used(), axis=0).any() for model in models):
         message = "options are valued at volatilities of rates and inflation that do not change"
     if message is not None:
@@ -223,5 +223,5 @@ def read_frontier(
 
 
 def read_reconcile(table: ReconcileTable | None) -> Reconcile | None:
-    """The actuary's figures, where given."""
+    """The actuary's figures, if specified."""
     return None if table is None else Reconcile(table.liability, table.duration, table.tolerance)

@@ -117,7 +117,7 @@ def _step(row: Row, grid: TimeGrid, start: str) -> int:
         passed = 12 * (day.year - year) + day.month - month
         passed = passed if monthly else day.year - year
         if passed < 1:
-            raise row.error("date", f"allowed is a date after the valuation date, {start}")
+            raise row.error("date", f"it must be a date after the valuation date, {start}")
         return passed - 1
     if name not in row.cells:
         head = Row(row.file, 1, {"header": ",".join(row.cells)})

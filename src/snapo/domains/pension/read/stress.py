@@ -50,7 +50,7 @@ def read_shocks(case: PensionCase) -> tuple[Shock, ...]:
 
 
 def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
-    """The same for the table of a TOML file that was read already; None where it has none."""
+    """The same for the table of a TOML file that was read already; None if it has none."""
     if data is None:
         return ()
     table = parse(StressTable, data, str(case.file), "stress")
@@ -72,7 +72,7 @@ def shock_sizes(shocks: Iterable[Shock]) -> Iterator[CheckedNumbers]:
 def _shock(case: PensionCase, row: Row) -> Shock:
     target, label = row.cells["input"], row.label("label")
     if not row.cells["scenario"]:
-        raise row.error("scenario", "every line belongs to a scenario with a name")
+        raise row.error("scenario", "every line must name a scenario")
     values = {item.name: item for item in every_given(case)}
     available = (*CURVES, PRICE, *values)
     if target not in available:

@@ -193,7 +193,9 @@ class CurrenciesTable(CaseTable):
 class CorrelationsTable(CaseTable):
     """`[correlations]`"""
 
-    file: Name = Field(description="the name of a CSV file: a square matrix with names on top")
+    file: Name = Field(
+        description="the name of a CSV file: a square matrix with names in the first row"
+    )
     repair: bool = Field(False, description="true or false")
 
 

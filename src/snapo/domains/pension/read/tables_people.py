@@ -305,7 +305,7 @@ class LiabilityTable(CaseTable):
         "risk-free", "spread", "fixed", default="risk-free"
     )
     rate: Annotated[CaseInput | None, ADDED] = PLAN_RATE(
-        "the rate that is added to the curve, or takes its place, in valuation", None
+        "the rate that is added to the curve, or replaces it, in valuation", None
     )
     expense_loading: Annotated[CaseInput, PROMISED] = PLAN_SHARE(
         "the reserve for expenses, as a share of the value of the payments", 0.0,

@@ -72,7 +72,7 @@ class Assets(eqx.Module):
     - `amount`: market value of all assets now, index [].
     - `max_sale`: [n] share of a holding that may be sold per year, infinite without a limit;
       `band`: [n] distance from the wanted weight within which a class is not traded; `turnover`:
-      half the sum of all changes of weights per year. None where no class has a limit.
+      half the sum of all changes of weights per year. None if no class has a limit.
     - `short`: whether a weight may be negative, so that the assets may be lost more than once.
     - `risk`: [n] the risk that a regulator sees in each class, one of `regulation.RISKS`.
     """

@@ -57,7 +57,7 @@ class Scales(NamedTuple):
 
 
 class DerivedNumbers(eqx.Module):
-    """Numbers that follow from a case's own ones, whatever its inputs are moved to.
+    """Numbers that follow from a case's own ones, for all values of its inputs.
 
     - `eligible`: [n] share of each class that counts as collateral.
     - `scales`: of the features (see `fund.observation`).
@@ -83,7 +83,7 @@ class PensionModel(eqx.Module):
     - `measure`: "P" real-world, "Q" risk-neutral.
     - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
-    - `pots`: personal pots instead of promised rights; None where these are promised.
+    - `pots`: personal pots instead of promised rights; None if these are promised.
     - `derived`: of a simulator.
     """
 

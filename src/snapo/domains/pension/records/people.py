@@ -64,7 +64,7 @@ class FundMembers(eqx.Module):
     - `number`: members, index [C]. `pension`: accrued per member and year, index [C]. `salary`:
       per member and year, index [C] (0 for those who are not active).
     - `service`: [C] years until now, for reports and for `Plan.max_service`.
-    - `mortality`: factor on the members' q, index [C]; None where the table has none.
+    - `mortality`: factor on the members' q, index [C]; None if the table has none.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -79,7 +79,7 @@ class FundMembers(eqx.Module):
 
 
 class CashFlows(eqx.Module):
-    """The actuary's vector of expected nominal payments, where that is all there is.
+    """The actuary's vector of expected nominal payments, for a case without members.
 
     - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
     - `normal_cost`: money per step at time 0, grows with wages, index []; `salary`: per year.

@@ -63,7 +63,7 @@ class Contribution(eqx.Module):
       1 + `loading`; "rate": `rate` times salaries.
     - `floor`, `cap`: share of salaries; `sponsor_limit`: maximum money per year, grows with wages.
       Each applies only where its flag is set. All `CaseInput`s index [].
-    - `schedule`: paid in addition, without limits; None where the case has none.
+    - `schedule`: paid in addition, without limits; None if the case has none.
     """
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = eqx.field(static=True)
@@ -142,7 +142,7 @@ class Liability(eqx.Module):
 
 
 class Reconcile(eqx.Module):
-    """The actuary's own figures; None where not given. `tolerance` is relative."""
+    """The actuary's own figures; None if not given. `tolerance` is relative."""
 
     liability: float | None
     duration: float | None

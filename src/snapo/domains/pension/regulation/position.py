@@ -240,7 +240,7 @@ def _credit(case: PensionCase, held: np.ndarray) -> float:
 
 
 def recovery(case: PensionCase, funding: np.ndarray, required_ratio: float) -> RecoveryCourse:
-    """How the policy ratio recovers.
+    """The recovery of the policy ratio.
 
     **Arguments:**
 

@@ -81,7 +81,7 @@ class Headroom:
     """How far rates may move until eligible assets are used up as collateral, in basis points.
 
     - `eligible`: before the move. `pv01`: gain of the swaps of rates for a fall by 1 bp.
-    - `headroom`: None where swaps do not move with rates at all, and where no move up to `FARTHEST`
+    - `headroom`: None if swaps do not move with rates at all, and where no move up to `FARTHEST`
       uses the assets up: then `enough` is true.
     - `direction`: "rise", or "fall" where swaps in sum pay the fixed rate.
     - `required`: by the case.

@@ -52,7 +52,7 @@ def outcome_measure(case: PensionModel) -> OutcomeMeasure:
 
 
 def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
-    """All that training takes; the seed is that of the case."""
+    """The settings of training, with the seed of the case."""
     training = TrainingPlan.from_settings(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)

@@ -160,7 +160,7 @@ class PathShare:
 
 @dataclass(frozen=True)
 class UnitEffect:
-    """How much the parameters of a unit move an attribute, over half their normal ranges."""
+    """The effect of the parameters of a unit on an attribute, over half their normal ranges."""
 
     unit: str
     attribute: str
@@ -290,7 +290,7 @@ def _profile(run: RunFiles, result: ProfileSlopes) -> Chart:
 
     count = len(result.slope)
     svg = draw(f"profile-{result.unit}", "Temperature profile, and the derivative of each "
-               "attribute by the temperature at each time.", paint, 120 + 105 * count,
+               "attribute with respect to it at each time.", paint, 120 + 105 * count,
                [1.3, *[1.0] * count])  # fmt: skip
     caption = (
         "The effect on each attribute of raising the temperature by one kelvin for ten minutes "

@@ -30,7 +30,7 @@ PROFILE, SETPOINTS = "profile.csv", "setpoints.csv"
 
 @dataclass(frozen=True)
 class TornLoop:
-    """A recycle: the relative `change` of its torn streams by one more turn, after `rounds`."""
+    """A recycle: the relative `change` of its tear streams in one more round, after `rounds`."""
 
     loop: str
     change: float | None

@@ -93,7 +93,7 @@ def show(run: RunFiles, result: Capability) -> list[Block]:
 
 
 def _cpk(*endpoints: float | None) -> str:
-    """Two decimals; none where the index, or an end of its interval, is 100 or more."""
+    """Two decimals; none if the index, or an end of its interval, is 100 or more."""
     digits = 2 if all(abs(finite(x) or 0.0) < 100 for x in endpoints) else 0
     return " – ".join(number(x, digits) for x in endpoints)
 

@@ -247,7 +247,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     rows = [
         ("Trained policy", *_share(result.value, result.standard_error)),
         ("Best fixed recipe", *_share(result.baseline, result.baseline_error)),
-        ("Recipe as given", *_share(result.given, result.given_error)),
+        ("Original recipe", *_share(result.given, result.given_error)),
         ("Policy less best recipe", *_share(result.gain, result.gain_error)),
     ]
     head = [("", ""), ("Probability of all limits", "%"), ("", "")]
@@ -308,8 +308,9 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
     return [
         Table(head, shares, "Rules on the same batches, paired"),
         Table([(name, "") for name in local], settings, "Settings of the rules", 2),
-        Text("“First settings” are those of the case or of its formula; the rule without this "
-             "label was trained from there, with its recipe, for as many steps as the policy."),
+        Text("“First settings” are those of the case or of a tuning formula; the rule "
+             "without this label was trained from these, with its recipe, in as many steps as the "
+             "policy."),
     ]  # fmt: skip
 
 
@@ -319,7 +320,7 @@ def _course(result: ControlCourse) -> Chart:
     lines = [
         ("Policy, median", result.policy),
         ("Best fixed recipe", result.values),
-        ("Recipe as given", result.given),
+        ("Original recipe", result.given),
     ]
 
     def paint(axes):
@@ -329,7 +330,7 @@ def _course(result: ControlCourse) -> Chart:
         axes.set_xlabel("Time at the end of each decision, min")
 
     svg = draw(f"course-{result.input}", "A control over time: the policy's median and its band "
-               "over batches, the best fixed recipe, and the recipe as given.", paint,
+               "over batches, the best fixed recipe, and the original recipe.", paint,
                220)  # fmt: skip
     text = "The band holds the middle four fifths of the policy's decisions over batches."
     return Chart(svg, f"{result.input}: {text}")

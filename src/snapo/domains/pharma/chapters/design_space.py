@@ -33,7 +33,7 @@ class SpaceMap:
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
-    - `levels`: of contours; `required`: probability. `box`: the largest inside, None where the set
+    - `levels`: of contours; `required`: probability. `box`: the largest inside, None if the set
       point itself does not do. `ends`: of the space along the lines of the map.
     """
 
@@ -179,7 +179,7 @@ def _map(result: SpaceMap, at: Any, position: str, names: list[str]) -> Chart:
                "attribute that most often breaks its limits.", paint, 560, (1.2, 1.0))  # fmt: skip
     where = f" at {position}" if position else ""
     caption = (
-        f"Above: probability that a batch keeps all limits{where}, deeper is better, with its "
+        f"Above: probability that a batch keeps all limits{where}, darker is better, with its "
         "contours; the boundary of the required probability lies between the dotted lines at 95 %: "
         "it is certain within the inner one, and possible up to the outer one. Below: the "
         "attribute that most often breaks its limits."
@@ -201,7 +201,7 @@ def boundary(result: SpaceMap, names: list[str]) -> list[Block]:
     if not rows:
         text = (
             f"On the lines of the map next to the set point the probability crosses {required} "
-            "nowhere: there the space does not end within the studied ranges, or does not begin."
+            "nowhere: the space contains all or none of the studied ranges there."
         )
         return [Text(text + f" {ENDS} has the other lines." * bool(result.ends))]
     head = ("Along", "At", "Ends", "Limit beyond it", "Boundary", "95 % interval")

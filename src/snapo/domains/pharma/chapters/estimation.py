@@ -62,7 +62,7 @@ class Validation:
 
 
 def validate(process: "Process", estimation: Estimation, fit: ParameterFit) -> Validation | None:
-    """The batches that were held out; None where there are none."""
+    """The batches that were held out; None if there are none."""
     if not estimation.held_out:
         return None
     model = model_of(process, estimation, estimation.held_out)
@@ -173,7 +173,7 @@ def not_handed_on(result: ParameterFit) -> list[str]:
 
 
 def fitted_rows(case: PharmaCase, result: ParameterFit) -> list[tuple]:
-    """Rows of `fitted.csv`, which a case may name under `fitted`; none where the fit is not one."""
+    """Rows of `fitted.csv`, which a case may name under `fitted`; none if the fit is not one."""
     request = case.estimation
     if request is None or not_handed_on(result):
         return []
@@ -305,7 +305,7 @@ def validation(run: RunFiles) -> Section:
         text = (
             f"A correct model exceeds the chi² of the fit with probability {percent(result.tail)}"
         )
-        end = "." if valid else ": the errors of the measurements, or the model, fall short."
+        end = "." if valid else ": the errors of the measurements, or the model, are inadequate."
         blocks.append(Text(text + end))
     return Section("validation", title, short, blocks)
 

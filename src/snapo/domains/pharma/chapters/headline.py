@@ -166,7 +166,7 @@ def _against(run: RunFiles) -> list[str]:
         for text, names in (
             ("at the set point a limit is broken", broken),
             ("normal ranges not inside the proven ones", outside),
-            ("normal ranges inside the proven ones, but not surely at 95 %", unsure),
+            ("normal ranges inside the proven ones, but not with 95 % confidence", unsure),
         )
         if names
     ]
@@ -196,7 +196,7 @@ def _facts(run: RunFiles) -> list[tuple[str, str, str]]:
         facts.append(("Largest box inside", volume, "of the studied range"))
     if batches and finite(batches.joint) is not None:
         note = f"of {number(batches.batches, 0)} simulated batches"
-        facts.append(("Out of specification, recipe as given", percent(batches.joint), note))
+        facts.append(("Out of specification, original recipe", percent(batches.joint), note))
     if loop:
         error = plus_minus(100 * loop.baseline_error, 1)
         facts.append(("All limits, best fixed recipe", percent(loop.baseline), error))
@@ -222,7 +222,7 @@ def _table(case: Statement, batch: BatchResult) -> Table:
 
 @dataclass(frozen=True)
 class Making:
-    """How the numbers of a run were made, besides its statement: remarks, versions and hashes."""
+    """The origin of a run's numbers, in addition to its statement: remarks, versions and hashes."""
 
     notes: tuple[str, ...] = ()
     libraries: dict[str, str] | None = None

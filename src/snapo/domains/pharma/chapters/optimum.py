@@ -147,7 +147,7 @@ def optimal(request: Optimise, values: Sequence[float]) -> dict[Entry, float]:
 
 def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecipe:
     """Decisions, limits and ramps with their multipliers, the probability to keep all limits before
-    and after, and how the answer was found. User units."""
+    and after, and how the solution was computed. User units."""
     recipe, conditions = optimum.recipe, optimum.recipe.conditions
     start = np.array([decision.start for decision in request.decisions])
     (first, before), (last, after) = (_at(run, request, x) for x in (start, recipe.x))
@@ -276,7 +276,7 @@ def _facts(result: BestRecipe) -> Facts:
     change = (value - before) / abs(before) if before else 0.0
     note = f"{percent(abs(change))} {'more' if change > 0 else 'less'}" if change else ""
     facts = [
-        ("Goal, recipe as given", quantity(before, unit), ""),
+        ("Goal, original recipe", quantity(before, unit), ""),
         ("Goal, best recipe", quantity(value, unit), note),
     ]
     for name, probability in zip(("as given", "best recipe"), result.chance):
@@ -324,7 +324,7 @@ def _limits(result: BestRecipe) -> Table | Missing:
         return Missing("No attribute has a limit, so that only the bounds restrict the recipe.")
     head = [("Attribute", ""), ("Limit", ""), ("", ""), ("As given", ""), ("Best", ""),
             ("Multiplier", f"{result.unit} per unit")]  # fmt: skip
-    caption = "Limits; a multiplier is the gain of the goal if the limit yields by one unit"
+    caption = "Limits; a multiplier is the gain of the goal if the limit is relaxed by one unit"
     return Table(head, rows, caption, 3)
 
 

@@ -38,7 +38,7 @@ def measure_pairs(run: StudyRun) -> tuple[Pair, ...]:
 
 
 def _ends(parameter: Parameter, proven: AcceptableRange) -> tuple[float, float] | None:
-    """The ends of a range in the domain's unit; None where the set point itself fails."""
+    """The ends of a range in the domain's unit; None if the set point itself fails."""
     if proven.low is None or proven.high is None:
         return None
     scale, offset = parameter.scale, parameter.offset
@@ -66,7 +66,7 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
         f"({number(result[0].samples, 0)} batches per point). An edge names the attribute "
-        "that fails beyond it; “studied range” where none does. Certain and possible: as far as "
+        "that fails outside it; “studied range” where none does. Certain and possible: as far as "
         "the lower, or the upper, end of the 95 % interval of the probability is above the "
         "required one."
     )

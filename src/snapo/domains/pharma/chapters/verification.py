@@ -37,7 +37,8 @@ CLOSED = 1e-10  # relative gap of a balance
 class Balance:
     """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 where all are 0.
 
-    What a unit has not taken in counts as accumulation. It cannot be less than nothing, so the
+    Material that a unit has not taken in counts as accumulation. It cannot be less than nothing, so
+    the
     balance of a unit that takes more than there is stays open.
 
     Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
@@ -280,7 +281,7 @@ def verification(run: RunFiles) -> Section:
     batch, attribution = ONE_BATCH.of(run), ATTRIBUTION.of(run)
     loops = [
         Text(
-            f"The loop {x.loop} is at its steady state: one more turn changes its torn "
+            f"The loop {x.loop} is at its steady state: one more iteration changes its tear "
             f"streams by a relative {power(x.change)}, after {x.rounds} rounds of "
             "Newton's method."
         )

@@ -145,7 +145,7 @@ def objective(case: PharmaCase) -> Objective:
 
 
 def in_words(goal: Goal) -> str:
-    """The objective as text, in the unit of the goal's attribute where it has one."""
+    """The objective as text, in the unit of the goal's attribute if it has one."""
     if goal.kind == "probability":
         return "probability of all limits"
     which = f"mean of the worst {1 - goal.level:.3g}" if goal.kind == "cvar" else "mean"
@@ -186,7 +186,8 @@ TOO_LONG = "a step of a process is more than the native engine takes"
 
 
 class ClosedLoop:
-    """What these parts share: the loop, its problem, and the recipes once they are tuned."""
+    """The common part of these parts: the loop, its problem, and the recipes once they are
+    tuned."""
 
     def __init__(self, case: PharmaCase, engine: str):
         self.case, self.engine = case, engine

@@ -1,5 +1,5 @@
 """A recipe as a policy, an action for every step, with or without corrections by feedback; and the
-readings of sensors: the state as it was a dead time ago.
+readings of sensors: the state one dead time earlier.
 
 An analyser at the end of a sample line, or a slow method, shows the past. The true readings at the
 last decisions are kept, the latest first, and the one a dead time ago is read between two of them

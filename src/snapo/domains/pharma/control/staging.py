@@ -78,8 +78,8 @@ def decided(units: Iterable[Unit], control: Control, stage: str) -> tuple[int, .
 
 @dataclass(frozen=True, eq=False)
 class LoopRecord:
-    """All of a case that a closed loop follows from: what flows, who decides, what is to be kept,
-    and how batches differ."""
+    """All of a case that a closed loop follows from: the flowsheet, the decisions, the limits, and
+    how batches differ."""
 
     flowsheet: Flowsheet
     control: Control

@@ -51,7 +51,7 @@ def table(case: PharmaCase, matrix: Jacobian) -> MatrixForms:
 
 @dataclass(frozen=True)
 class Rank:
-    """How critical a parameter is. Room is the distance to a limit that the variation of batches
+    """The criticality of a parameter. Room is the distance to a limit that the variation of batches
     leaves; `share` is the largest share of it that the parameter uses. `variance`: its share of
     that attribute's variance."""
 

@@ -108,7 +108,7 @@ def through(
 
 
 def _torn(sheet: Flowsheet, group: Group, streams, inputs) -> tuple[dict[str, Stream], Closed]:
-    """The torn streams of a loop, which its units make again."""
+    """The tear streams of a loop, which its units compute again."""
     fed, inside = sources(sheet), {f"{u.name}.{p}" for u in group.units for p in u.outlets}
     needed = {name for unit in group.units for name in fed[unit.name]} - inside
     around = {name: streams[name] for name in sorted(needed)}, inputs

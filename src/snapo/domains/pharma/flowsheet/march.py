@@ -117,10 +117,10 @@ class StepProgram:
 
 
 class March(Simulator):
-    """A unit's steps for one batch, from a state that is given.
+    """A unit's steps for one batch, from a supplied state.
 
     State: `y` [m]; `drawn` and `moving`, numbers of these kinds that the steps read; `dy` [C, m]
-    and `d_moving`, derivatives with respect to C numbers. What is `shared` are the constants.
+    and `d_moving`, derivatives with respect to C numbers. `shared` are the constants.
     """
 
     horizon: int = eqx.field(static=True)

@@ -57,9 +57,9 @@ def labels(streams: tuple[Stream, ...], names: tuple[str, ...], species: tuple[s
 def close(
     turn: Turn, guess: tuple[Stream, ...], around: Any, numerics: Numerics
 ) -> tuple[tuple[Stream, ...], Closed]:
-    """The torn streams, NaN where no steady state was found, and how it went.
+    """The tear streams, NaN if no steady state was reached, and the progress of the iteration.
 
-    `turn(torn, around)`: the torn streams as the loop makes them; `guess` has their shapes, and
+    `turn(torn, around)`: the tear streams that the loop returns; `guess` has their shapes, and
     the duration of all flows; `around`: everything else, which has derivatives.
     """
     first = guess

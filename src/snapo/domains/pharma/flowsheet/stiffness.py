@@ -57,7 +57,7 @@ def with_steps(case: PharmaCase) -> PharmaCase:
 
 
 def with_stiff_steps(case: PharmaCase) -> PharmaCase:
-    """The case with the steps of its stiff units, found at the nominal inputs."""
+    """The case with the steps of its stiff units, determined at the nominal inputs."""
     numerics = case.numerics
     if numerics.method != "mesh" or numerics.stiff == "none" or numerics.held:
         return case

@@ -37,7 +37,7 @@ Sizes = Grid | None
 
 
 def together(sizes: tuple[Sizes, ...]) -> Sizes:
-    """On which grid crystals of several streams are counted together; None where they are not."""
+    """On which grid crystals of several streams are counted together; None if they are not."""
     some = {size for size in sizes if size != NO_CRYSTALS}
     return NO_CRYSTALS if not some else some.pop() if len(some) == 1 else None
 
@@ -59,8 +59,8 @@ class Stream(eqx.Module):
     - `inner_size`, `inner_density`: d32 in m and density in kg/m3 of the crystals inside granules,
       to which moments, density and shape then refer; 0 where crystals are not granulated.
     - `numbers`: [N] crystals in each cell of the `grid`; [0] where there is none.
-    - `grid`: `NO_CRYSTALS` of a clear liquid; None where only the moments are known.
-    - `inner_numbers`, `inner_grid`: the same of the crystals inside granules; None where they are
+    - `grid`: `NO_CRYSTALS` of a clear liquid; None if only the moments are known.
+    - `inner_numbers`, `inner_grid`: the same of the crystals inside granules; None if they are
       not counted.
     """
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Point(NamedTuple):
-    """What n draws say at one set point or more: leading axes are the points'.
+    """The results of n draws at one set point or more: leading axes are the points'.
 
     - `probability`: that all limits hold; `error`: its standard error.
     - `by_attribute`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
@@ -135,7 +135,7 @@ def largest_box(
     """The largest box between grid points that holds the set point and only good points.
 
     Exact search: every pair of grid points on each axis that encloses `nominal` (the case's units),
-    points counted by a summed-area table. None where the set point's cell is not good.
+    points counted by a summed-area table. None if the set point's cell is not good.
     """
     invalid = np.pad(
         (result.at.probability < required).astype(np.int64), [(1, 0)] * len(result.axes)

@@ -56,7 +56,7 @@ class Together:
 class Pair:
     """Two parameters.
 
-    - `nominal`, `probable`: their proven ranges together, None where one of them has none or where
+    - `nominal`, `probable`: their proven ranges together, None if one of them has none or where
       it was not searched.
     - `interaction`: [Q] in the attributes' units; `used`: its largest share of the distance to a
       limit, and `maximum` the attribute's number, -1 where none has a limit.

@@ -28,7 +28,7 @@ class Parameter:
       case's unit is `scale` times the raw one), `offset`: domain value = scale * case's + offset.
     - `low`, `high`: proven or studied range; `normal_low`, `normal_high`: normal operating range,
       both in the domain's unit.
-    - `distribution`: its variation about the set point; None where it holds exactly.
+    - `distribution`: its variation about the set point; None if it holds exactly.
     - `control`: whether the designer may choose it; False for a material attribute.
     """
 
@@ -53,7 +53,7 @@ class Attribute:
 
     - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: of the limits and of all tables;
       attribute = `scale` times the measure in the domain's unit.
-    - `low`, `high`: limits in `unit`; None where there is none. `citation`: the source of the limit
+    - `low`, `high`: limits in `unit`; None if there is none. `citation`: the source of the limit
       (guideline, version, table), or a note that the user set it; never empty where there is a
       limit.
     - `margin`: a small difference in `unit`, above 0: the width of smooth indicators.

@@ -79,7 +79,7 @@ class UnitQuantity(Quantity):
         return text + (nodes if self.form == "profile" else "")
 
     def read(self, raw: Any, key: KeyContext) -> Any:
-        """What the field holds; None where the key has no value."""
+        """The value of the field; None if the key has no value."""
         if raw is None:
             return None
         table, bounds = key.table, self.range
@@ -114,7 +114,7 @@ POWER, SHAPE = UnitQuantity(range=NOT_NEGATIVE), UnitQuantity(range=POSITIVE, ex
 
 
 def number_name(table: TableContext) -> str:
-    """How numbers of a table begin: "reactor.jacket" of [units.reactor.jacket]."""
+    """The prefix of the numbers of a table: "reactor.jacket" of [units.reactor.jacket]."""
     return table.name.partition(".")[2]
 
 

@@ -73,7 +73,7 @@ class EntryNumbers(NamedTuple):
 
 
 def limits(values: CaseInput) -> str:
-    """What a number may be, as text: "above 0", "from 100 to 1000 K"."""
+    """The allowed values of a number, as text: "above 0", "from 100 to 1000 K"."""
     unit = "" if values.unit == "1" or "order" in values.unit else f" {values.unit}"
     if values.high < math.inf:
         return f"from {values.low:.6g} to {values.high:.6g}{unit}"

@@ -37,7 +37,7 @@ def read_estimation(
         fit = parse(FitTable, item, str(file), section.name)
         entry = numbers.one(section, "of", fit.of)
         if entry in which:
-            raise section.error("of", fit.of, "this number is there twice")
+            raise section.error("of", fit.of, "this number appears twice")
         unit = numbers.unit(*entry)
         low, high = (
             quantity(section, key, raw, unit, basis=own_basis(entry[0]))

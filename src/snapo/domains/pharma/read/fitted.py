@@ -40,12 +40,12 @@ def read_fitted(file, name: str | None, numbers: EntryNumbers, notes: list[str])
         line = _Line(row)
         entry = numbers.one(line, "of", row.cells["of"])
         if entry in entries:
-            raise row.error("of", "this number is there twice")
+            raise row.error("of", "this number appears twice")
         unit = numbers.unit(*entry)
         value = quantity(line, "value", row.cells["value"], unit, ANY)
         numbers.check(line, "value", row.cells["value"], entry, value)
         if row.cells["logarithm"] not in ("true", "false"):
-            raise row.error("logarithm", "allowed is true or false")
+            raise row.error("logarithm", "it must be true or false")
         log = row.cells["logarithm"] == "true"
         text, local = row.cells["deviation"], "1" if log else unit
         spread = quantity(line, "deviation", text, local, NOT_NEGATIVE, difference=True)
@@ -69,15 +69,11 @@ def _correlation(rows: list[Row]) -> np.ndarray:
         except ValueError:
             numbers = []
         if len(numbers) != len(rows) or not np.isfinite(numbers).all():
-            message = (
-                f"allowed are {len(rows)} numbers, one for each line, with spaces between them"
-            )
+            message = f"it must be {len(rows)} numbers, one for each line, with spaces between them"
             raise row.error("correlation", message)
         result[i] = numbers
     if not np.allclose(result, result.T, atol=1e-6) or (np.linalg.eigvalsh(result) <= 1e-12).any():
-        message = (
-            "these are not the correlations of any numbers (not symmetric, not positive definite)"
-        )
+        message = "this is not a correlation matrix (not symmetric, not positive definite)"
         raise rows[0].error("correlation", message)
     return (result + result.T) / 2
 

@@ -65,12 +65,12 @@ def read_rules(
         section = TableContext(file, f"control.rules[{i}]", notes)
         table = parse(RuleTable, item, str(file), section.name)
         if table.name in [rule.name for rule in rules]:
-            raise section.error("name", table.name, "this name is there twice")
+            raise section.error("name", table.name, "this name appears twice")
         read = _Loops(section, numbers, manipulated, sensors, units, timed)
         loops = tuple(read.loop(loop, k) for k, loop in enumerate(table.loops))
         for k, loop in enumerate(loops):
             if loop.of in [other.of for other in loops[:k]]:
-                message = "one control has one loop in a rule"
+                message = "a control can have only one loop in a rule"
                 raise section.error(f"loops[{k}].of", manipulated[loop.of].input, message)
         rules.append(ControlRule(table.name, table.tuning, loops))
     return tuple(rules)
@@ -117,7 +117,7 @@ class _Loops:
         if table.gain is not None:
             gain = number(section, "gain", table.gain, per(manipulated, local), difference=True)
             if gain == 0:
-                raise section.error("gain", table.gain, f"allowed is {NOT_ZERO}")
+                raise section.error("gain", table.gain, f"it must be {NOT_ZERO}")
         if table.integral_time is not None:
             integral = number(section, "integral_time", table.integral_time, "s", POSITIVE)
         if setpoint is not None:

@@ -141,14 +141,14 @@ def _sides(section: TableContext, equation: str, species) -> tuple[np.ndarray, n
     """What one mole of reaction uses and makes, [S] each."""
     sides = equation.split("->")
     if len(sides) != 2:
-        raise section.error("equation", equation, 'allowed is an equation such as "A + 2 B -> C"')
+        raise section.error("equation", equation, 'it must be an equation such as "A + 2 B -> C"')
     results = []
     for side in sides:
         amounts = np.zeros(len(species))
         for term in side.split("+"):
             match = TERM.fullmatch(term.strip())
             if match is None:
-                message = 'allowed is an equation such as "A + 2 B -> C"'
+                message = 'it must be an equation such as "A + 2 B -> C"'
                 raise section.error("equation", equation, message)
             at = _species(section, "equation", match[2], species, equation)
             amounts[at] += float(match[1] or 1)

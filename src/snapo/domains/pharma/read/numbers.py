@@ -76,7 +76,7 @@ def quantity(
         value = conversion(name, unit, difference)(number)
     except UnitError as error:
         raise section.error(key, raw, str(error)) from None
-    allowed = f"allowed is {range_text(bounds, unit)}"
+    allowed = f"it must be {range_text(bounds, unit)}"
     if not math.isfinite(value):
         raise section.error(key, raw, f"{allowed}, and finite")
     if not bounds.contains(value):
@@ -84,7 +84,7 @@ def quantity(
     if abs(value) > LARGEST:
         raise section.error(key, raw, f"{allowed}; {TOO_LARGE}")
     if unit == "K" and not difference and not TEMPERATURE.contains(value):
-        raise section.error(key, raw, f"allowed is {range_text(TEMPERATURE, unit)}")
+        raise section.error(key, raw, f"it must be {range_text(TEMPERATURE, unit)}")
     return value
 
 
@@ -95,7 +95,7 @@ def unit_of(section: Location, key: str, raw: Any, unit: str) -> str:
 
 def _split(section: Location, key: str, raw: Any, unit: str) -> tuple[float, str]:
     if isinstance(raw, bool) or not isinstance(raw, str | int | float):
-        raise section.error(key, raw, f"allowed is {_example(unit)}")
+        raise section.error(key, raw, f"it must be {_example(unit)}")
     if not isinstance(raw, str):
         if unit not in PURE:
             raise section.error(key, raw, f"a quantity needs its unit, {_example(unit)}")
@@ -185,17 +185,17 @@ def listed(
     """The numbers of ["308 K", "295 K"], or of { value = [308, 295], unit = "K" }."""
     if isinstance(raw, dict):
         if set(raw) != {"value", "unit"} or not isinstance(raw["unit"], str):
-            message = f"allowed is {{ value = [1.0, 2.0], unit = {_example(unit)[8:]} }}"
+            message = f"it must be {{ value = [1.0, 2.0], unit = {_example(unit)[8:]} }}"
             raise section.error(key, raw, message)
         value = raw["value"]
         numbers = isinstance(value, list) and all(
             isinstance(item, int | float) and not isinstance(item, bool) for item in value
         )
         if not numbers:
-            raise section.error(f"{key}.value", value, "allowed is a list of numbers")
+            raise section.error(f"{key}.value", value, "it must be a list of numbers")
         raw = [f"{entry!r} {raw['unit']}" for entry in value]
     if not isinstance(raw, list) or not raw:
-        message = f"allowed is a list of quantities, each {_example(unit)}"
+        message = f"it must be a list of quantities, each {_example(unit)}"
         raise section.error(key, raw, message)
     return [quantity(section, f"{key}[{i}]", each, unit, bounds) for i, each in enumerate(raw)]
 
@@ -245,9 +245,9 @@ def profile(
 def _shares(section: TableContext, raw: Any, count: int) -> np.ndarray:
     shares = np.array(listed(section, "at", raw, "1", SHARE))
     if len(shares) != count:
-        raise section.error("at", raw, f"allowed are {count} shares of the unit's duration")
+        raise section.error("at", raw, f"it must be {count} shares of the unit's duration")
     if shares[0] != 0 or shares[-1] != 1 or (np.diff(shares) <= 0).any():
-        raise section.error("at", raw, "the shares must rise from 0 to 1")
+        raise section.error("at", raw, "the shares must increase from 0 to 1")
     return shares
 
 

@@ -159,7 +159,7 @@ def read_design_space(
             hint = suggest(axis, names, "parameter")
             raise section.error(f"axes[{i}]", axis, f"there is no such parameter; {hint}")
         if axis in table.axes[:i]:
-            raise section.error(f"axes[{i}]", axis, "this parameter is there twice")
+            raise section.error(f"axes[{i}]", axis, "this parameter appears twice")
     if all(attribute.low is None and attribute.high is None for attribute in attributes):
         message = "no attribute has a limit, so nothing bounds a design space"
         raise CaseError(str(file), "design_space", None, message)

@@ -181,7 +181,7 @@ def _attribute(
         message = f"the lower limit, {low:g} {table.unit}, must lie below it"
         raise section.error("high", table.high, message)
     if (low is not None or high is not None) and not table.citation.strip():
-        raise section.error("citation", None, "a limit needs its source, or a note that you set it")
+        raise section.error("citation", None, "a limit needs a source, or a note that you set it")
     if table.margin is None:
         margin = _margin(low, high)
     else:
@@ -210,7 +210,7 @@ def read_uncertainty(
         table = parse(UncertaintyTable, correlation, str(file), section.name)
         for entry in numbers.all(section, "of", table.of):
             if entry in which:
-                raise section.error("of", table.of, "this number is there twice")
+                raise section.error("of", table.of, "this number appears twice")
             if entry in fit.entries:
                 message = (
                     "the uncertainty of this number is part of its fit, from the file `fitted`"

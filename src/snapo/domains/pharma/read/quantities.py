@@ -62,7 +62,7 @@ def split(text: str) -> tuple[float, str]:
     """
     result = QUANTITY.fullmatch(text)
     if result is None:
-        raise UnitError("a quantity is a number and its unit")
+        raise UnitError("a quantity must be a number with its unit")
     return float(result[1]), result[2]
 
 
@@ -103,7 +103,7 @@ def prefactor_unit(order: float) -> str:
 
 
 def basis(unit: str) -> str:
-    """What a share is of, "w/w", "v/v", "n/n" or "a/a"; "" where its unit does not say."""
+    """The basis of a share: "w/w", "v/v", "n/n" or "a/a"; "" if its unit does not state it."""
     metadata = BASIS.search(unit.strip())
     if metadata is not None:
         return "w/w" if metadata[1] == "m/m" else metadata[1]
@@ -137,7 +137,7 @@ def check_basis(unit: str, local: str) -> None:
 
 
 def dimension(unit: str) -> str:
-    """What a unit measures, "[length] / [time]"."""
+    """The dimension of a unit, "[length] / [time]"."""
     return _dimension(_parse(unit))
 
 

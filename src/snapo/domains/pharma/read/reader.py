@@ -79,7 +79,7 @@ class Reader(NamedTuple):
         for i, name in enumerate(names):
             check_name(self.section, key, name)
             if name in names[:i]:
-                raise self.section.error(key, name, "this name is there twice")
+                raise self.section.error(key, name, "this name appears twice")
         return tuple(names)
 
     def inner(self, key: str, table: type[CaseTable]) -> "Reader":

@@ -70,7 +70,7 @@ class Recipe(NamedTuple):
 
 
 class SearchLimits(NamedTuple):
-    """When an optimisation stops at the latest; `progress` takes its lines of progress, some
+    """The limits at which an optimisation stops; `progress` takes its lines of progress, some
     seconds apart (those of the run at hand without one)."""
 
     evaluations: int = 5000
@@ -129,7 +129,7 @@ class TracedRecipe:
 
 
 class BestSoFar:
-    """What an optimisation has seen so far."""
+    """The evaluations of an optimisation so far."""
 
     def __init__(self, traced: TracedRecipe, limits: SearchLimits, equalities: int):
         self.traced, self.limits, self.equalities = traced, limits, equalities

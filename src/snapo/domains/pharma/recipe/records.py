@@ -6,7 +6,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Decision:
-    """What is chosen: one entry of one `CaseInput`.
+    """One decision: one entry of one `CaseInput`.
 
     - `name`: "crystalliser.temperature[1]"; `input`, `entry`: the `CaseInput` and the position.
     - `unit`: the case's; domain value = `scale` * case's + `offset`.

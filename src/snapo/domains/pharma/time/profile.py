@@ -70,7 +70,7 @@ def flow_of(
     profile: Profile, inputs: Mapping[str, Any], duration, volume
 ) -> tuple[Profile, Float[Array, " N"]]:
     """The profile and its values as a flow in m3/s that adds up to `volume` over `duration`: the
-    profile's values are its shape. All zero, nothing flows."""
+    profile's values are its shape. If all values are zero, nothing flows."""
     shape = use(inputs, profile.value)
     mean = mean_value(profile, shape)
     some = mean > 0

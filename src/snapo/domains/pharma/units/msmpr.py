@@ -11,7 +11,7 @@ suspension holds 1 - M_T / rho, M_T = M_T,in + (1 - M_T,in / rho) (c_in - c) / (
 
 That is solved by bisection without derivatives; two Newton steps then carry them, which is the
 implicit function theorem. With j below 1, or crystals in the feed, there is one steady state with
-crystals; of a clear feed with j = 1 none where nuclei are washed out faster than they form: the
+crystals; of a clear feed with j = 1 none if nuclei are washed out faster than they form: the
 outlet is then the feed. Crystals in a feed below saturation would dissolve, which this does not
 follow: the outlet is then no number.
 """

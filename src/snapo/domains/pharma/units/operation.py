@@ -47,7 +47,7 @@ class Inlet(NamedTuple):
 class Outcome(NamedTuple):
     """The delivery of a unit; `reached` of `duration` s (equal where all went well; both 0 for a
     unit without time), its `track`, and from the track's rows to states; `error` as in `Solved`;
-    `rough`: s from which the steps of a mesh were too long, None where that was not examined."""
+    `rough`: s from which the steps of a mesh were too long, None if that was not examined."""
 
     finish: LedgerFinish
     duration: Float[Array, ""]

@@ -84,7 +84,7 @@ def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str])
         if kind is None:
             raise section.error("type", None, f"this key is missing; it is one of {text}")
         hint = suggest(str(kind), TYPES, "type")
-        raise section.error("type", kind, f"allowed is one of {text}; {hint}")
+        raise section.error("type", kind, f"it must be one of {text}; {hint}")
     selected = _variant(section, raw, TYPES[kind])
     table = parse(selected.table, raw, str(file), section.name, notes)
     return selected.read(Reader(section, name, table, raw), species)
@@ -99,7 +99,7 @@ def _variant(section: TableContext, raw: dict, variants: Variants) -> type[Unit]
     record_kinds(raw, section.name, "kind", variants)
     if not isinstance(kind, str) or kind not in variants:
         text = " or ".join(f'"{variant}"' for variant in variants)
-        raise section.error("kind", kind, f"allowed is {text}")
+        raise section.error("kind", kind, f"it must be {text}")
     selected = variants[kind]
     for key, value in raw.items():
         owners = [k for k, item in variants.items() if key in item.table.model_fields]

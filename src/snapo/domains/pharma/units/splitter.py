@@ -50,7 +50,7 @@ class Splitter(Instant):
         raw = table.share if isinstance(table.share, list) else [table.share]
         name = f"{read.name}.share"
         if len(raw) != len(ports) - 1:
-            message = f"allowed are {len(ports) - 1} shares, of all outlets but the last"
+            message = f"it must be {len(ports) - 1} shares, of all outlets but the last"
             raise section.error("share", table.share, message)
         text = "share of the stream"
         share = several(section, name, "share", raw, "1", ports[:-1], SHARE, text)

@@ -70,7 +70,7 @@ class Liquid(TableRecord):
 
     @classmethod
     def read(cls, read):
-        """Antoine's numbers for Pa and K, from those of the case's units."""
+        """Antoine coefficients for Pa and K, from those of the case's units."""
         table = read.table
         try:
             scale = conversion(table.unit, "Pa").scale
@@ -78,7 +78,7 @@ class Liquid(TableRecord):
             raise read.section.error("unit", table.unit, str(error)) from None
         a, b, c = table.antoine
         if b <= 0:
-            message = "allowed is B above 0: vapour pressure rises with temperature"
+            message = "it must be B above 0: vapour pressure rises with temperature"
             raise read.section.error("antoine", table.antoine, message)
         zero = ZERO_CELSIUS if table.scale == "degC" else 0
         numbers, name = np.array([a + np.log10(scale), b, c - zero]), f"{read.name}.antoine"

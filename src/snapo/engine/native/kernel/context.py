@@ -96,7 +96,7 @@ def field(slot: str) -> str:
 
 @dataclass(eq=False)
 class Function:
-    """One function of the kernel while it is written."""
+    """One function of the kernel while it is generated."""
 
     header: str
     code: Code
@@ -124,7 +124,7 @@ class Function:
 
 @dataclass(eq=False)
 class Build:
-    """Everything that the functions of a kernel have in common while they are written.
+    """The common state of the functions of a kernel while they are generated.
 
     `work` and `chunk` are the bytes of scratch memory that one thread needs for arrays between
     two regions and for waiting rows: the maximum over all functions.

@@ -350,7 +350,7 @@ class Kernel:
 
     @property
     def code(self) -> KernelCode:
-        """What running it takes, without the way back to the caller's trees."""
+        """The data needed to run it, without the conversion back to the caller's trees."""
         strides = {name: layout.stride for name, layout in self.layouts.items()}
         leaves = {"table": self.trees.call, "steps": self.trees.now}
         filled = {name: self.layouts[name].size_to(keys) for name, keys in leaves.items()}

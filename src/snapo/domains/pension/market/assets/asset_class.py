@@ -110,7 +110,7 @@ class AssetClass(AssetRow, ABC):
     @classmethod
     @abstractmethod
     def payments(cls, case: PensionModel, positions: Sequence[int]) -> Payments | None:
-        """The payments by which these classes follow the curve; None where they do not."""
+        """The payments by which these classes follow the curve; None if they do not."""
 
     @classmethod
     def ratings(cls, case: PensionModel, positions: Sequence[int]) -> np.ndarray:

@@ -112,5 +112,5 @@ def swap_gains(case: PensionModel, before: Prices, after: Prices) -> Float[Array
 
 
 def swap_values(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " b"]:
-    """Values of swaps that are worth nothing at the case's own numbers, per unit of notional."""
+    """Values of swaps whose value is zero at the numbers of the case, per unit of notional."""
     return swap_gains(case, curve_prices(case, {}), curve_prices(case, inputs))

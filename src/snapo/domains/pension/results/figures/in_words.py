@@ -1,4 +1,4 @@
-"""What a case promises and how it is valued, in a sentence each."""
+"""The benefits of a case and their valuation, in a sentence each."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Remarks on a case that can be read but looks like a slip: figures far from those of funds.
+"""Notes on a case that is valid but implausible: figures far from those of real funds.
 
 The ranges are wide: a fund outside one of them is possible, and its user knows why.
 """

@@ -62,7 +62,7 @@ class Pace(NamedTuple):
 
 
 def groups(case: PensionCase, inputs: dict[str, Any]) -> list[StatusGroup]:
-    """Every status that has members; none where the case has cash flows instead."""
+    """Every status that has members; none if the case has cash flows instead."""
     members = case.members
     if members is None:
         return []

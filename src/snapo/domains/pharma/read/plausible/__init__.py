@@ -1,1 +1,1 @@
-"""What a case as a whole must keep, and numbers that cannot be, or are not likely."""
+"""Conditions on a complete case, and numbers that are impossible or implausible."""

@@ -45,7 +45,7 @@ def check_decided(case: PharmaCase) -> None:
         name = item.input.partition(".")[0]
         unit = by_name.get(name)
         if unit is None:
-            message = "a policy decides on units, and this number is none of a unit"
+            message = "a policy decides on units, but this number does not belong to a unit"
         elif unit in over_time:
             profiles = [profile.value.name for profile in unit.profiles]
             if item.input in profiles:
@@ -61,7 +61,7 @@ def check_decided(case: PharmaCase) -> None:
 
 
 def check_moved(case: PharmaCase) -> None:
-    """What is decided or uncertain cannot be held."""
+    """Numbers that are decided or uncertain cannot be held."""
     tables = {
         "optimise.decisions": case.optimise.decisions if case.optimise else (),
         "control.manipulated": case.control.manipulated if case.control else (),
@@ -108,7 +108,7 @@ def check_amounts(
             if feed is not None and inlet.dosed is not None:
                 _check_dose(file, unit, feed, inlet.dosed)
             if feed is not None and inlet.lasting and feed.duration is None:
-                message = f"unit {unit.name} runs continuously and needs to know over which time"
+                message = f"unit {unit.name} runs continuously and needs a duration"
                 raise CaseError(str(file), f"feeds.{feed.name}.duration", None, message)
             if inlet.lasting and not lasting[unit.name, inlet.name]:
                 message = (
@@ -146,7 +146,7 @@ def _check_end(file, where: str, unit: Unit, inlet: Inlet, runs: float, flows: f
     if runs > flows * (1 + 1e-9):
         message = (
             f"{unit.name} {verb} {runs:.10g} s, and its inlet {inlet.name} flows for "
-            f"{flows:.10g} s; allowed is up to {flows:.10g} s, or a feed that lasts longer"
+            f"{flows:.10g} s; use at most {flows:.10g} s, or a feed that lasts longer"
         )
         raise CaseError(str(file), where, f"{runs:.10g} s", message)
 
@@ -155,7 +155,7 @@ def _check_shape(file, where: str, unit: Unit, dosing: Profile) -> None:
     if dosing.value.values.size == 1:
         message = (
             "a flow of one value is set by the volume of its feed and the duration of "
-            f"{unit.name}, which may vary in its place"
+            f"{unit.name}, which may vary instead"
         )
         raise CaseError(str(file), where, dosing.value.name, message)
 
@@ -306,7 +306,7 @@ def _check_solubility(file, unit: Unit, part: Solubility) -> None:
     if not result[worst] > 0:
         message = (
             f"at {at[worst]:.6g} K, which {unit.name} reaches, it is {result[worst]:.4g} kg/m3; "
-            "allowed is above 0"
+            "it must be above 0"
         )
         raise CaseError(str(file), f"units.{unit.name}.solubility", None, message)
 
@@ -321,7 +321,7 @@ def _check_seed(file, unit: Unit, seed: Seed) -> None:
         return
     if share >= PACKED:
         message = (
-            f"the seed takes {100 * share:.4g} % of the volume; allowed is less than "
+            f"the seed takes {100 * share:.4g} % of the volume; it must be less than "
             f"{100 * PACKED:g} %"
         )
         raise CaseError(str(file), f"units.{unit.name}.seed", None, message)
@@ -338,7 +338,7 @@ def check_drawn(
     share = outside(distribution, numbers.value(entry), values.low, values.high)
     if share <= NOTED:
         return
-    metadata = f"{100 * share:.2g} % of its draws are none that {numbers.name_of(entry)} can have"
+    metadata = f"{100 * share:.2g} % of its draws are impossible values of {numbers.name_of(entry)}"
     metadata += f" ({limits(values)})"
     if share > REFUSED:
         hint = "" if values.low < 0 else '; kind "lognormal" stays above 0'

@@ -1,4 +1,4 @@
-"""How fast crystals grow, dissolve and appear at a supersaturation."""
+"""Rates of growth, dissolution and nucleation at a supersaturation."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple

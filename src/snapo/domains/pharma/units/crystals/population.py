@@ -76,7 +76,7 @@ def by_moments(
     seed: Float[Array, " 6"],
     fed: Float[Array, " 6"],
 ) -> Population:
-    """`seed` and the `fed` crystals as moments, m^k/m3; `nuclei_size` in m, None where it is 0.
+    """`seed` and the `fed` crystals as moments, m^k/m3; `nuclei_size` in m, None if it is 0.
     The state: scaled moments of all crystals, or with `separate` those of seed and feed, then those
     of nuclei. `shape`: kv."""
     units = fixed(UNITS)

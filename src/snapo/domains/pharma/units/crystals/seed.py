@@ -27,7 +27,7 @@ class Seed(TableRecord):
 
     One of the two is None; moments are m^k/m3, k = 0..5.
     `size` is the mean by number and `spread` the standard deviation as a share of it, of a
-    lognormal distribution; None where all are of one size.
+    lognormal distribution; None if all are of one size.
     """
 
     loading: CaseInput | None = CONCENTRATION("loading", None, example="0.02 kg/m^3")
@@ -48,7 +48,7 @@ class Seed(TableRecord):
         """A loading and a size, or six moments."""
         table = read.table
         if (table.moments is None) == (table.loading is None):
-            message = "a seed has a loading and a size, or else its six moments"
+            message = "a seed needs either a loading and a size, or its six moments"
             raise read.section.error("moments", table.moments, message)
         if table.moments is None:
             if table.size is None:
@@ -97,7 +97,7 @@ def _read_moments(read: Reader) -> CaseInput:
     """[6] moments that some distribution of sizes has."""
     table, units = read.table, ["1/m3", *(f"m^{k}/m3" for k in range(1, 6))]
     if len(table.moments) != 6:
-        raise read.section.error("moments", table.moments, "allowed are six moments, 0 to 5")
+        raise read.section.error("moments", table.moments, "it must be six moments, 0 to 5")
     values = [
         quantity(read.section, f"moments[{k}]", raw, unit, POSITIVE)
         for k, (raw, unit) in enumerate(zip(table.moments, units))

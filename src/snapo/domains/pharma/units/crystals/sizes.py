@@ -33,7 +33,7 @@ def read_edges(read: Reader) -> np.ndarray:
     """[N + 1] m, the edges of the cells."""
     low, high = read.table.smallest, read.table.largest
     if high <= low:
-        raise read.section.error("largest", read.raw["largest"], "allowed is above `smallest`")
+        raise read.section.error("largest", read.raw["largest"], "it must be above `smallest`")
     if read.table.spacing == "equal":
         return np.linspace(low, high, read.table.cells + 1)
     if low == 0:

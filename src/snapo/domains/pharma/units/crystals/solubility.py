@@ -153,7 +153,7 @@ class Mixture(TableRecord):
             if getattr(table, key) is not None:
                 return getattr(table, key)
             if table.solute is None:
-                message = "without the name of a solute this key is needed"
+                message = "this key is required unless a solute is named"
                 raise read.section.error(key, None, message)
             value = np.array([constant(read, "solute", table.solute, which)])
             quantity = quantity_of(cls.table.model_fields[key])
@@ -171,7 +171,7 @@ class Mixture(TableRecord):
             raw = getattr(table, key)
             rows = np.zeros((count, count)) if raw is None else raw
             if len(rows) != count or any(len(row) != count for row in rows):
-                raise read.section.error(key, raw, f"allowed are {count} rows of {count} numbers")
+                raise read.section.error(key, raw, f"it must be {count} rows of {count} numbers")
             numbers = np.array(rows, float)[apart]
             where: tuple[FilePosition, ...] = tuple(
                 (*read.section.keys, key, int(i), int(j)) for i, j in zip(*apart)
@@ -199,7 +199,7 @@ def _read_liquid(read: Reader, count: int) -> tuple[np.ndarray, list[float]]:
         raise read.section.error("composition", None, "several solvents need this key")
     liquid = np.array(listed(read.section, "composition", shares, "1", SHARE))
     if len(liquid) != count - 1 or abs(liquid.sum() - 1) > 1e-6:
-        message = f"allowed are {count - 1} shares that add up to 1"
+        message = f"it must be {count - 1} shares that add up to 1"
         raise read.section.error("composition", shares, message)
     if table.solvent_masses is None:
         masses = [constant(read, "solvents", solvent, "MW") for solvent in table.solvents]

@@ -1,4 +1,4 @@
-"""What flows along a tube: elements in series, with one or more points in each.
+"""Flow along a tube: elements in series, with one or more points in each.
 
 u_t = -u_z by collocation at the points of Radau IIA in every element, the upstream one giving the
 first value (a discontinuous Galerkin method). With one point an element is a stirred tank, and the

@@ -78,7 +78,7 @@ class TabletPress(Instant):
     strength: CaseInput = STRESS("tensile strength without pores", example="10 MPa")
     bonding: CaseInput = POWER("fall of ln(strength) with porosity")
     deviation: CaseInput = PART("relative deviation of the content", 0.0, range=Range(0.0, 0.5))
-    disintegration: CaseInput = TIME("mean time in which a tablet falls apart", example="2 min")
+    disintegration: CaseInput = TIME("mean disintegration time of a tablet", example="2 min")
     reference_porosity: CaseInput = PART("porosity to which that time refers", 0.1)
     porosity_power: CaseInput = POWER("power of the porosity in that time", 0.0)
     diffusivity: CaseInput = DIFFUSIVITY("diffusivity in the film")
@@ -193,7 +193,7 @@ class TabletPress(Instant):
 
 
 def acceptance(mean, deviation) -> Float[Array, ""]:
-    """USP <905> for ten tablets; shares of the label, as is the result (allowed is 0.15)."""
+    """USP <905> for ten tablets; shares of the label, as is the result (at most 0.15)."""
     low, high = ACCEPTED
     off = jnp.maximum(low - mean, 0.0) + jnp.maximum(mean - high, 0.0)
     return off + TEN * deviation
