@@ -21,9 +21,9 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
-from ...gas_storage.contract.schedule import Discount
+from ...gas_storage.contract.schedule import Discount, PricedSimulator
 from ...gas_storage.policy.network import curve_ahead
-from ...gas_storage.prices.process import PricedSimulator, PriceProcess, TwoPrices, use
+from ...gas_storage.prices.process import PriceProcess, TwoPrices, use
 from .contract import ContractLayout, EnergyContract, StepPrices, level_money
 from .feasibility import charged, intervals, volumes_by_move
 from .observation import observation

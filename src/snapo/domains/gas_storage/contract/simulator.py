@@ -27,10 +27,10 @@ from snapo.problem.smooth import Exact
 
 from ..policy.guide import Innovations, ValueTable, of_day, of_end
 from ..policy.network import curve_ahead, observation
-from ..prices.process import PricedSimulator, PriceProcess, use
+from ..prices.process import PriceProcess, use
 from .reachable import ArrayLibrary, reachable
 from .records import Contract, EndTerms, StorageCase, storage_inputs
-from .schedule import Discounts, FlowLimits, StoreState
+from .schedule import Discounts, FlowLimits, PricedSimulator, StoreState
 from .terms import ContractTerms, Day, end_interval, inventory_limits, per_day
 
 

@@ -14,15 +14,12 @@ The index of a month that begins on the valuation date is the mean of today's cu
 import datetime
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
 
 from snapo.case.given import CaseInput
+from snapo.problem.arrays import Array, Bool, Float, Int, jax, jnp
 from snapo.problem.process import integral
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Record, Schedule
 
 from .factors import FactorTable, GivenFactors
 from .process import YEAR, Delivery, GaussianFactors, PriceProcess, TwoPrices, use
@@ -64,7 +61,7 @@ class PriceIndex(NamedTuple):
         return weight @ of.spot(forward[:, None], noise) + fixed
 
 
-class IndexMonths(eqx.Module):
+class IndexMonths(Record):
     """The months of T + 1 dates; the end date has the index of the last day.
 
     - `days` [T + 1, D]: dates of the month, by number; `weight` of each, 0 for none.

@@ -9,14 +9,12 @@ have the covariance rho (1 - exp(-(a_1 + a_2) h)) / (a_1 + a_2).
 
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
+from snapo.problem.arrays import Array, jnp
 from snapo.problem.process import Factors, integral
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule, field
 
 from .factors import FactorPrices, FactorTable
 from .process import GaussianFactors, Times, TwoPrices, use
@@ -77,8 +75,8 @@ class CommodityPair(FactorPrices, TwoPrices):
     correlation: CaseInput
     kind: ClassVar[str] = "pair"  # pyright: ignore[reportIncompatibleVariableOverride]
     table: ClassVar[type] = FactorTable  # pyright: ignore[reportIncompatibleVariableOverride]
-    noise_size: int = eqx.field(static=True, default=2)
-    fast_factor: int = eqx.field(static=True, default=0)
+    noise_size: int = field(static=True, default=2)
+    fast_factor: int = field(static=True, default=0)
 
     def parameters(self, inputs: Any) -> Factors:
         loading = use(inputs, self.volatilities[0])

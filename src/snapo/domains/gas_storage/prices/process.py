@@ -7,23 +7,23 @@ parameters, noise, dynamics, forward price, description. Nothing outside depends
 import abc
 import datetime
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range, on_dates
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.form import Use, without_uses
+from snapo.problem.arrays import Array, Float, jnp
+from snapo.problem.form import Use
 from snapo.problem.process import Gaps, Process
-from snapo.problem.scenarios import Sources
-from snapo.problem.simulator import Simulator
+from snapo.problem.record import AbstractClassVar, AbstractVar, Record, field
 
 from .spikes import Spikes
+
+if TYPE_CHECKING:
+    from snapo.problem.scenarios import Sources
 
 YEAR = 365.0
 FEWEST = 32  # days of noise before the first date, where they are several
@@ -98,7 +98,7 @@ class Delivery(NamedTuple):
         return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, notice)
 
 
-class Times(eqx.Module):
+class Times(Record):
     """When a process has prices, and how they are expected today.
 
     - `years` [T + 1]: time of each date from the valuation date, Act/365; `gaps` between them.
@@ -114,7 +114,7 @@ class Times(eqx.Module):
     gaps: Gaps
     curve: CaseInput
     age: Float[np.ndarray, " n"]
-    before: int = eqx.field(static=True)
+    before: int = field(static=True)
     notice: Float[np.ndarray, " T+1"] | None = None
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
@@ -201,9 +201,9 @@ class PriceProcess(Process):
 
     initial_steps: ClassVar[int] = 0
 
-    kind: eqx.AbstractClassVar[str]
-    table: eqx.AbstractClassVar[type[CaseTable]]
-    proportional: eqx.AbstractVar[bool]
+    kind: AbstractClassVar[str]
+    table: AbstractClassVar[type[CaseTable]]
+    proportional: AbstractVar[bool]
 
     @classmethod
     def read(cls, section: TableContext, table: Any, delivery: Delivery) -> Self:
@@ -250,7 +250,7 @@ class PriceProcess(Process):
         """How far spot prices may be from the forward price, in money; None: in proportion."""
         return None
 
-    def sources(self, seed: int) -> Sources | None:
+    def sources(self, seed: int) -> "Sources | None":
         """Separate scenarios for every role, instead of drawn normals."""
         return None
 
@@ -261,31 +261,6 @@ class TwoPrices(PriceProcess):
     @abc.abstractmethod
     def index(self, constants, now, state) -> Float[Array, ""]:
         """The second price of the date, which `now`, a row, has in its `index`."""
-
-
-class PricedSimulator(Simulator):
-    """A simulator whose only noise is that of the prices of its `process`."""
-
-    process: eqx.AbstractVar[PriceProcess]
-
-    def on_step(self):
-        return without_uses(self)
-
-    @property
-    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.noise_size
-
-    @property
-    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.initial_noise_size
-
-    @property
-    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.initial_steps
-
-    @property
-    def calendar(self) -> tuple[float, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.calendar
 
 
 def use(inputs: dict[str, Any], series: CaseInput | Use):
