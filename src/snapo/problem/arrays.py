@@ -6,11 +6,17 @@ A price process, a unit operation or a contract is one file with the keys of its
 equations. Reading a case needs the first, and calls none of the second. The names are those of the
 libraries, and so are the objects that come from them: `jnp.exp` is `jax.numpy.exp`. Types of arrays
 are those of jaxtyping where types are checked, and nothing at run time.
+
+Equations that a check evaluates too are written for an `ArrayLibrary`: JAX in a simulator, NumPy
+where a case is checked.
 """
 
+from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 if TYPE_CHECKING:
     import jax
@@ -38,4 +44,41 @@ else:
     jax, jnp = _Library("jax"), _Library("jax.numpy")
     Bool = Float = Int = PyTree = Array
 
-__all__ = ["Array", "Bool", "Float", "Int", "PyTree", "jax", "jnp"]
+
+class ArrayLibrary(NamedTuple):
+    """An array library: its functions as in NumPy, and three that JAX has its own names for.
+
+    - `running_maximum(x)`: of the elements up to each.
+    - `backwards(step, last, rows)`: stacked results of `step(result of the next row, row)`.
+    - `fixed(x)`: a number without a derivative.
+    """
+
+    xp: Any
+    running_maximum: Callable[[Any], Any]
+    backwards: Callable[[Callable[[Any, Any], Any], Any, Any], Any]
+    fixed: Callable[[Any], Any]
+
+
+def _row_by_row(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
+    row_of = getattr(type(rows), "_make", tuple)
+    results = []
+    for row in reversed([row_of(leaves) for leaves in zip(*rows, strict=True)]):
+        last = step(last, row)
+        results.append(last)
+    if not isinstance(last, tuple):
+        return np.array(results[::-1])
+    return tuple(np.array(leaves[::-1]) for leaves in zip(*results))
+
+
+def _scanned(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
+    def result(following, row):
+        row = step(following, row)
+        return row, row
+
+    return jax.lax.scan(result, last, rows, reverse=True)[1]
+
+
+NUMPY = ArrayLibrary(np, np.maximum.accumulate, _row_by_row, np.asarray)
+TRACED = ArrayLibrary(
+    jnp, lambda x: jax.lax.cummax(x), _scanned, lambda x: jax.lax.stop_gradient(x)
+)

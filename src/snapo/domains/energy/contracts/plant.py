@@ -10,22 +10,20 @@ to `min_up`.
 """
 
 from collections.abc import Mapping
-from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
+from snapo.problem.arrays import Array, ArrayLibrary
+from snapo.problem.record import field
 
-from ...gas_storage.prices.process import use
 from ..core.contract import (
     ContractLayout,
     ContractMove,
     EnergyContract,
     EnergyFlow,
     Level,
+    NumbersOf,
     StepTerms,
     Terms,
 )
@@ -54,39 +52,39 @@ class PlantContract(EnergyContract):
     other_cost: CaseInput
     start_money: CaseInput | None
     start_fuel: CaseInput | None
-    layout: ContractLayout = eqx.field(static=True)
-    classes: tuple[int, ...] = eqx.field(static=True)
-    runs: tuple[bool, ...] = eqx.field(static=True)
-    start_limit: int = eqx.field(static=True)
+    layout: ContractLayout = field(static=True)
+    classes: tuple[int, ...] = field(static=True)
+    runs: tuple[bool, ...] = field(static=True)
+    start_limit: int = field(static=True)
 
-    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
-        count, counted = len(paid), len(self.layout.levels)
-        emissions = use(inputs, self.per_fuel) * use(inputs, self.emission_price)
-        rate = use(inputs, self.rate)
-        running = jnp.asarray(self.runs, float)
-        fuel, money = use(inputs, self.idle) * running, jnp.zeros(len(self.classes))
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        xp, count, counted = arrays.xp, len(paid), len(self.layout.levels)
+        emissions = at(self.per_fuel) * at(self.emission_price)
+        rate = at(self.rate)
+        running = xp.asarray(self.runs, float)
+        fuel, money = at(self.idle) * running, xp.zeros(len(self.classes))
         if self.start_money is not None and self.start_fuel is not None:
             starts, none = np.array(self.classes) >= 0, np.maximum(self.classes, 0)
-            fuel = fuel + starts * use(inputs, self.start_fuel)[none]
-            money = money + starts * use(inputs, self.start_money)[none]
-        cost = rate * emissions + use(inputs, self.other_cost)
+            fuel = fuel + starts * at(self.start_fuel)[none]
+            money = money + starts * at(self.start_money)[none]
+        cost = rate * emissions + at(self.other_cost)
         fixed = -paid[:, None] * (money + fuel * emissions[:, None])
-        none = jnp.zeros((count, counted))
+        none = xp.zeros((count, counted))
         steps = StepTerms(
-            jnp.full((count, 1), 1.0) * use(inputs, self.min_power),
-            jnp.full((count, 1), 1.0) * use(inputs, self.max_power),
+            xp.full((count, 1), 1.0) * at(self.min_power),
+            xp.full((count, 1), 1.0) * at(self.max_power),
             paid[:, None],
             -(cost * paid)[:, None],
             none,
             none + self.start_limit,
             none,
             none,
-            jnp.zeros((count, counted), bool),
+            xp.zeros((count, counted), bool),
             fixed,
             index=-(rate * paid)[:, None],
             fixed_index=-paid[:, None] * fuel,
         )
-        return Terms(jnp.zeros(counted), steps)
+        return Terms(xp.zeros(counted), steps)
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         state, _, hours = mode.partition(" ")

@@ -21,16 +21,17 @@ import abc
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
 from snapo.case.table import TableContext
+from snapo.problem.arrays import Array, ArrayLibrary, Bool, Float
+from snapo.problem.record import AbstractVar, Record
 
 from ...gas_storage.prices.process import Delivery, PriceProcess
 from .bank import Bank
 
 ONLY = 0  # the mode of a contract that has one
+NumbersOf = Callable[[Any], Any]
 
 
 class Level(NamedTuple):
@@ -261,15 +262,16 @@ class Terms(NamedTuple):
     steps: StepTerms
 
 
-class EnergyContract(eqx.Module):
+class EnergyContract(Record):
     """What is agreed. As it is read it has the numbers of the case, in a simulator it has none."""
 
-    layout: eqx.AbstractVar[ContractLayout]
+    layout: AbstractVar[ContractLayout]
 
     @abc.abstractmethod
-    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
-        """The numbers. `paid` [T]: discount factors of the commodity; `settled` [T]: of
-        money that is owed when the step is over, a day later."""
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        """The numbers; `at`: those of an input where they are used. `paid` [T]: discount factors
+        of the commodity; `settled` [T]: of money that is owed when the step is over, a day later.
+        """
 
     @abc.abstractmethod
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:

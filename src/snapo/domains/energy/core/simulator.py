@@ -7,6 +7,7 @@ training moves may be mixed: levels, modes and cash are then means over them.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Self
 
 import equinox as eqx
@@ -16,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.actions import Box
+from snapo.problem.arrays import TRACED
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule
@@ -100,8 +102,8 @@ class EnergySimulator(PricedSimulator):
         )
 
     def _terms(self, inputs: dict[str, Any]):
-        rates = use(inputs, self.rate)
-        return self.contract.terms(inputs, self.paid(rates), self.settled(rates))
+        rates, at = use(inputs, self.rate), partial(use, inputs)
+        return self.contract.terms(at, self.paid(rates), self.settled(rates), TRACED)
 
     def on_paths(self):
         names = (

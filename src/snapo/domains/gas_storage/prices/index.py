@@ -22,7 +22,7 @@ from snapo.problem.process import integral
 from snapo.problem.record import Record, Schedule
 
 from .factors import FactorTable, GivenFactors
-from .process import YEAR, Delivery, GaussianFactors, PriceProcess, TwoPrices, use
+from .process import YEAR, Delivery, GaussianFactors, KnownPrices, PriceProcess, TwoPrices, use
 
 ONE_FACTOR = ("one-factor", "one-factor-normal", "one-factor-shifted")  # kinds with an index
 
@@ -182,6 +182,13 @@ class IndexedPrices(TwoPrices):
         following = jnp.append(months.renewed[1:], False)
         constants = IndexedConstants(spot.constants, *self._first(spot, speed))
         return Schedule(constants, IndexedStep(spot.steps, rows, following))
+
+    def known(self) -> KnownPrices:
+        months, none = self.months, np.zeros(0)
+        forward = self.spot.delivery.on_dates(self.spot.delivery.curve.used())
+        fixed = months.fixed * (0.0 if self.fixing is None else self.fixing.used())
+        rows = forward[months.days], none, none, months.weight, fixed, months.renewed
+        return KnownPrices(IndexRows(*rows))
 
     def _first(self, spot: Schedule, speed: Array) -> tuple[Array, Array]:
         """`before` and `first` of `IndexedConstants`."""

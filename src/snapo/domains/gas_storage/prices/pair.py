@@ -17,7 +17,7 @@ from snapo.problem.process import Factors, integral
 from snapo.problem.record import Schedule, field
 
 from .factors import FactorPrices, FactorTable
-from .process import GaussianFactors, Times, TwoPrices, use
+from .process import GaussianFactors, KnownPrices, Times, TwoPrices, use
 
 
 class SecondRows(NamedTuple):
@@ -95,6 +95,9 @@ class CommodityPair(FactorPrices, TwoPrices):
         variance = loading**2 * integral(2 * speed, jnp.asarray(self.delivery.years))
         second = SecondRows(curve, loading, variance)
         return Schedule(rows.constants, PairStep(*rows.steps, index=second))
+
+    def known(self) -> KnownPrices:
+        return KnownPrices(SecondRows(self.second_curve.used(), np.zeros(0), np.zeros(0)))
 
     def index(self, constants, now, state):
         return now.index.price(state[1])

@@ -119,8 +119,11 @@ class Times(Record):
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
         """The forward price of each date; an end date without a price has the last."""
-        prices, count = use(inputs, self.curve), len(self.years)
-        return prices[np.minimum(np.arange(count), max(len(prices) - 1, 0))]
+        return self.on_dates(use(inputs, self.curve))
+
+    def on_dates(self, prices: Any) -> Any:
+        """[T + 1] the forward prices of the curve on all dates."""
+        return prices[np.minimum(np.arange(len(self.years)), max(len(prices) - 1, 0))]
 
 
 class GaussianFactors(NamedTuple):
@@ -250,13 +253,26 @@ class PriceProcess(Process):
         """How far spot prices may be from the forward price, in money; None: in proportion."""
         return None
 
+    def known(self) -> "KnownPrices | None":
+        """The second price of a case at its forward prices, in NumPy; None without one."""
+        return None
+
     def sources(self, seed: int) -> "Sources | None":
         """Separate scenarios for every role, instead of drawn normals."""
         return None
 
 
+class KnownPrices(NamedTuple):
+    """`index`: rows of a second price, of which only what is expected today is set."""
+
+    index: Any
+
+
 class TwoPrices(PriceProcess):
     """A spot price, and a second price that a contract's cash depends on."""
+
+    @abc.abstractmethod
+    def known(self) -> KnownPrices: ...
 
     @abc.abstractmethod
     def index(self, constants, now, state) -> Float[Array, ""]:
