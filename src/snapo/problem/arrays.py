@@ -12,13 +12,15 @@ where a case is checked.
 """
 
 from collections.abc import Callable
+from functools import cache, wraps
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
+    import equinox as eqx
     import jax
     import jax.numpy as jnp
     from jaxtyping import Array, Bool, Float, Int, PyTree
@@ -31,7 +33,10 @@ else:
             if name.startswith("__"):
                 raise AttributeError(name)
             import_module(f"{__package__}.trees")  # records are trees from here on
-            value = getattr(import_module(self.__name__), name)
+            library = import_module(self.__name__)
+            if not hasattr(library, name):
+                import_module(f"{self.__name__}.{name}")
+            value = getattr(library, name)
             setattr(self, name, value)
             return value
 
@@ -41,8 +46,33 @@ else:
         def __class_getitem__(cls, shape):
             return cls
 
-    jax, jnp = _Library("jax"), _Library("jax.numpy")
+    eqx, jax, jnp = map(_Library, ("equinox", "jax", "jax.numpy"))
     Bool = Float = Int = PyTree = Array
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def custom_jvp(
+    tangent: Callable[..., Any], fixed: tuple[int, ...] = ()
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Gives a function the rule `tangent` of its derivatives: `jax.custom_jvp`, made when the
+    function is first called. `fixed`: positions of arguments without derivatives."""
+
+    def decorated(function: Callable[P, R]) -> Callable[P, R]:
+        @cache
+        def made() -> Callable[P, R]:
+            result = jax.custom_jvp(function, nondiff_argnums=fixed)
+            result.defjvp(tangent)
+            return result
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            return made()(*args, **kwargs)
+
+        return call
+
+    return decorated
 
 
 class ArrayLibrary(NamedTuple):

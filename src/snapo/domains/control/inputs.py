@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 
 from .plants.plant import MEASURED, Plant, PlantParameter, Variable
 

@@ -17,7 +17,7 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
 from snapo.problem.form import Use
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 
 MEAN, DEVIATION = "demand_mean", "demand_deviation"
 
