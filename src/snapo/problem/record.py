@@ -18,6 +18,7 @@ RELATIVE_STEP = 1e-5  # of a number's size: the step of its finite difference
 NOTHING = 1e-9  # of the largest entry: a smaller one is a zero with round-off
 STATIC, CONVERTER = "static", "converter"  # keys of a field's metadata, as those of Equinox
 _CLASSES: list[type["Record"]] = []  # all that are defined
+_UNFINISHED: set[int] = set()  # records whose `__init__` has not returned
 _REGISTER: list[Callable[[type["Record"]], None]] = []  # of JAX, once it is loaded
 
 if TYPE_CHECKING:
@@ -46,12 +47,35 @@ def field(*, static: bool = False, converter: Callable[[Any], Any] | None = None
     return dataclasses.field(metadata={STATIC: static, CONVERTER: converter}, **more)
 
 
+class RecordType(ABCMeta):
+    """Sets fields in `__init__` only; converters and checks come after it."""
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        record = cls.__new__(cls, *args, **kwargs)
+        _UNFINISHED.add(id(record))
+        try:
+            record.__init__(*args, **kwargs)
+            for item in dataclasses.fields(record):
+                if (converter := item.metadata.get(CONVERTER)) is not None:
+                    setattr(record, item.name, converter(getattr(record, item.name)))
+        finally:
+            _UNFINISHED.discard(id(record))
+        for base in cls.__mro__:
+            if (check := vars(base).get("__check_init__")) is not None:
+                check(record)
+        return record
+
+
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
-class Record(metaclass=ABCMeta):  # noqa: B024
-    """A frozen dataclass that is a tree of JAX once JAX is loaded; compared by identity."""
+class Record(metaclass=RecordType):
+    """A frozen dataclass that is a tree of JAX once JAX is loaded; compared by identity.
+
+    A method `__check_init__` of a class refuses values that do not fit together.
+    """
 
     __abstractvars__ = frozenset[str]()  # names of attributes that a subclass must have
     __left_open__ = frozenset[str]()  # those that this class declares itself
+    __own_init__ = False  # whether a class has written its `__init__`, and those below have it too
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
@@ -65,7 +89,9 @@ class Record(metaclass=ABCMeta):  # noqa: B024
             left_open |= dict.fromkeys(get_annotations(base).keys() | vars(base).keys(), False)
             left_open |= dict.fromkeys(getattr(base, "__left_open__", ()), True)
         cls.__abstractvars__ = frozenset(name for name, missing in left_open.items() if missing)
-        dataclasses.dataclass(frozen=True, eq=False)(cls)
+        cls.__own_init__ = "__init__" in vars(cls) or cls.__own_init__
+        dataclasses.dataclass(frozen=True, eq=False, init=not cls.__own_init__)(cls)
+        del cls.__setattr__, cls.__delattr__  # those of `Record` let `__init__` set fields
         _CLASSES.append(cls)
         for register in _REGISTER:
             register(cls)
@@ -76,14 +102,13 @@ class Record(metaclass=ABCMeta):  # noqa: B024
             raise TypeError(f"Can't instantiate abstract class {cls.__name__} without {names}")
         return super().__new__(cls)
 
-    def __post_init__(self):
-        for item in dataclasses.fields(self):
-            if (converter := item.metadata.get(CONVERTER)) is not None:
-                object.__setattr__(self, item.name, converter(getattr(self, item.name)))
-        self.__check_init__()
+    def __setattr__(self, name: str, value: Any) -> None:
+        if id(self) not in _UNFINISHED:
+            raise dataclasses.FrozenInstanceError(f"cannot assign to field {name!r}")
+        object.__setattr__(self, name, value)
 
-    def __check_init__(self):  # noqa: B027
-        """Refuses values that do not fit together."""
+    def __delattr__(self, name: str) -> None:
+        raise dataclasses.FrozenInstanceError(f"cannot delete field {name!r}")
 
 
 def _is_abstract(kind: Any) -> bool:

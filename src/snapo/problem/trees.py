@@ -16,8 +16,10 @@ def _register(cls: type[Record]) -> None:
     keys = tuple(map(GetAttrKey, moving))
 
     def flatten(record: Any) -> tuple[tuple, tuple]:
-        parts = vars(record)
-        return tuple([parts[x] for x in moving]), tuple([parts[x] for x in static])
+        return (
+            tuple([getattr(record, x) for x in moving]),
+            tuple([getattr(record, x) for x in static]),
+        )
 
     def with_keys(record: Any) -> tuple[tuple, tuple]:
         leaves, structure = flatten(record)
