@@ -1,6 +1,6 @@
 """The user's folder of compiled code: kernels of the native engine and programs of XLA.
 
-$XDG_CACHE_HOME/snapo/kernels    machine code of kernels
+$XDG_CACHE_HOME/snapo/kernels    machine code of kernels, and kernels as traced
 $XDG_CACHE_HOME/snapo/xla        XLA's programs
 
 `XDG_CACHE_HOME` is `~/.cache` where it is not set. The oldest files beyond 512 MB in a folder are

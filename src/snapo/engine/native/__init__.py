@@ -10,6 +10,7 @@ simulator passes through it:
       noise               noise inside the kernel
       shared              the tables that all paths share
       kernel              the two sweeps of each phase, the loop over blocks, the module
+    stored              kernels of earlier processes
     call, runtime       trees into rows and back; memory and threads
     distributed         groups of paths that other processes compute
     engine, explain     `values` and `adjoint`; every stage as text, and reasons

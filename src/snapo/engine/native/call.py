@@ -27,6 +27,7 @@ from .kernel.context import KernelStages
 from .kernel.kernel import Kernel, KernelCode, emit
 from .rollout import FunctionSetup, SharedTree, cast, traced
 from .runtime import Back, KernelInputs, Runner
+from .stored import StoredKernel
 
 
 def unavailable() -> str | None:
@@ -139,11 +140,28 @@ class NativeCall:
         kind = type(self.simulator), self.version
         return setup, self.shared.key(), self.steps.key(1), starts, kind
 
-    def kernel(self, setup: FunctionSetup, like, stages: KernelStages | None = None) -> Kernel:
-        """Traces and emits. An error of the emitter is reported as the reason."""
+    def kernel(self, setup: FunctionSetup, like) -> Kernel:
+        """The kernel as an earlier process stored it, or newly made."""
         missing = unavailable()
         if missing is not None:
             raise Unsupported(missing)
+        stored = self._stored(setup, like)
+        kernel = None if stored is None else stored.read()
+        if kernel is None:
+            kernel = self.emitted(setup, like)
+            if stored is not None:
+                stored.write(kernel)
+        return kernel
+
+    def _stored(self, setup: FunctionSetup, like) -> StoredKernel | None:
+        """The kernel's file; None for code of the user's own."""
+        if self.version is not None:
+            return None
+        noise = self.simulator.initial_noise_size
+        return StoredKernel(self.simulator, self.shared, self.steps, like, setup, noise)
+
+    def emitted(self, setup: FunctionSetup, like, stages: KernelStages | None = None) -> Kernel:
+        """Traces and emits. An error of the emitter is reported as the reason."""
         simulator = self.simulator
         sizes = (simulator.noise_size, simulator.initial_noise_size)
         values = self.shared.split(), self.steps.split()
@@ -167,7 +185,7 @@ class NativeCall:
         self, runner: Runner, weights, bounds, records: bool, parts: Sequence[int] | None = None
     ) -> KernelInputs:
         """All inputs of a run; `parts`: the number of paths in each of its sums, by default all."""
-        layouts, lanes, traced = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.traced
+        layouts, lanes, trees = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.trees
         self.slots = Seats.of(parts or (self.paths,), lanes)
         path, inner, blocks = self.slots.path, self.slots.inner, self.slots.blocks
         first, length, _ = self.window
@@ -181,10 +199,10 @@ class NativeCall:
         if weights is not None:
             sizes["weights"] = columns * blocks * layouts["weights"].stride
         memory = KernelMemory(sizes)
-        for leaf, array in zip(traced.call, self.shared.arrays):
+        for leaf, array in zip(trees.call, self.shared.arrays):
             layouts["table"].view(memory["table"], leaf)[...] = array
         steps = memory["steps"].reshape(length, -1)
-        for leaf, array in zip(traced.now, self.steps.arrays):
+        for leaf, array in zip(trees.now, self.steps.arrays):
             layouts["steps"].view(steps, leaf)[...] = array[first : first + length]
         for name, array in values.items():
             memory[name].view(array.dtype)[:] = array
@@ -240,19 +258,19 @@ class NativeCall:
         return _paths(runner.kernel.layouts[name].view(rows, key), self.slots, len(axes))
 
     def finals(self, runner: Runner, memory: np.ndarray) -> Any:
-        traced = runner.kernel.traced
+        trees = runner.kernel.trees
         totals = {
-            n: self.lanes_out(runner, "final", memory, ("final", n)) for n in traced.final_names
+            n: self.lanes_out(runner, "final", memory, ("final", n)) for n in trees.final_names
         }
         leaves = [
-            self.lanes_out(runner, "final", memory, ("end", i)) for i in range(len(traced.state))
+            self.lanes_out(runner, "final", memory, ("end", i)) for i in range(len(trees.state))
         ]
-        return totals, jax.tree.unflatten(traced.state_tree, leaves)
+        return totals, jax.tree.unflatten(trees.state_tree, leaves)
 
     def recorded(self, runner: Runner, memory, record: tuple[str, ...]) -> dict[str, PyTree]:
         if not record:
             return {}
-        tree = runner.kernel.traced.record_tree
+        tree = runner.kernel.trees.record_tree
         leaves = [
             self.lanes_out(runner, "records", memory, ("record", i), self.window.length)
             for i in range(tree.num_leaves)
@@ -265,7 +283,7 @@ class NativeCall:
         With a leading axis of parts in policy and schedule, where the sums are theirs.
         """
         lead = out.call_sums.shape[:-1]
-        traced, layouts, dtype = runner.kernel.traced, runner.kernel.layouts, self.engine.dtype
+        trees, layouts, dtype = runner.kernel.trees, runner.kernel.layouts, self.engine.dtype
         first, length, _ = self.window
 
         def shared(leaf, array, request):
@@ -273,7 +291,7 @@ class NativeCall:
                 return np.zeros((*lead, *np.shape(array)), dtype) if request else None
             return layouts["call_sums"].view(out.call_sums, leaf).astype(dtype)
 
-        result = map(shared, traced.call, self.shared.arrays, traced.requested[0])
+        result = map(shared, trees.call, self.shared.arrays, trees.requested[0])
         policy, constants, _, _ = self.shared.like(result)
         memory = out.step_sums.reshape(*lead, length, -1)
 
@@ -290,13 +308,13 @@ class NativeCall:
             full[(slice(None),) * len(lead) + (slice(first, first + length),)] = part
             return full
 
-        steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays, traced.requested[1]))
+        steps = self.steps.like(map(stepwise, trees.now, self.steps.arrays, trees.requested[1]))
         start = None
         if self.start is not None:
-            start = jax.tree.unflatten(traced.state_tree, [
+            start = jax.tree.unflatten(trees.state_tree, [
                 self.lanes_out(runner, "start_cotangent", out.start_cotangent, ("start", i))
                 if x.dtype == dtype else None
-                for i, x in enumerate(traced.state)
+                for i, x in enumerate(trees.state)
             ])  # fmt: skip
         return policy, Schedule(constants, steps), start
 

@@ -49,6 +49,14 @@ class SharedTree:
             for x in self.leaves
         )
 
+    def shapes(self, skip: int = 0) -> PyTree:
+        """The tree with the types of its arrays, without their first `skip` axes."""
+        leaves = [
+            jax.ShapeDtypeStruct(x.shape[skip:], x.dtype) if isinstance(x, np.ndarray) else x
+            for x in self.leaves
+        ]
+        return jax.tree.unflatten(self.tree, leaves)
+
     def split(self) -> tuple[PyTree, PyTree]:
         """The tree with its arrays only, and with all the rest only; None elsewhere."""
         arrays = [x if isinstance(x, np.ndarray) else None for x in self.leaves]
@@ -113,12 +121,7 @@ class Functions:
         self.noise = [jax.ShapeDtypeStruct((n,), real) for n in noise_sizes]
         self.action = jax.ShapeDtypeStruct((action_size,), real)
         if state_like is None:
-
-            def first(call, noise):
-                _, constants, _, simulator = self.segments(call)
-                return simulator.initial(constants, noise)
-
-            state_like = jax.eval_shape(first, call, self.noise[1])
+            state_like = initial_state(self.segments, call, self.noise[1])
         leaves, self.state_tree = jax.tree.flatten(state_like)
         self.state = [jax.ShapeDtypeStruct(x.shape, self._kind(x)) for x in leaves]
 
@@ -258,6 +261,16 @@ class Functions:
         ]
 
 
+def initial_state(segments: Callable, call, noise) -> PyTree:
+    """Shapes and types of the state that a simulator gives a path at its start."""
+
+    def first(call, noise):
+        _, constants, _, simulator = segments(call)
+        return simulator.initial(constants, noise)
+
+    return jax.eval_shape(first, call, noise)
+
+
 @dataclass(eq=False)
 class Phase:
     """One phase, cut; `inputs` and `outputs` name the path's arrays in order."""
@@ -269,8 +282,8 @@ class Phase:
 
 
 @dataclass(eq=False)
-class Traced:
-    """Everything that the writer of a kernel needs, and the way back to the caller's trees.
+class KernelTrees:
+    """The way from a kernel's arrays back to the caller's trees.
 
     `requested`: of the leaves of `call` and of `now`, whether their gradient is asked for. Where it
     is zero whatever the path does, the leaf is not active, and the kernel adds nothing up.
@@ -285,8 +298,24 @@ class Traced:
     names: list[str]
     final_names: list[str]
     record_tree: Any
+
+
+@dataclass(eq=False)
+class Traced(KernelTrees):
+    """Everything that the writer of a kernel needs."""
+
     phases: dict[str, Phase]
     clip: Callable | None
+
+
+def parted(split: tuple[PyTree, PyTree], skip: int = 0) -> tuple[Callable, list]:
+    """The tree as a function of its arrays, and their shapes without the first `skip` axes."""
+    leaves, tree = jax.tree.flatten(split[0])
+
+    def combined(values):
+        return eqx.combine(jax.tree.unflatten(tree, values), split[1])
+
+    return combined, [jax.ShapeDtypeStruct(np.shape(x)[skip:], jax_type(x)) for x in leaves]
 
 
 def traced(
@@ -294,20 +323,11 @@ def traced(
 ) -> Traced:
     """Traces and cuts the phases. `state_like` is the tree of given starting states, or None."""
     dtype = np.dtype(setup.dtype)
-    leaves, tree = jax.tree.flatten(shared[0])
-    step_leaves, step_tree = jax.tree.flatten(steps[0])
-    step_leaves = [jax.ShapeDtypeStruct(x.shape[1:], jax_type(x)) for x in step_leaves]
-    call_avals = [jax.ShapeDtypeStruct(np.shape(x), jax_type(x)) for x in leaves]
+    segments, call_avals = parted(shared)
+    current, step_leaves = parted(steps, skip=1)
     requested = [bool(m) for m in jax.tree.leaves(_differentiable(shared[0], setup.wrt))]
     moving = ["schedule" in setup.wrt and floating(x) for x in step_leaves]
-
-    def segments(values):
-        return eqx.combine(jax.tree.unflatten(tree, values), shared[1])
-
-    def current(values):
-        return eqx.combine(jax.tree.unflatten(step_tree, values), steps[1])
-
-    builder = Functions(setup, dtype, segments, current, len(leaves), len(step_leaves))
+    builder = Functions(setup, dtype, segments, current, len(call_avals), len(step_leaves))
     builder.describe(call_avals, step_leaves, state_like, noise_sizes, action_size)
     rows, used = [], set()
     for name, function, inputs, outputs, with_now in builder.phases():

@@ -63,13 +63,11 @@ def cached(text: str, folder: Path) -> bytes:
     or another LLVM made, or code for another processor, is not found. A file is used if it is this
     user's, no other user may write it, and its checksum is right; else code is compiled again.
     """
-    name = key(text)
-    path = folder / f"{name}{ENDING}"
-    data = _read(path, name)
+    path = folder / f"{key(text)}{ENDING}"
+    data = read(path)
     if data is None:
         data = object_code(text)
-        _write(path, MARK + _checksum(name, data) + data)
-        evict(folder)
+        write(path, data)
     return data
 
 
@@ -107,8 +105,8 @@ def _checksum(name: str, data: bytes) -> bytes:
     return hashlib.sha256(name.encode() + data).digest()
 
 
-def _read(path: Path, name: str) -> bytes | None:
-    """The code in a file that can be trusted; None for any other."""
+def read(path: Path) -> bytes | None:
+    """The content of a file of the folder; None where it cannot be trusted, or is not there."""
     try:
         with open(path, "rb") as file:
             state = os.fstat(file.fileno())
@@ -119,7 +117,7 @@ def _read(path: Path, name: str) -> bytes | None:
         return None
     start = len(MARK) + CHECKSUM
     data = content[start:]
-    if content[:start] != MARK + _checksum(name, data):
+    if content[:start] != MARK + _checksum(path.stem, data):
         return None
     with suppress(OSError):
         os.utime(path)  # used just now
@@ -133,15 +131,19 @@ def is_private(state: os.stat_result) -> bool:
     return state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Writes atomically; a disk that cannot be written is not an error."""
+def write(path: Path, data: bytes) -> None:
+    """Writes a file of the folder, atomically, and removes what is too old or too much there.
+
+    A disk that cannot be written is not an error.
+    """
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
             try:
-                file.write(content)
+                file.write(MARK + _checksum(path.stem, data) + data)
                 file.flush()
                 os.replace(file.name, path)
             except BaseException:
                 os.unlink(file.name)
                 raise
+    evict(path.parent)

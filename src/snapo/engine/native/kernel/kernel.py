@@ -22,7 +22,7 @@ from snapo.lanes.program.program import BIG, Op, Program, ProgramValue
 from snapo.lanes.program.sweeps import SweepPlan, dependents, plan
 from snapo.lanes.rules import dots
 
-from ..rollout import Phase, Traced
+from ..rollout import KernelTrees, Phase, Traced
 from . import noise, shared
 from .context import CONTEXT, TAPES, Build, KernelStages, Layouts, field
 from .sweep import KernelSweep, replace_all, sweep
@@ -344,7 +344,7 @@ class Kernel:
 
     text: str
     lanes: int
-    traced: Traced
+    trees: KernelTrees
     layouts: Layouts
     sizes: dict[str, int]
 
@@ -352,9 +352,9 @@ class Kernel:
     def code(self) -> KernelCode:
         """What running it takes, without the way back to the caller's trees."""
         strides = {name: layout.stride for name, layout in self.layouts.items()}
-        leaves = {"table": self.traced.call, "steps": self.traced.now}
+        leaves = {"table": self.trees.call, "steps": self.trees.now}
         filled = {name: self.layouts[name].size_to(keys) for name, keys in leaves.items()}
-        return KernelCode(self.text, self.traced.setup.adjoint, strides, filled, self.sizes)
+        return KernelCode(self.text, self.trees.setup.adjoint, strides, filled, self.sizes)
 
 
 def emit(traced: Traced, processor: Processor, stages: KernelStages | None = None) -> Kernel:
