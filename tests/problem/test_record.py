@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.problem.arrays import NUMPY, TRACED, custom_jvp
 from snapo.problem.process import Schwartz
-from snapo.problem.record import AbstractVar, Input, Record, field
+from snapo.problem.record import AbstractVar, Input, TreeRecord, field
+from snapo.problem.record.arrays import NUMPY, TRACED, custom_jvp
 
 
-class Pair(Record):
+class Pair(TreeRecord):
     """A number of an array, and the text of the structure."""
 
     first: np.ndarray = field(converter=np.asarray)
@@ -70,7 +70,7 @@ def test_a_record_is_frozen_after_its_init():
 
 
 def test_what_a_class_leaves_open_must_be_there():
-    class Open(Record):
+    class Open(TreeRecord):
         size: AbstractVar[int]
         kind: eqx.AbstractClassVar[str]
 

@@ -10,13 +10,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .arrays import Array, Float, Int, PyTree, jax, jnp
-from .record import Record, field
+from .record import TreeRecord, field
+from .record.arrays import Array, Float, Int, PyTree, jax, jnp
 
 T = TypeVar("T")
 
 
-class Use(Record):
+class Use(TreeRecord):
     """Where the numbers of an input are used.
 
     - `name`: of the input; `size`: how many numbers it has.

@@ -8,9 +8,9 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from . import trees as trees  # inputs are trees of JAX from here on
 from .record import Input as Input
 from .record import is_input as is_input
+from .record import trees as trees  # inputs are trees of JAX from here on
 
 
 class Frozen(eqx.Module):

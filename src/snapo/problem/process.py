@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import Array, Float, Int, PyTree, jnp
-from .record import AbstractVar, Input, Record, Schedule, field
+from .record import AbstractVar, Input, Schedule, TreeRecord, field
+from .record.arrays import Array, Float, Int, PyTree, jnp
 
 State = PyTree
 
 
-class Process(Record):
+class Process(TreeRecord):
     """One path of an exogenous process. Subclass it and implement every method.
 
     **Attributes:**
@@ -115,7 +115,7 @@ class FactorStep(NamedTuple):
     next_shock: Array
 
 
-class Gaps(Record):
+class Gaps(TreeRecord):
     """The distinct intervals between successive times, the first of which begins today.
 
     - `length` [n] of each interval; `none`: whether it is 0.
@@ -214,7 +214,7 @@ class FactorPrice(Process):
         return state / constants.size
 
 
-class SchwartzInputs(Record):
+class SchwartzInputs(TreeRecord):
     """The market of a `Schwartz` price: forward curve [T], volatility and mean reversion []."""
 
     forward: Input

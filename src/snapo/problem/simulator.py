@@ -16,9 +16,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from . import trees as trees  # schedules are trees of JAX from here on
 from .actions import Actions
 from .record import Schedule as Schedule
+from .record import trees as trees  # schedules are trees of JAX from here on
 
 State = PyTree
 Outputs = dict[str, Float[Array, ""]]

@@ -41,7 +41,7 @@ STARTS = (("at",), ("low", "high"), ("mean", "deviation"))  # a number; uniform;
 
 
 class PlantKind:
-    """The description of a plant; `faults`: what does not fit together in a case."""
+    """The description of a plant."""
 
     type: ClassVar[str]
     description: ClassVar[str]

@@ -199,7 +199,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
         title=table.title or plant.description,
         kind=plant,
         horizon=selected.horizon,
-        clock=selected.clock,
+        timer=selected.clock,
         inputs=inputs,
         objective=objective,
         objective_words=_words(objective),

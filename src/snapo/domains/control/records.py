@@ -16,7 +16,7 @@ from .kinds import PlantKind
 class ControlCase:
     """All that a study needs: the plant with its inputs, the objective, and how it is trained.
 
-    - `kind`: of the plant; `horizon`, `clock`: steps, and whether the policy sees how many are
+    - `kind`: of the plant; `horizon`, `timer`: steps, and whether the policy sees how many are
       left, None as the kind has them.
     - `hidden`, `memory`, `window`: of the network that is trained, see `[policy]`.
     - `objective_words`: "mean reward".
@@ -28,7 +28,7 @@ class ControlCase:
     title: str
     kind: type[PlantKind]
     horizon: int | None
-    clock: bool | None
+    timer: bool | None
     inputs: PlantInputs
     objective: ObjectiveTable
     objective_words: str

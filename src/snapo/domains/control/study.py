@@ -99,7 +99,7 @@ def _result(run: StudyRun) -> dict[str, Any]:
 
 def plant_at(case: ControlCase) -> Plant:
     """The plant of a case."""
-    return TYPES[case.kind.type](case.inputs, case.horizon, case.clock)
+    return TYPES[case.kind.type](case.inputs, case.horizon, case.timer)
 
 
 def objective_of(case: ControlCase) -> Objective:

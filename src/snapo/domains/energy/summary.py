@@ -1,8 +1,10 @@
 """What `snapo check` prints of a contract, in NumPy: nothing is compiled."""
 
+from typing import Any
+
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import NUMPY
 from snapo.problem.record import Schedule
+from snapo.problem.record.arrays import NUMPY
 from snapo.study.kind import inputs_line
 
 from ..gas_storage.contract.terms import discount
@@ -37,9 +39,9 @@ def known_schedule(case: EnergyCase) -> Schedule:
     market, at = case.market, CaseInput.used
     paid, settled = (discount(market, days) for days in (market.gas_day, case.day + 1))
     start, terms = case.contract.terms(at, paid, settled, NUMPY)  # pyright: ignore
-    forward = at(market.forward_curve)[: len(case.days)]
+    forward: Any = at(market.forward_curve)[: len(case.days)]
     terms = charged(terms, forward, NUMPY)
     ranges = intervals(case.contract.layout, terms, NUMPY)
-    none: Any = None  # read by paths and policies alone
-    steps = Step(case.time, forward, terms, ranges, case.model.known(), none)  # pyright: ignore
+    none: Any = None  # only paths and policies read it
+    steps = Step(case.time, forward, terms, ranges, case.model.second_price(), none)  # pyright: ignore
     return Schedule(Constants(start, none, none, none, none), steps)

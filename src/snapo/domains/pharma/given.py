@@ -12,7 +12,7 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, jnp
+from snapo.problem.record.arrays import Array, jnp
 
 Formed = TypeVar("Formed")
 

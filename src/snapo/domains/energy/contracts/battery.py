@@ -18,8 +18,8 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.arrays import Array, ArrayLibrary, Bool
 from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
 
 from ..core.contract import (
     ContractLayout,
@@ -27,7 +27,6 @@ from ..core.contract import (
     EnergyFlow,
     Intraday,
     Level,
-    NumbersOf,
     StepTerms,
     Terms,
 )

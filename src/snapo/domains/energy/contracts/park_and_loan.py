@@ -28,8 +28,8 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, Quantity
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.arrays import Array, ArrayLibrary, Bool
 from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
 
 from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
 from ..core.contract import (
@@ -38,7 +38,6 @@ from ..core.contract import (
     EnergyFlow,
     Level,
     LevelMoney,
-    NumbersOf,
     StepTerms,
     Terms,
 )

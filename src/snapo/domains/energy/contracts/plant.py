@@ -14,8 +14,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, ArrayLibrary
 from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, ArrayLibrary, NumbersOf
 
 from ..core.contract import (
     ContractLayout,
@@ -23,7 +23,6 @@ from ..core.contract import (
     EnergyContract,
     EnergyFlow,
     Level,
-    NumbersOf,
     StepTerms,
     Terms,
 )

@@ -18,8 +18,8 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.table import TableContext
-from snapo.problem.arrays import Array, ArrayLibrary, Bool
 from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
 
 from ...gas_storage.prices.index import ONE_FACTOR, indexed
 from ...gas_storage.prices.process import Delivery, PriceProcess
@@ -30,7 +30,6 @@ from ..core.contract import (
     EnergyContract,
     EnergyFlow,
     Level,
-    NumbersOf,
     Promises,
     StepTerms,
     Terms,

@@ -24,14 +24,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.table import TableContext
-from snapo.problem.arrays import Array, ArrayLibrary, Bool, Float
-from snapo.problem.record import AbstractVar, Record
+from snapo.problem.record import AbstractVar, TreeRecord
+from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, Float, NumbersOf
 
 from ...gas_storage.prices.process import Delivery, PriceProcess
 from .bank import Bank
 
 ONLY = 0  # the mode of a contract that has one
-NumbersOf = Callable[[Any], Any]
 
 
 class Level(NamedTuple):
@@ -262,7 +261,7 @@ class Terms(NamedTuple):
     steps: StepTerms
 
 
-class EnergyContract(Record):
+class EnergyContract(TreeRecord):
     """What is agreed. As it is read it has the numbers of the case, in a simulator it has none."""
 
     layout: AbstractVar[ContractLayout]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.problem.arrays import TRACED, Array, ArrayLibrary, Float, jax, jnp
+from snapo.problem.record.arrays import TRACED, Array, ArrayLibrary, Float, jax, jnp
 
 from .contract import ContractLayout, StepTerms
 

@@ -11,7 +11,7 @@ The formulas are those of `ArrayLibrary`: of JAX in a simulator, of NumPy where 
 
 from typing import Any, NamedTuple
 
-from snapo.problem.arrays import NUMPY, Array, ArrayLibrary, Float
+from snapo.problem.record.arrays import NUMPY, Array, ArrayLibrary, Float
 
 TOLERANCE = 1e-9  # of the largest limit: rounding must not turn a contract met exactly into none
 

@@ -19,8 +19,8 @@ import numpy as np
 from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import by_name, numbers_in
 from snapo.case.settings import EvaluationTable, FittedTable, ObjectiveTable
-from snapo.problem.arrays import Array, Float, jnp
-from snapo.problem.record import Input, Record, field
+from snapo.problem.record import Input, TreeRecord, field
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..curves.quotes import QuotedCurve
 from ..hedges.table import Hedges
@@ -44,7 +44,7 @@ def _no_table() -> tuple[Any, Any]:
     return np.zeros(2), np.zeros(2)
 
 
-class EndRule(Record):
+class EndRule(TreeRecord):
     """A rule for the end date; prices and money are those of the end date, undiscounted.
 
     As it is read it has the numbers of the case, and in a simulator it has none: `owed`,
@@ -145,7 +145,7 @@ class ValueAtEnd(EndRule):
         return float(np.interp(inventory, self.inventory.used(), self.value.used()))
 
 
-class Ratchets(Record):
+class Ratchets(TreeRecord):
     """How fast gas may move, by day and by inventory at the start of the day.
 
     Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
@@ -163,7 +163,7 @@ class Ratchets(Record):
     interpolation: Literal["linear", "step"] = field(static=True)
 
 
-class Contract(Record):
+class Contract(TreeRecord):
     """Rights, obligations and costs. All volumes are in `StorageCase.volume_unit`.
 
     - `inventory`: in store at the start of the first decision day, index [].
@@ -202,7 +202,7 @@ class Contract(Record):
     fixed_cost_day: np.ndarray
 
 
-class GasMarket(Record):
+class GasMarket(TreeRecord):
     """Prices and discounting, seen from the valuation date.
 
     - `forward_curve`: one price per decision day, currency per unit, labelled by the day, index

@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from snapo.problem.actions import Box
-from snapo.problem.arrays import TRACED
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
+from snapo.problem.record.arrays import TRACED
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 

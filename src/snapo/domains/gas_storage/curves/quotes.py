@@ -14,7 +14,7 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import Quantity
 from snapo.case.table import CaseTable, Positive, TableContext
-from snapo.problem.arrays import Float
+from snapo.problem.record.arrays import Float
 
 from .products import delivery_of
 

@@ -12,9 +12,9 @@ from pydantic import Field
 from snapo.case.given import CaseInput, Copies, FilePosition
 from snapo.case.quantity import Quantity, Range, stacked
 from snapo.case.table import CaseTable, TableContext, parse
-from snapo.problem.arrays import Array, jnp
 from snapo.problem.process import FactorPrice, Factors, Gaps
 from snapo.problem.record import AbstractVar, Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .process import (
     REVERSION,

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, Bool, Float, Int, jax, jnp
 from snapo.problem.process import integral
-from snapo.problem.record import Record, Schedule
+from snapo.problem.record import Schedule, TreeRecord
+from snapo.problem.record.arrays import Array, Bool, Float, Int, jax, jnp
 
 from .factors import FactorTable, GivenFactors
 from .process import YEAR, Delivery, GaussianFactors, KnownPrices, PriceProcess, TwoPrices, use
@@ -61,7 +61,7 @@ class PriceIndex(NamedTuple):
         return weight @ of.spot(forward[:, None], noise) + fixed
 
 
-class IndexMonths(Record):
+class IndexMonths(TreeRecord):
     """The months of T + 1 dates; the end date has the index of the last day.
 
     - `days` [T + 1, D]: dates of the month, by number; `weight` of each, 0 for none.
@@ -183,11 +183,11 @@ class IndexedPrices(TwoPrices):
         constants = IndexedConstants(spot.constants, *self._first(spot, speed))
         return Schedule(constants, IndexedStep(spot.steps, rows, following))
 
-    def known(self) -> KnownPrices:
+    def second_price(self) -> KnownPrices:
         months, none = self.months, np.zeros(0)
         forward = self.spot.delivery.on_dates(self.spot.delivery.curve.used())
         fixed = months.fixed * (0.0 if self.fixing is None else self.fixing.used())
-        rows = forward[months.days], none, none, months.weight, fixed, months.renewed
+        rows: Any = forward[months.days], none, none, months.weight, fixed, months.renewed
         return KnownPrices(IndexRows(*rows))
 
     def _first(self, spot: Schedule, speed: Array) -> tuple[Array, Array]:

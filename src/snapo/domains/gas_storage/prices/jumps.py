@@ -7,9 +7,9 @@ import numpy as np
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import Quantity, Range
-from snapo.problem.arrays import Array, jnp
 from snapo.problem.process import integral
 from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .process import (
     REVERSION,

@@ -8,8 +8,8 @@ import numpy as np
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range
 from snapo.case.table import TableContext
-from snapo.problem.arrays import Array, jnp
 from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .factors import FactorTable, GivenFactors, read_factors
 from .process import Delivery, in_numpy, register, use

@@ -12,9 +12,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, jnp
 from snapo.problem.process import Factors, integral
 from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .factors import FactorPrices, FactorTable
 from .process import GaussianFactors, KnownPrices, Times, TwoPrices, use
@@ -96,8 +96,9 @@ class CommodityPair(FactorPrices, TwoPrices):
         second = SecondRows(curve, loading, variance)
         return Schedule(rows.constants, PairStep(*rows.steps, index=second))
 
-    def known(self) -> KnownPrices:
-        return KnownPrices(SecondRows(self.second_curve.used(), np.zeros(0), np.zeros(0)))
+    def second_price(self) -> KnownPrices:
+        rows: Any = self.second_curve.used(), np.zeros(0), np.zeros(0)
+        return KnownPrices(SecondRows(*rows))
 
     def index(self, constants, now, state):
         return now.index.price(state[1])

@@ -15,10 +15,10 @@ from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range, on_dates
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.arrays import Array, Float, jnp
 from snapo.problem.form import Use
 from snapo.problem.process import Gaps, Process
-from snapo.problem.record import AbstractClassVar, AbstractVar, Record, field
+from snapo.problem.record import AbstractClassVar, AbstractVar, TreeRecord, field
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from .spikes import Spikes
 
@@ -98,7 +98,7 @@ class Delivery(NamedTuple):
         return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, notice)
 
 
-class Times(Record):
+class Times(TreeRecord):
     """When a process has prices, and how they are expected today.
 
     - `years` [T + 1]: time of each date from the valuation date, Act/365; `gaps` between them.
@@ -253,7 +253,7 @@ class PriceProcess(Process):
         """How far spot prices may be from the forward price, in money; None: in proportion."""
         return None
 
-    def known(self) -> "KnownPrices | None":
+    def second_price(self) -> "KnownPrices | None":
         """The second price of a case at its forward prices, in NumPy; None without one."""
         return None
 
@@ -263,7 +263,7 @@ class PriceProcess(Process):
 
 
 class KnownPrices(NamedTuple):
-    """`index`: rows of a second price, of which only what is expected today is set."""
+    """`index`: rows of a second price, as far as today's expectation needs them."""
 
     index: Any
 
@@ -272,7 +272,7 @@ class TwoPrices(PriceProcess):
     """A spot price, and a second price that a contract's cash depends on."""
 
     @abc.abstractmethod
-    def known(self) -> KnownPrices: ...
+    def second_price(self) -> KnownPrices: ...
 
     @abc.abstractmethod
     def index(self, constants, now, state) -> Float[Array, ""]:

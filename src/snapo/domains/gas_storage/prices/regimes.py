@@ -6,9 +6,9 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Quantity, Range
-from snapo.problem.arrays import Array, Float, Int, jax, jnp
 from snapo.problem.process import integral
 from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, Float, Int, jax, jnp
 
 from .process import (
     YEAR,

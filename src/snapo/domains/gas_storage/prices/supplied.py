@@ -9,8 +9,8 @@ from pydantic import Field
 from snapo.case.csv import FileReference, read_array
 from snapo.case.error import CaseError, Unquoted
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.arrays import Array, Float, jnp
 from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..read.tables import FileName
 from .process import Delivery, PriceProcess, Times, register

@@ -10,9 +10,9 @@ import numpy as np
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.table import CaseTable
-from snapo.problem.arrays import Float, jnp
 from snapo.problem.process import Factors
 from snapo.problem.record import field
+from snapo.problem.record.arrays import Float, jnp
 
 from .factors import FactorPrices
 from .process import REVERSION, SPEED, VOLATILITY, Delivery, Times, register, use

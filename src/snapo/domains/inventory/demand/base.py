@@ -14,9 +14,9 @@ import numpy as np
 from snapo.case.given import CaseInput
 from snapo.case.quantity import POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.arrays import Array, Float
 from snapo.problem.form import Use
-from snapo.problem.record import Input, Record
+from snapo.problem.record import Input, TreeRecord
+from snapo.problem.record.arrays import Array, Float
 
 MEAN, DEVIATION = "demand_mean", "demand_deviation"
 
@@ -35,7 +35,7 @@ def deviation_key(note: str = "", default: Any = ...) -> Any:
     return quantity("standard deviation of the demand of a period", default)
 
 
-class Demand(Record):
+class Demand(TreeRecord):
     """Demand of one period, by period: static fields, arrays, and its parameters.
 
     **Class attributes:** `kind`, the word in `[demand]`; `table`, its keys; `integer`, whether it

@@ -30,8 +30,8 @@ import numpy as np
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.arrays import Array, Float, jax, jnp
 from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from .base import DEVIATION, MEAN, Demand, Parameters, deviation_key, mean_key, register
 

@@ -10,8 +10,8 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import POSITIVE, quantity_of
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.arrays import Array, Float, jax, jnp
 from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from snapo.problem.arrays import Array, jax, jnp
+from snapo.problem.record.arrays import Array, jax, jnp
 
 from ..flowsheet.case import Flowsheet, PharmaCase
 from ..quality.records import Attribute, Distribution

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, Float, jnp
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..given import use
 

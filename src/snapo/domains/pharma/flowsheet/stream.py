@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float, jax, jnp
-from snapo.problem.record import Record, field
+from snapo.problem.record import TreeRecord, field
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def together(sizes: tuple[Sizes, ...]) -> Sizes:
 MOMENTS = 6
 
 
-class Stream(Record):
+class Stream(TreeRecord):
     """Material of one batch, or of `duration` seconds of a continuous run. S species.
 
     - `species`: [S] kmol dissolved. `solid`: [S] kmol in crystals, of which `seed`, [S], was

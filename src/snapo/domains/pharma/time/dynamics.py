@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float
+from snapo.problem.record.arrays import Array, Float
 
 from ..flowsheet.stream import LedgerFinish
 from .profile import Profile

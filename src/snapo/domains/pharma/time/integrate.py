@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float, eqx, jax, jnp
-from snapo.problem.record import Record
+from snapo.problem.record import TreeRecord
+from snapo.problem.record.arrays import Array, Float, eqx, jax, jnp
 
 from .dynamics import Dynamics, Numerics, Track
 from .mesh import Mesh, edges_of, make_mesh
@@ -118,7 +118,7 @@ def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     return jnp.concatenate([problem.start[None], later]), final, share
 
 
-class _Field(Record):
+class _Field(TreeRecord):
     """The right-hand side over the share of the duration; the arrays that it closes over become
     arguments, through which derivatives flow."""
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float, Int, jnp
+from snapo.problem.record.arrays import Array, Float, Int, jnp
 
 from .profile import Profile, values_in
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, Float, Int, jax, jnp
+from snapo.problem.record.arrays import Array, Float, Int, jax, jnp
 
 from ..given import fixed, use
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float, custom_jvp, jax, jnp
+from snapo.problem.record.arrays import Array, Float, custom_jvp, jax, jnp
 
 WRITTEN_OUT = 24  # unknowns above which LAPACK factorises, which the native engine does not have
 

@@ -15,7 +15,7 @@ from math import isqrt
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float, custom_jvp, jax, jnp
+from snapo.problem.record.arrays import Array, Float, custom_jvp, jax, jnp
 
 RateFunction = Callable[[Array, Array], Array]
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float, jax, jnp
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from .dynamics import Dynamics
 from .mesh import edges_of

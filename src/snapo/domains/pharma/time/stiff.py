@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float, Int, jax, jnp
+from snapo.problem.record.arrays import Array, Float, Int, jax, jnp
 
 from .dynamics import Dynamics
 from .mesh import break_up, edges_of

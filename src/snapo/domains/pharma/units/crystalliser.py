@@ -14,7 +14,7 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 from snapo.case.table import TableContext
-from snapo.problem.arrays import Array, jnp
+from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Stream, ledger
 from ..given import absent, fixed, use

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, Float
+from snapo.problem.record.arrays import Array, Float
 
 from ..flowsheet.stream import LedgerFinish, Stream, ledger
 from ..given import use

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Literal
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
-from snapo.problem.arrays import Array, Float, jnp
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..flowsheet.network import GAS_CONSTANT
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger

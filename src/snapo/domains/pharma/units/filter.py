@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
-from snapo.problem.arrays import Array, Float, jax, jnp
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger
 from ..given import use

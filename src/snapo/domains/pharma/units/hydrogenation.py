@@ -12,7 +12,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
-from snapo.problem.arrays import Array, jax, jnp
+from snapo.problem.record.arrays import Array, jax, jnp
 
 from ..flowsheet.network import GAS_CONSTANT, rate_constants, rates
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger

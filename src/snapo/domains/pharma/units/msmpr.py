@@ -24,7 +24,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
-from snapo.problem.arrays import Array, Float, jax, jnp
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Sizes, ledger
 from ..given import fixed, use

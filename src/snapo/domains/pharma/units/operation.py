@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, Float, jnp
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..flowsheet.feed import Feed
 from ..flowsheet.network import FlowNetwork

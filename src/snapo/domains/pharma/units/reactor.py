@@ -13,7 +13,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
-from snapo.problem.arrays import Array, jnp
+from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.network import FlowNetwork, fastest_rate, rate_constants, rates
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger

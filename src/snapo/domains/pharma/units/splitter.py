@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import jnp
+from snapo.problem.record.arrays import jnp
 
 from ..flowsheet.stream import LedgerFinish, Stream, ledger
 from ..given import use

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 from pydantic import Field
 
-from snapo.problem.arrays import Array, jnp
+from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import LedgerFinish, Stream, ledger, together
 from ..read.reader import Texts

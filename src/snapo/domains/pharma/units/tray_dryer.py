@@ -19,7 +19,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
-from snapo.problem.arrays import Array, jnp
+from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger
 from ..given import use

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
-from snapo.problem.arrays import Array, Float, jnp
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..flowsheet.stream import LedgerFinish, ledger
 from ..given import fixed, use

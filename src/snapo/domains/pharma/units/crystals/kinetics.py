@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, Float, jnp
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...given import absent, use
 from ...read.declared import TableRecord, UnitQuantity

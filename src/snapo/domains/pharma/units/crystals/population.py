@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.problem.arrays import Array, Float, jax, jnp
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ...flowsheet.stream import MOMENTS
 from ...given import fixed

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.problem.arrays import Array, Float, jax, jnp
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ...flowsheet.stream import MOMENTS
 from ...given import fixed, use

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput, FilePosition, NoPosition
 from snapo.case.quantity import choice, quantity_of
-from snapo.problem.arrays import Array, Float, jax, jnp
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import fixed, use

@@ -22,7 +22,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
-from snapo.problem.arrays import Array, Float, jnp
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...flowsheet.stream import MOMENTS, LedgerFinish, ledger
 from ...given import use

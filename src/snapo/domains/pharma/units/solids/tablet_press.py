@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range, choice
-from snapo.problem.arrays import Array, Float, jnp
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...flowsheet.stream import LedgerFinish, Stream, ledger
 from ...given import use

@@ -1,6 +1,6 @@
 """JAX for modules that describe a kind of case and state its equations: loaded at its first use.
 
-    from snapo.problem.arrays import Array, Float, jnp
+    from snapo.problem.record.arrays import Array, Float, jnp
 
 A price process, a unit operation or a contract is one file with the keys of its table and its
 equations. Reading a case needs the first, and calls none of the second. The names are those of the
@@ -22,6 +22,7 @@ import numpy as np
 if TYPE_CHECKING:
     import equinox as eqx
     import jax
+    import jax.flatten_util
     import jax.numpy as jnp
     from jaxtyping import Array, Bool, Float, Int, PyTree
 else:
@@ -50,6 +51,7 @@ else:
     Bool = Float = Int = PyTree = Array
 
 P = ParamSpec("P")
+NumbersOf = Callable[[Any], Any]  # the numbers of an input where they are used
 R = TypeVar("R")
 
 

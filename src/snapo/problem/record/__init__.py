@@ -1,6 +1,6 @@
-"""Records of numbers, of NumPy alone: what is read from a case, before anything is differentiated.
+"""Records of numbers, in NumPy: a case as it is read, before anything is differentiated.
 
-A `Record` is a frozen dataclass. Where JAX is loaded it is one of its trees as well, as a module of
+A `TreeRecord` is a frozen dataclass. Where JAX is loaded it is one of its trees as well, as a module of
 Equinox is: fields are its branches, but for `static` ones, which belong to its structure. A case is
 read, checked and described without JAX, in less than half of the time that importing it takes.
 """
@@ -9,23 +9,20 @@ import dataclasses
 from abc import ABCMeta
 from collections.abc import Callable
 from inspect import get_annotations
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, dataclass_transform
 
 import numpy as np
 
-T = TypeVar("T")
 RELATIVE_STEP = 1e-5  # of a number's size: the step of its finite difference
 NOTHING = 1e-9  # of the largest entry: a smaller one is a zero with round-off
 STATIC, CONVERTER = "static", "converter"  # keys of a field's metadata, as those of Equinox
-_CLASSES: list[type["Record"]] = []  # all that are defined
+_CLASSES: list[type["TreeRecord"]] = []  # all that are defined
 _UNFINISHED: set[int] = set()  # records whose `__init__` has not returned
-_REGISTER: list[Callable[[type["Record"]], None]] = []  # of JAX, once it is loaded
+_REGISTER: list[Callable[[type["TreeRecord"]], None]] = []  # of JAX, once it is loaded
 
 if TYPE_CHECKING:
-    from typing import Annotated, ClassVar
-
-    AbstractVar = Annotated[T, "abstract"]
-    AbstractClassVar = ClassVar[Annotated[T, "abstract"]]
+    from equinox import AbstractClassVar as AbstractClassVar
+    from equinox import AbstractVar as AbstractVar
 else:
 
     class AbstractVar:
@@ -42,7 +39,7 @@ def field(*, static: bool = False, converter: Callable[[Any], Any] | None = None
     """A field of a record: `dataclasses.field` with two arguments more.
 
     - `static`: it is part of the structure: JAX compares it, and compiled code depends on it.
-    - `converter`: a function of the value that is given, whose result is kept.
+    - `converter`: a function of the value, whose result is kept.
     """
     return dataclasses.field(metadata={STATIC: static, CONVERTER: converter}, **more)
 
@@ -51,7 +48,7 @@ class RecordType(ABCMeta):
     """Sets fields in `__init__` only; converters and checks come after it."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        record = cls.__new__(cls, *args, **kwargs)
+        record: Any = cls.__new__(cls, *args, **kwargs)
         _UNFINISHED.add(id(record))
         try:
             record.__init__(*args, **kwargs)
@@ -67,7 +64,7 @@ class RecordType(ABCMeta):
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
-class Record(metaclass=RecordType):
+class TreeRecord(metaclass=RecordType):
     """A frozen dataclass that is a tree of JAX once JAX is loaded; compared by identity.
 
     A method `__check_init__` of a class refuses values that do not fit together.
@@ -91,7 +88,7 @@ class Record(metaclass=RecordType):
         cls.__abstractvars__ = frozenset(name for name, missing in left_open.items() if missing)
         cls.__own_init__ = "__init__" in vars(cls) or cls.__own_init__
         dataclasses.dataclass(frozen=True, eq=False, init=not cls.__own_init__)(cls)
-        del cls.__setattr__, cls.__delattr__  # those of `Record` let `__init__` set fields
+        del cls.__setattr__, cls.__delattr__  # those of `TreeRecord` let `__init__` set fields
         _CLASSES.append(cls)
         for register in _REGISTER:
             register(cls)
@@ -113,20 +110,20 @@ class Record(metaclass=RecordType):
 
 def _is_abstract(kind: Any) -> bool:
     """Whether an annotation is one of the two above, or one of the same name of Equinox."""
-    names = AbstractVar.__name__, AbstractClassVar.__name__
+    names = "AbstractVar", "AbstractClassVar"
     if isinstance(kind, str):
         return kind.split("[")[0].rpartition(".")[2] in names
     return getattr(getattr(kind, "__origin__", kind), "__name__", "") in names
 
 
-def register_all(register: Callable[[type[Record]], None]) -> None:
+def register_all(register: Callable[[type[TreeRecord]], None]) -> None:
     """Calls `register` for every class of records, those to come included."""
     _REGISTER.append(register)
     for cls in _CLASSES:
         register(cls)
 
 
-class Schedule(Record):
+class Schedule(TreeRecord):
     """The numbers that all paths share, computed once per call by `Simulator.prepare`.
 
     **Arguments:**
@@ -151,7 +148,7 @@ def _float64(value: Any) -> np.ndarray:
     return array.astype(np.float64)
 
 
-class Input(Record):
+class Input(TreeRecord):
     """One differentiable input: a float64 array of any shape.
 
     **Arguments:**

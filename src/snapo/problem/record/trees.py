@@ -6,10 +6,10 @@ from typing import Any
 import jax
 from jax.tree_util import GetAttrKey
 
-from .record import STATIC, Record, register_all
+from . import STATIC, register_all
 
 
-def _register(cls: type[Record]) -> None:
+def _register(cls: Any) -> None:
     static, moving = [], []
     for item in dataclasses.fields(cls):
         (static if item.metadata.get(STATIC) else moving).append(item.name)
