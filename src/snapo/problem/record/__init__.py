@@ -1,8 +1,8 @@
 """Records of numbers, in NumPy: a case as it is read, before anything is differentiated.
 
-A `TreeRecord` is a frozen dataclass. Where JAX is loaded it is one of its trees as well, as a module of
-Equinox is: fields are its branches, but for `static` ones, which belong to its structure. A case is
-read, checked and described without JAX, in less than half of the time that importing it takes.
+A `TreeRecord` is a frozen dataclass. Where JAX is loaded it is one of its trees as well, as a
+module of Equinox is: fields are its branches, but for `static` ones, which belong to its structure.
+A case is read, checked and described without JAX, in less time than importing it takes.
 """
 
 import dataclasses
