@@ -8,13 +8,15 @@ removed, and those not used (kernels) or made (programs) for 60 days: of kernels
 of programs when a command begins. Code from here is run: it must be the user's own.
 """
 
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 
-from snapo.lanes.machine.disk import cache_home, evict, is_private
+from snapo.lanes.machine.disk import cache_home, cached, evict, is_private
+from snapo.lanes.machine.linked import Linked
 
 KERNELS, PROGRAMS = "kernels", "xla"
 
@@ -33,6 +35,11 @@ class CodeFolder(NamedTuple):
 def code_folder(name: str) -> Path:
     """The folder of `KERNELS` or of `PROGRAMS`, which need not exist."""
     return cache_home() / "snapo" / name
+
+
+def linked_code(text: str, entries: Mapping[str, int]) -> Linked:
+    """The functions of a module's text, from the disk where their code was made before."""
+    return Linked(cached(text, code_folder(KERNELS)), entries)
 
 
 def keep_programs() -> None:

@@ -195,7 +195,7 @@ def test_nothing_is_compiled_twice(store, monkeypatch):
     noise = draws(simulator)
     native = Native()
     native.values(simulator, policy, schedule, noise, Smooth(0.3))
-    monkeypatch.setattr("snapo.engine.native.call.linked", None)
+    monkeypatch.setattr("snapo.engine.native.call.linked_code", None)
     native.values(simulator, policy, schedule, noise, Smooth(0.1))
     native.values(simulator, Tanh((4, 14, 2), seed=1), schedule, draws(simulator, 99), Smooth(0.2))
 

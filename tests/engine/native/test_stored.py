@@ -55,7 +55,7 @@ def run(problem, precision: str = "float64"):
     values = Native(precision).values(
         simulator, policy, schedule, draws, Smooth(0.2), record=RECORD
     )
-    weights = {name: np.ones(100) for name in list(values.totals)[:1]}
+    weights: dict = {name: np.ones(100) for name in list(values.totals)[:1]}
     adjoint = Native(precision).adjoint(simulator, policy, schedule, draws, Smooth(0.2), weights)
     return values, adjoint
 

@@ -12,8 +12,7 @@ from jaxtyping import PyTree
 
 from snapo.lanes import ACCIDENTS, Unsupported, jax_private
 from snapo.lanes.machine import pipeline
-from snapo.lanes.machine.disk import cached
-from snapo.lanes.machine.linked import KernelMemory, Linked
+from snapo.lanes.machine.linked import KernelMemory
 from snapo.lanes.machine.pipeline import host
 from snapo.problem.code.version import of_rollout, read_context
 from snapo.problem.noise import Counter, Draws
@@ -22,9 +21,9 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..arrays import with_memory
 from ..base import Engine, Window, checked
-from ..code_cache import KERNELS, code_folder
+from ..code_cache import linked_code
 from .kernel.context import KernelStages
-from .kernel.kernel import Kernel, KernelCode, emit
+from .kernel.kernel import Kernel, emit
 from .rollout import FunctionSetup, SharedTree, cast, traced
 from .runtime import Back, KernelInputs, Runner
 from .stored import StoredKernel
@@ -79,11 +78,6 @@ def forget_kernels() -> None:
     _runners.clear()
 
 
-def linked(code: KernelCode) -> Linked:
-    """The kernel's machine code, from the disk where it was made before."""
-    return Linked(cached(code.text, code_folder(KERNELS)), code.entries)
-
-
 class NativeCall:
     """Arguments of one call as rows of the kernel's memory, and results from its rows."""
 
@@ -126,7 +120,7 @@ class NativeCall:
         if key not in _runners:
             started = perf_counter()
             kernel = self.kernel(setup, like)
-            _runners[key] = Runner(kernel, linked(kernel.code))
+            _runners[key] = Runner(kernel, linked_code(kernel.text, kernel.code.entries))
             jax.monitoring.record_event_duration_secs(COMPILED, perf_counter() - started)
             while len(_runners) > KEPT:
                 _runners.popitem(last=False)

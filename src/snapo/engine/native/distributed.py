@@ -23,8 +23,8 @@ import numpy as np
 from snapo.lanes.machine import disk
 from snapo.lanes.machine.linked import KernelMemory
 
+from ..code_cache import linked_code
 from ..workers import OTHER, Lost, Workers
-from .call import linked
 from .kernel.kernel import KernelCode
 from .runtime import GroupRunner, KernelInputs, Runner
 
@@ -203,7 +203,7 @@ def _learn(table: Mapping[str, Any], lasting: bytes) -> bool:
     if table["kernel"] not in _runners:
         if disk.key(code.text) != table["kernel"]:
             return False
-        _runners[table["kernel"]] = GroupRunner(code, linked(code))
+        _runners[table["kernel"]] = GroupRunner(code, linked_code(code.text, code.entries))
     shape = table["run"]["length"], code.filled["steps"]
     _steps[table["steps"]] = rows["steps"].reshape(shape)
     for cache in (_runners, _steps):

@@ -2,8 +2,8 @@
 earlier process made neither traces nor writes it again.
 
 A file is named by all that a trace reads (`problem.code.described`), so that it is used for the
-same sources, settings and processor alone. A simulator or policy with code of the user's own is
-traced in every process, as no text says what its code reads.
+same sources, settings and processor only. A simulator or policy with code of the user's own is
+traced in every process, as no text holds all that its code reads.
 """
 
 import json

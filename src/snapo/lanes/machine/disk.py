@@ -132,7 +132,7 @@ def is_private(state: os.stat_result) -> bool:
 
 
 def write(path: Path, data: bytes) -> None:
-    """Writes a file of the folder, atomically, and removes what is too old or too much there.
+    """Writes a file of the folder, atomically, and removes the oldest files beyond its limits.
 
     A disk that cannot be written is not an error.
     """

@@ -1,4 +1,4 @@
-"""What a trace reads of a tree, as text that another process can compare.
+"""All that a trace reads of a tree, as text that another process can compare.
 
 Arrays are arguments of a trace: their shapes and types are written. All else is compiled in, and is
 written by value: plain values, tuples, objects of snapo with all their attributes, and classes and
@@ -48,7 +48,7 @@ def described(*trees: Any) -> str | None:
 
 
 def settings() -> str:
-    """JAX's settings and version, and the sources of snapo: what every trace depends on."""
+    """JAX's settings and version, and the sources of snapo: every trace depends on them."""
     values = [f"{name}={getattr(jax.config, name, None)}" for name in SETTINGS]
     values.append(str(jax.dtypes.canonicalize_dtype(np.float64)))
     versions = [library.__version__ for library in (jax, jaxlib, eqx, np)]
@@ -103,7 +103,7 @@ def _value(x: Any) -> str:
 
 
 def _named(x: Any) -> str:
-    """The name of a class or a function of snapo or of a dependency, where the name leads to it."""
+    """The name of a class or a function of snapo or of a dependency, if it has that name there."""
     if x is type(None):
         return "None"
     module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None)

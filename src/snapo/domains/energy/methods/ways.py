@@ -112,11 +112,9 @@ def available() -> bool:
 
 @cache
 def _machine() -> "Linked":
-    from snapo.engine.code_cache import KERNELS, code_folder  # late, as above
-    from snapo.lanes.machine.disk import cached
-    from snapo.lanes.machine.linked import Linked
+    from snapo.engine.code_cache import linked_code  # late, as above
 
-    return Linked(cached(_text(), code_folder(KERNELS)), {"best": 2})
+    return linked_code(_text(), {"best": 2})
 
 
 def _text() -> str:
