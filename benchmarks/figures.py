@@ -193,7 +193,7 @@ def cases(folder: Path) -> dict[str, str]:
     return {
         **{
             name: f"{x['value']:,.2f} ± {half_width(x['standard_error']):.2f}"
-            for kind in ("swing", "battery", "park-and-loan", "plant")
+            for kind in ("swing", "battery", "park-and-loan", "stores", "plant")
             for name, x in (
                 (kind.replace("-", "_"), result(kind)),
                 (f"{kind.replace('-', '_')}_upper", result(kind)["bound"]["upper"]),

@@ -63,6 +63,17 @@ MINIATURES = {
             ),
         ),
         Miniature(
+            "stores",
+            assignments=(
+                "market.valuation_date=2027-01-22",
+                "contract.inventory=[2000.0, 3000.0]",
+                "training.steps=4",
+                "evaluation.judge_paths=0",
+                "evaluation.paths=256",
+                *LITTLE,
+            ),
+        ),
+        Miniature(
             "plant",
             assignments=(
                 "contract.end=2026-01-05T12:00:00",

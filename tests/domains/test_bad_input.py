@@ -36,6 +36,7 @@ SHARES = {
     "swing template": (3, 60),
     "battery template": (3, 60),
     "park-and-loan template": (3, 60),
+    "stores template": (3, 60),
     "plant template": (3, 60),
 }
 LABELS = {"own": ("week",), "inventory": ("period",)}  # columns of names, where any text is right

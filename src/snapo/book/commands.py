@@ -118,7 +118,7 @@ def sweep_book(
     for point in (settings[0], settings[-1]):
         _read_at(domain, file, tables, point)
     title = str(tables.get("title") or file.parent.resolve().name)
-    contract = BookContract(title, "", 1.0, tables, contents(file.parent), {})
+    contract = BookContract(title, "", 1.0, tables, contents(file.parent, tables), {})
     contracts, stresses = (contract,), ()
     study = domain.study(case, Options())
     if train or study.setup is None:

@@ -19,7 +19,7 @@ from snapo.case.load import load
 from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
 from snapo.study.assign import assigned, key_as_in
 from snapo.study.domain import find
-from snapo.study.run_folder import case_files
+from snapo.study.run_folder import case_files, tables_named
 
 from .axes import MAX_POINTS, Axis, Design, read_design
 from .stress import BookStress, read_stresses
@@ -217,7 +217,7 @@ def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
         raise CaseError(str(path), sorted(other)[0], None, "a market has [market] and [model] only")
     if not tables:
         raise CaseError(str(path), "market", None, "this table is missing")
-    return MarketFiles(path, tables, contents(path.parent))
+    return MarketFiles(path, tables, contents(path.parent, tables))
 
 
 def _in_folder(file: Path, where: str, name: str) -> Path:
@@ -228,9 +228,10 @@ def _in_folder(file: Path, where: str, name: str) -> Path:
     return path
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    """{name: content} of the files that a case of this folder may name."""
-    return {item.name: item.read_bytes() for item in case_files(folder) if item.suffix != ".toml"}
+def contents(folder: Path, tables: Mapping[str, Any]) -> dict[str, bytes]:
+    """{name: content} of the files that a case of this folder, with these tables, may name."""
+    files = [item for item in case_files(folder) if item.suffix != ".toml"]
+    return {x.name: x.read_bytes() for x in [*files, *tables_named(folder, tables)]}
 
 
 def _contracts(
@@ -248,11 +249,11 @@ def _contracts(
             )
             origin = Origin(path)
             yield _contract(
-                context, name, tables, contents(path.parent), "", markets, 1.0, {}, origin
+                context, name, tables, contents(path.parent, tables), "", markets, 1.0, {}, origin
             )
         return
     path, tables = load(_in_folder(file, "cases.template", cases.template))
-    files, origin = contents(path.parent), Origin(path)
+    files, origin = contents(path.parent, tables), Origin(path)
     if not cases.table:
         yield _contract(context, cases.template, tables, files, "", markets, 1.0, {}, origin)
         return

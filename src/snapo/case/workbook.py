@@ -260,7 +260,8 @@ def unpacked(file: Path) -> Path:
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
         for item in file.parent.iterdir():
-            if item.is_file() and item.suffix.lower() in BESIDE:
+            suffixes = BESIDE if item.name == "case.toml" else (*BESIDE, ".toml")
+            if item.is_file() and item.suffix.lower() in suffixes:
                 shutil.copyfile(item, folder / item.name)
     except OSError as error:
         message = f"its tables cannot be written to {folder} ({error.strerror})"

@@ -21,6 +21,7 @@ KINDS = (
     "swing",
     "battery",
     "park-and-loan",
+    "stores",
     "plant",
     "pension",
     "pharma",

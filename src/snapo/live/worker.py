@@ -218,7 +218,7 @@ def _write(valuation: WhatIf, order: WorkerOrder) -> None:
         Path(folder).mkdir(parents=True, exist_ok=True)
         write_workbook(Path(made), files.tables, Path(folder) / "case.xlsx")
         for file in Path(made).iterdir():
-            if file.suffix not in (".csv", ".toml"):
+            if file.suffix != ".csv" and file.name != "case.toml":
                 shutil.copyfile(file, Path(folder) / file.name)
 
 

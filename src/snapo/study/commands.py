@@ -42,7 +42,7 @@ def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]
 
     with TemporaryDirectory() as made:
         written = new(kind, Path(made), size)
-        others = [item for item in written if item.suffix not in (".csv", ".toml")]
+        others = [item for item in written if item.suffix != ".csv" and item.name != "case.toml"]
         targets = [folder / "case.xlsx", *(folder / entry.name for entry in others)]
         for target in targets:
             if target.exists():

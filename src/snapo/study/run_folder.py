@@ -93,6 +93,19 @@ def case_files(folder: Path, pictures: bool = False) -> list[Path]:
     return sorted(f for f in folder.iterdir() if f.is_file() and f.suffix.lower() in suffixes)
 
 
+def tables_named(folder: Path, tables: Any) -> list[Path]:
+    """The other TOML files of a folder that the tables of a case name, one by one or in a list."""
+    if isinstance(tables, Mapping):
+        parts = [tables_named(folder, item) for item in tables.values()]
+    elif isinstance(tables, list):
+        parts = [tables_named(folder, item) for item in tables]
+    elif not isinstance(tables, str) or not tables.lower().endswith(".toml"):
+        return []
+    else:
+        parts = [[file for file in case_files(folder) if file.name == tables]]
+    return [file for part in parts for file in part]
+
+
 def copy_case(file: Path, out: Path, logo: str | None = None) -> None:
     """A copy of the case next to its results, with the files that may belong to it, and its
     `logo`."""

@@ -31,6 +31,7 @@ CASES: dict[str, Any] = {
     "park and loan": lambda folder: case_at(PARK, {}),
     "cash-out": lambda folder: case_at(PARK, LEFT),
     "plant": lambda folder: plant(),
+    "stores": lambda folder: case_at(HOME / "template_stores", {}),
 }
 
 

@@ -39,3 +39,12 @@ PLANT = Kind(
     tables="read.case:plant_formats",
     explainer=EXPLAINER,
 )
+STORES = Kind(
+    "stores",
+    "two gas stores behind one connection: a joint limit of their flows, transfers between them",
+    __name__,
+    {"fast-and-slow": "template_stores"},
+    summary="summary:lines",
+    tables="read.case:stores_formats",
+    explainer=EXPLAINER,
+)

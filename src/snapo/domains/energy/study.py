@@ -27,7 +27,7 @@ from .core.contract import ContractLayout
 from .core.feasibility import check_limits
 from .core.intraday import TRADED
 from .core.simulator import simulator_of
-from .methods.grid import grid_of
+from .methods.grid import check_nodes, grid_of
 from .methods.hindsight import EnergyRelaxation
 from .read.case import KINDS, EnergyCase
 from .setup import bare_problem, make_setup, setup_at
@@ -40,8 +40,10 @@ def study(case: EnergyCase, options: Options) -> Study:
     """
     ready, problem = _Prepared(case, options.engine), bare_problem(case)
     check_limits(case, problem.schedule)
+    check_nodes(case, problem.schedule)
     relaxation = _relaxation(ready, problem)
-    parts = [INTRINSIC.part, TRAINING, MOVES.part, DISTRIBUTION.part, profile().part,
+    parts = [INTRINSIC.part, TRAINING, MOVES.part, DISTRIBUTION.part,
+             profile(together=KINDS[case.kind].steps).part,
              CERTIFICATE.part]  # fmt: skip
     parts += [] if case.products is None else [PRODUCT_DELTAS.part]
     parts += [VEGA.part] if volatilities(problem) else []
@@ -86,9 +88,10 @@ def _about(case: EnergyCase) -> dict[str, Any]:
     unit = money if case.objective.keeps_unit else ""
     units = {flow.name: flow.unit for flow in layout.flows}
     units |= dict.fromkeys(layout.reported, "1")
+    units |= {layout.levels[-1].name: layout.flows[0].unit} if layout.sums else {}
     units |= {} if case.scheduled is None else {TRADED: case.volume_unit}
-    hourly = KINDS[case.kind].hourly
-    days = [day.isoformat() for day in case.days]
+    hourly, together = KINDS[case.kind].hourly, KINDS[case.kind].steps
+    days = [day.isoformat() for day in case.days[::together]]
     times = case.market.forward_curve.labels if hourly else days
     return {
         "title": case.title,
@@ -102,12 +105,12 @@ def _about(case: EnergyCase) -> dict[str, Any]:
         "start": case.days[0].isoformat(),
         "step": "hour" if hourly else "day",
         "local_times": local_times_of(times, 24 if hourly else 1),
-        "horizon": len(case.days),
+        "horizon": len(case.days) // together,
         "model": case.model.describe(),
         "objective": f"{case.objective.kind} of the discounted cash flow",
         "objective_output": "cash_flow",
         "notes": list(case.notes),
-        "forward": np.asarray(case.market.forward_curve.used()),
+        "forward": np.asarray(case.market.forward_curve.used()[::together]),
     }
 
 
@@ -123,6 +126,8 @@ def _names(layout: ContractLayout) -> dict[str, str]:
     decisions = [""] * len(layout.pairs)  # the flows themselves are outputs
     decisions += [f"Decision: {layout.moves[m].name}" for m in layout.choices]
     levels = [readable(level.name) for level in layout.levels]
+    if layout.sums:  # an output
+        levels[-1] = ""
     price = {name: "" for name in ("price", *(f"price.{i}" for i in range(8)))}
     return (
         {**numbered("levels", levels), **numbered("mode", modes), **numbered("action", decisions)}

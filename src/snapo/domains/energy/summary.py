@@ -10,6 +10,7 @@ from snapo.study.kind import inputs_line
 from ..gas_storage.contract.terms import discount
 from .core.feasibility import charged, check_limits, intervals
 from .core.schedule import Constants, Step
+from .methods.grid import check_nodes
 from .methods.intrinsic import intrinsic_value
 from .read.case import EnergyCase
 
@@ -21,6 +22,7 @@ def lines(case: EnergyCase) -> list[str]:
     """
     layout, schedule = case.contract.layout, known_schedule(case)
     check_limits(case, schedule)
+    check_nodes(case, schedule)
     return [
         f"{case.title}: {len(case.days)} decisions, {case.days[0]} to {case.days[-1]}",
         f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "

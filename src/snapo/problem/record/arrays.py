@@ -91,11 +91,19 @@ class ArrayLibrary(NamedTuple):
     fixed: Callable[[Any], Any]
 
 
+def _row(rows: Any, t: int) -> Any:
+    if not isinstance(rows, tuple):
+        return rows[t]
+    return getattr(type(rows), "_make", tuple)(_row(x, t) for x in rows)
+
+
 def _row_by_row(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
-    row_of = getattr(type(rows), "_make", tuple)
+    first = rows
+    while isinstance(first, tuple):
+        first = first[0]
     results = []
-    for row in reversed([row_of(leaves) for leaves in zip(*rows, strict=True)]):
-        last = step(last, row)
+    for t in reversed(range(len(first))):
+        last = step(last, _row(rows, t))
         results.append(last)
     if not isinstance(last, tuple):
         return np.array(results[::-1])

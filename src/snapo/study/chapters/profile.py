@@ -82,30 +82,35 @@ def profile(
     *,
     without: Collection[str] = (),
     factor: Callable[[RunFiles, BandSeries], float] = lambda run, series: 1.0,
+    together: int = 1,
 ) -> Chapter[BandProfile]:
     """The chapter "profile".
 
     - `without`: names of states that are left out.
+    - `together`: steps of a period: its first state and its sums of outputs are shown.
     - `factor`: by which the numbers of a series are multiplied in the report.
     """
     return Chapter(
         "profile",
         "Over time",
         BandProfile,
-        lambda run: measure(run, without),
+        lambda run: measure(run, without, together),
         lambda run, result: show(run, result, factor),
         "Over time",
         key="profile",
     )
 
 
-def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
+def measure(run: StudyRun, without: Collection[str] = (), together: int = 1) -> BandProfile:
     """The bands of the trained policy; units are those of the study's `about`."""
     horizon, units = run.setup.problem.simulator.horizon, run.study.about.get("units", {})
     requested = min(PATHS, max(256, MAX_NUMBERS // horizon))
     series, notes, paths = [], [], 0
     for kind, name, values in recorded(run.setup, run.solution.policy, requested):
+        values = values if together == 1 else _by_period(kind, values, together)
         _, paths, entries = values.shape
+        if together > 1 and kind == "action":
+            continue
         if (kind == "state" and name in without) or run.study.names.get(name) == "":
             continue
         if entries > MAX_ENTRIES:
@@ -116,6 +121,13 @@ def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
             unit = units.get(full, units.get(name, ""))
             series.append(BandSeries(full, kind, unit, **bands(values[:, :, i])))
     return BandProfile(tuple(series), paths, tuple(notes))
+
+
+def _by_period(kind: str, values: np.ndarray, together: int) -> np.ndarray:
+    """The first state of each period, or the sum of all its outputs."""
+    if kind == "state":
+        return values[::together]
+    return values.reshape(-1, together, *values.shape[1:]).sum(axis=1)
 
 
 def recorded(setup: Setup, policy, paths: int) -> Iterator[tuple[str, str, np.ndarray]]:

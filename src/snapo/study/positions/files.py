@@ -25,7 +25,7 @@ from snapo.case.given import (
 )
 from snapo.case.table import TableContext
 from snapo.case.toml import to_toml
-from snapo.study.run_folder import case_files
+from snapo.study.run_folder import case_files, tables_named
 
 Key = tuple[str | int, ...]  # the way to a value in the tables
 PlainPosition = SheetCell | QuantityKey | KeyedUnit | Key
@@ -74,8 +74,10 @@ class Files:
     def write(self, folder: Path) -> Path:
         """The case in a separate folder: case.toml and its files; returns the file."""
         folder.mkdir(parents=True, exist_ok=True)
+        named = tables_named(self.folder, self.tables)
         for case_file in case_files(self.folder, pictures=True):
-            if case_file.suffix.lower() != ".toml" and case_file.name not in self.changed:
+            apart = case_file.suffix.lower() == ".toml" and case_file not in named
+            if not apart and case_file.name not in self.changed:
                 target = folder / case_file.name
                 if not target.exists():
                     shutil.copyfile(case_file, target)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from snapo.study.study import StudyRun
@@ -9,13 +10,17 @@ from snapo.study.study import StudyRun
 from ...gas_storage.chapters import products, vega
 from ...gas_storage.chapters.products import ProductDeltas, deltas_by_product
 from ...gas_storage.chapters.vega import Vegas, vega_by_month
+from ..core.simulator import simulator_of
+from ..read.case import KINDS
 from ..setup import case_of
 
 
 def measure(run: StudyRun) -> ProductDeltas:
     """The deltas of a contract."""
     case, problem = case_of(run.setup), run.setup.problem
-    discount = np.abs(problem.schedule.steps.terms.price[:, 0])
+    simulator = simulator_of(problem)
+    rate = simulator.rate.in_numpy({x: y.value for x, y in problem.inputs_by_name.items()})
+    discount = np.asarray(simulator.paid(jnp.asarray(rate)))[:: KINDS[case.kind].steps]
     return deltas_by_product(run, case.products, case.market.forward_curve.name, discount)
 
 

@@ -71,6 +71,7 @@ class ContractLayout(NamedTuple):
     - `banks`: how many of its last levels are balances of a bank of the first one, by age, see
       `bank.py`.
     - `reported`: names of moves of which a path counts how often they are made.
+    - `sums`: the weights of the levels in joint limits, see `Promises`.
     """
 
     levels: tuple[Level, ...]
@@ -80,11 +81,13 @@ class ContractLayout(NamedTuple):
     indexed: bool = False
     banks: int = 0
     reported: tuple[str, ...] = ()
+    sums: tuple[tuple[float, ...], ...] = ()
 
     def plain(self) -> tuple:
         """The same in plain tuples, as a file of a policy holds it."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
-        return levels, flows, self.modes, moves, self.indexed, self.banks, self.reported
+        flags = self.indexed, self.banks, self.reported
+        return levels, flows, self.modes, moves, *flags, *((self.sums,) if self.sums else ())
 
     @classmethod
     def of_plain(cls, parts: tuple) -> "ContractLayout":
@@ -156,10 +159,14 @@ class Promises(NamedTuple):
 
     The minimum that they serve is `owed` where a level restarts, and is met on every path. Methods
     that compare values charge a missed unit more than any unit costs.
+
+    With `missed` the sums are those of the layout, joint limits: a flow that lowers one is limited
+    by it, and methods charge each unit missed after a step, `missed` times more than any costs.
     """
 
     weights: Float[Array, "T promises levels"]
     minimum: Float[Array, "T promises modes"]
+    missed: Float[Array, " T"] | None = None
 
 
 class LevelMoney(NamedTuple):

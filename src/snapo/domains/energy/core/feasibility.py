@@ -5,6 +5,7 @@ some move reaches the interval of the next step. Levels are looked at one by one
 not have obligations on one level that only another one limits.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.record.arrays import TRACED, Array, ArrayLibrary, Float, jax, jnp
 
-from .contract import ContractLayout, StepTerms
+from .contract import ContractLayout, ContractMove, StepTerms
 
 MISSED = 5.0  # charge for a unit of a promised minimum, in the largest amount that a unit moves
 
@@ -66,7 +67,11 @@ def charged(steps: StepTerms, forward: Array, arrays: ArrayLibrary = TRACED) -> 
     xp = arrays.xp
     price = xp.abs(steps.price) + (0.0 if steps.index is None else xp.abs(steps.index))
     unit = xp.max(price) * xp.max(xp.abs(forward)) + xp.max(xp.abs(steps.money))
-    return steps._replace(short=xp.full_like(steps.short, 1.0) * arrays.fixed(MISSED * unit))
+    charge = arrays.fixed(MISSED * unit)
+    if steps.promises.missed is not None:
+        missed = steps.promises.missed * charge
+        return steps._replace(promises=steps.promises._replace(missed=missed))
+    return steps._replace(short=xp.full_like(steps.short, 1.0) * charge)
 
 
 class FeasibleVolumes(NamedTuple):
@@ -87,16 +92,21 @@ def volumes(
     this = layout.every_move[move]
     start = [levels[i] + change for i, change in enumerate(this.changes)]
     forced, most = [], []
+    room_of_sums = _room_of_sums(layout, this, now, start)
     for flow in this.flows:
         least, room = now.terms.least[flow], now.terms.most[flow]
-        for i, effect in enumerate(layout.flows[flow].effects):
+        if layout.sums:
+            need, leave = _range(layout, flow, now, start, room_of_sums)
+            least = smooth.maximum(least, need, scale)
+            room = smooth.minimum(room, leave, scale)
+        for i, effect in enumerate(() if layout.sums else layout.flows[flow].effects):
             if not effect:
                 continue
             low, high = now.intervals.next_low[i] - start[i], now.intervals.next_high[i] - start[i]
             need, leave = (low, high) if effect > 0 else (high, low)
             least = smooth.maximum(least, need / effect, scale)
             room = smooth.minimum(room, leave / effect, scale)
-        if now.terms.promises is not None:
+        if now.terms.promises is not None and not layout.sums:
             promises, effects = now.terms.promises, jnp.asarray(layout.flows[flow].effects)
             need = promises.minimum[:, this.after] - promises.weights @ jnp.stack(start)
             effect = promises.weights @ effects
@@ -110,6 +120,34 @@ def volumes(
         forced.append(least)
         most.append(jnp.maximum(room, least))
     return FeasibleVolumes(jnp.stack(forced), jnp.stack(most))
+
+
+def _room_of_sums(layout: ContractLayout, move: ContractMove, now: Any, start: list) -> list[Array]:
+    """For each joint limit, how far its sum is above it, from these levels by this move."""
+    if not layout.sums:
+        return []
+    minimum, room = now.terms.promises.minimum[:, move.after], []
+    for k, weights in enumerate(layout.sums):
+        total = [start[i] if w == 1 else w * start[i] for i, w in enumerate(weights) if w]
+        room.append(sum(total[1:], total[0]) - minimum[k])
+    return room
+
+
+def _range(
+    layout: ContractLayout, flow: int, now: Any, start: list, room_of_sums: list[Array]
+) -> tuple[Array, Array]:
+    """The least and the most volume of a flow by the limits of levels and the joint limits."""
+    need, leave, effects = [], [], layout.flows[flow].effects
+    for i, effect in enumerate(effects):
+        if effect:
+            low, high = now.intervals.next_low[i] - start[i], now.intervals.next_high[i] - start[i]
+            need.append((low if effect > 0 else high) / effect)
+            leave.append((high if effect > 0 else low) / effect)
+    for weights, room in zip(layout.sums, room_of_sums):
+        effect = float(np.dot(weights, effects))
+        if effect:
+            (need if effect > 0 else leave).append(-room / effect)
+    return functools.reduce(jnp.maximum, need), functools.reduce(jnp.minimum, leave)
 
 
 def volumes_by_move(

@@ -246,6 +246,8 @@ class EnergySimulator(PricedSimulator):
         )
         outputs = {"cash_flow": cash - lost, "shortfall": lost}
         outputs |= {flow.name: volume for flow, volume in zip(layout.flows, flows)}
+        if layout.sums:  # the joint flow is counted until the day is over
+            outputs[layout.levels[-1].name] = levels[-1] - state.levels[-1]
         for name in layout.reported:
             made = [weights[i] for i, move in enumerate(layout.moves) if move.name == name]
             outputs[name] = sum(made, jnp.zeros(()))

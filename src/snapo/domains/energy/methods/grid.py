@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from snapo.case.error import CaseError
+
 from ..core.contract import ContractLayout
 from .corners import corners
 from .idle import at_rest, extremes, idle_levels, with_idle, without
@@ -109,6 +111,24 @@ def grid_of(
     return ContractGrid(layout, steps, before[-1], exact)
 
 
+def check_nodes(case: Any, schedule: Any) -> None:
+    """Refuses joint limits between coarse nodes; `schedule`: with NumPy leaves.
+
+    **Raises:** `CaseError` where volumes have no common divisor with few enough nodes.
+    """
+    layout = case.contract.layout
+    if not layout.sums or grid_of(layout, schedule).exact:
+        return
+    measure = measures_of(layout, schedule.steps.terms, schedule.constants.start)[0]
+    divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
+    message = (
+        "inventories, limits and rates need a common divisor with at most about "
+        f"{int(min(TOGETHER, 2 * LONG / len(case.days))):,} multiples together: of the inventories "
+        f"of both stores, times those of the joint flow; theirs is {divisor}"
+    )
+    raise CaseError(str(case.file), "contract", None, message)
+
+
 def best(
     step: StepGrid, layout: ContractLayout, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
@@ -120,8 +140,7 @@ def best(
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]
     if step.ways is not None and step.ways.serve(columns):
-        value = step.ways.best(cash, fixed, after)
-        return value if step.end.held is None else value - step.end.held[0][:, None]
+        return _completed(step, step.ways.best(cash, fixed, after))
     value = np.full((len(layout.modes), math.prod(shape), columns), -np.inf)
     room = np.empty(value[0].size)  # of one passage: new memory for each would take longer
     for move, passages, money in zip(layout.every_move, step.passages, fixed):
@@ -139,13 +158,24 @@ def best(
                     reached += weight * there[goal]
                 reached += earned
                 here[rows] = np.maximum(here[rows], reached)
+    return _completed(step, value)
+
+
+def _completed(step: StepGrid, value: np.ndarray) -> np.ndarray:
+    """The value of the best move, less the money of the levels at the start of the step.
+
+    With joint limits a node from which no move keeps the limits has the value of the worst node.
+    """
+    if step.end.missed is not None and not (possible := np.isfinite(value)).all():
+        worst = np.where(possible, value, np.inf).min(axis=(0, 1))
+        value = np.where(possible, value, worst)
     return value if step.end.held is None else value - step.end.held[0][:, None]
 
 
 def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
     """[modes, nodes after, columns] of the value at the start of the next step, after settling."""
     result, money = step.end.settled(value), step.end.money
-    return result if money is None else result + money[:, None]
+    return result if money is None else result + money[..., None]
 
 
 def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.ndarray | None, idle):

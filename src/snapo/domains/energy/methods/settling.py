@@ -9,6 +9,7 @@ import numpy as np
 from ..core.contract import ContractLayout, StepTerms, level_money
 
 NEAR = 1e-6  # of a node's number: a balance this near to a node is on it
+ROUND_OFF = 1e-9  # of the largest level
 positive = partial(np.maximum, 0.0)
 
 
@@ -20,12 +21,14 @@ class Settling(NamedTuple):
     - `corners`: such nodes and their weights, where balances are between nodes.
     - `held`: money of the nodes before and after a step, which earns the second less the first:
       that of the levels, and of the units made up so far; None without either.
+    - `missed` [modes, nodes after]: the charge for joint limits that are not kept; None without.
     """
 
     arrive: np.ndarray
     lost: np.ndarray
     corners: tuple[tuple[np.ndarray, np.ndarray], ...] | None = None
     held: tuple[np.ndarray, np.ndarray] | None = None
+    missed: np.ndarray | None = None
 
     def settled(self, value: np.ndarray) -> np.ndarray:
         """[modes, nodes after, …] after settling, from [modes, nodes of the next step, …]."""
@@ -36,10 +39,12 @@ class Settling(NamedTuple):
 
     @property
     def money(self) -> np.ndarray | None:
-        """[nodes after] that levels, settling and units made up earn; None where there is none."""
+        """[nodes after], or [modes, nodes after] with joint limits: what levels, settling and units
+        made up earn; None where there is none."""
+        lost = self.lost if self.missed is None else self.lost + self.missed
         if self.held is not None:
-            return self.held[1] - self.lost
-        return -self.lost if self.lost.any() else None
+            return self.held[1] - lost
+        return -lost if lost.any() else None
 
 
 def settling(
@@ -55,9 +60,10 @@ def settling(
         lost = (lost[:, None] + amount[None, :]).ravel()
     numbers = np.arange(math.prod(map(len, following)))
     shape = [len(x) for x in following]
-    held = _held(terms, t, before, after)
+    held, missed = _held(terms, t, before, after), _missed(terms, t, after)
     if terms.bank is None or not terms.restarts[t, 0]:
-        return Settling(numbers.reshape(shape)[np.ix_(*arrivals)].ravel(), lost, None, held)
+        arrive = numbers.reshape(shape)[np.ix_(*arrivals)].ravel()
+        return Settling(arrive, lost, None, held, missed)
     bank = terms.bank.at(t)
     counted, *balances = np.meshgrid(*after, indexing="ij")
     missed = np.ravel(positive(bank.owed(balances, positive) - counted))
@@ -73,6 +79,18 @@ def settling(
         corners = [(n * len(nodes) + m, x * y) for n, x in corners for m, y in sides]
     several = tuple(corners) if len(corners) > 1 else None
     return Settling(corners[0][0], missed * terms.short[t, 0], several, held)
+
+
+def _missed(terms: StepTerms, t: int, after) -> np.ndarray | None:
+    """[modes, nodes after] the charge for joint limits that are not kept after step t."""
+    promises = terms.promises
+    if promises is None or promises.missed is None:
+        return None
+    levels = np.stack([np.ravel(x) for x in np.meshgrid(*after, indexing="ij")])
+    sums = promises.weights[t] @ levels
+    units = positive(promises.minimum[t][:, :, None] - sums[:, None])
+    units[units < ROUND_OFF * max(1.0, float(np.abs(levels).max(initial=0.0)))] = 0.0
+    return promises.missed[t] * units.sum(axis=0)
 
 
 def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarray] | None:

@@ -52,6 +52,7 @@ from ..contracts.plant_tables import (
     StartTable,
     read_plant,
 )
+from ..contracts.stores_tables import StoresTable, open_stores, read_stores
 from ..contracts.swing_tables import (
     AnnualTable,
     CarryTable,
@@ -77,7 +78,7 @@ from .pair import (
 class EnergyTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["swing", "battery", "park-and-loan", "plant"]
+    kind: Literal["swing", "battery", "park-and-loan", "plant", "stores"]
     title: Title = Field("", description=TITLE)
     contract: dict = Field(description="the table [contract]")
     market: dict = Field(description="the table [market]")
@@ -93,7 +94,8 @@ class ContractKind(NamedTuple):
     """What a kind of contract brings: its table, its reader, tables within it, a title.
 
     `hourly`: whether its steps are hours of the local calendar, not days; `pair`: whether its cash
-    depends on two commodities.
+    depends on two commodities; `steps`: of a day, at one price; `opened`: its table with those of
+    other files that it names.
     """
 
     table: type[CaseTable]
@@ -102,6 +104,8 @@ class ContractKind(NamedTuple):
     inner: Mapping[str, type[CaseTable]]
     hourly: bool = False
     pair: bool = False
+    steps: int = 1
+    opened: Callable[[TableContext, Any, Any], Any] | None = None
 
     @property
     def market(self) -> type[CaseTable]:
@@ -112,6 +116,8 @@ class ContractKind(NamedTuple):
 
 
 # Kinds of prices whose steps may be hours.
+BY_STEP = ("one-factor", "multi-factor", "three-factor-seasonal")
+BY_STEP += ("one-factor-normal", "one-factor-shifted")
 BY_HOUR = ("one-factor", "multi-factor", "one-factor-normal", "one-factor-shifted")
 KINDS: dict[str, ContractKind] = {
     "swing": ContractKind(
@@ -163,6 +169,14 @@ KINDS: dict[str, ContractKind] = {
         },
         hourly=True,
         pair=True,
+    ),
+    "stores": ContractKind(
+        StoresTable,
+        read_stores,
+        "Gas stores with joint limits",
+        {},
+        steps=2,
+        opened=open_stores,
     ),
 }
 
@@ -222,6 +236,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     table: Any = parse(kind.table, top.contract, name, "contract", notes)
     market_table: Any = parse(kind.market, top.market, name, "market", notes)
     valuation, where = market_table.valuation_date, TableContext(file, "contract", notes)
+    if kind.opened is not None:
+        table = kind.opened(where, table, market_table)
     section, unit = TableContext(file, "market", notes), f"{table.currency}/{table.volume_unit}"
     delivery: Any
     second = at_auction = quoted = None
@@ -243,11 +259,17 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         moving = np.ones(len(days), bool)
         market, quoted = read_market(section, market_table, days, days, moving, unit)
         nominated = nominated_on(where, table, (*days, table.end))
+        if kind.steps > 1:
+            days = tuple(day for day in days for _ in range(kind.steps))
+            market = _by_steps(market, kind.steps)
         delivery = Delivery(days, days, table.end, valuation, market.forward_curve, nominated)
         time = np.array([(date - valuation).days for date in days]) / 365.0
     contract: EnergyContract = kind.read(where, table, days)
     section = TableContext(file, "model", notes)
     if second is None:
+        if kind.steps > 1 and top.model.get("kind") not in BY_STEP:
+            allowed = ", ".join(f'"{item}"' for item in BY_STEP)
+            raise section.error("kind", top.model.get("kind"), f"for stores allowed is {allowed}")
         if kind.hourly and top.model.get("kind") not in BY_HOUR:
             allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
             raise section.error("kind", top.model.get("kind"), f"by the hour allowed is {allowed}")
@@ -260,7 +282,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     if kind.hourly and top.products is not None:
         message = "products trade by the day; an hourly contract has none"
         raise CaseError(name, "products", None, message)
-    products = products_of(file, top.products, notes, days, valuation)
+    products = products_of(file, top.products, notes, days[:: kind.steps], valuation)
     objective = read_objective(top.objective, name)
     training = read_training(top.training, name, FittedTable)
     check_window(training, [objective.kind], name)
@@ -291,6 +313,13 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         None if at_auction is None else replace(model, delivery=at_auction.times),  # pyright: ignore
         () if quoted is None else (quoted.source,),
     )
+
+
+def _by_steps(market: GasMarket, count: int) -> GasMarket:
+    """The market of days on as many steps of each of them."""
+    curve = market.forward_curve
+    curve = replace(curve, index=np.repeat(curve.index, count))
+    return replace(market, forward_curve=curve, gas_day=np.repeat(market.gas_day, count))
 
 
 def decision_days(
@@ -349,6 +378,11 @@ def battery_formats() -> Formats:
 def park_and_loan_formats() -> Formats:
     """The tables of a park-and-loan contract."""
     return formats("park-and-loan")
+
+
+def stores_formats() -> Formats:
+    """The tables of stores."""
+    return formats("stores")
 
 
 def _curve_file(market: Any) -> str:

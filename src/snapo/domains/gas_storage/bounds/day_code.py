@@ -228,9 +228,7 @@ class _Day:
         for side in ("buy", "sell"):
             price = self._row(f"{side}_price", "0")
             with self._times(side, 2) as bend:
-                cell, next_one, met = (
-                    self._integer(f"{side}_bends", bend, i, 3) for i in range(3)
-                )
+                cell, next_one, met = (self._integer(f"{side}_bends", bend, i, 3) for i in range(3))
                 share, keep = (self._number(f"{side}_bend_numbers", bend, i, 2) for i in (0, 1))
                 left, right = self._row("value", cell), self._row("value", next_one)
                 height = code.sub(code.mul(code.sub(left, right), share), left)

@@ -1,0 +1,280 @@
+"""Stores: two gas stores behind one connection, whose joint flow is limited by day.
+
+    inventory k after a day = inventory k + in_k - out_k,
+    -net_withdrawal <= sum over stores of in_k - out_k <= net_injection
+    earnings = sum over days of discount x sum over stores of
+               (out_k (1 - fuel out) - in_k (1 + fuel in)) S - costs
+
+A day is two steps at one price: first the flow of the first store, then that of the second one. In
+between `joint flow` counts what flowed. The inventories from which all limits can be kept are those
+within limits of each and of their sum: such sets stay so when the flows of a day, a set of the same
+kind, are added to them (generalised polymatroids; A. Frank, E. Tardos, "Generalized polymatroids
+and submodular flows", Mathematical Programming 42 (1988), 489-563).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.case.given import CaseInput
+from snapo.problem.record import TreeRecord, field
+from snapo.problem.record.arrays import Array, ArrayLibrary, NumbersOf
+
+from ..core.contract import (
+    ContractLayout,
+    ContractMove,
+    EnergyContract,
+    EnergyFlow,
+    Level,
+    LevelMoney,
+    Promises,
+    StepTerms,
+    Terms,
+)
+
+JOINT_FLOW = "joint flow"  # its level
+STORES = 2  # with their joint flow three volumes are counted
+# Joint limits, by transfers: of both inventories together, of the second one less the joint flow,
+# each from both sides; without transfers from above, and of the second one alone.
+SUMS = {
+    True: ((1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (0.0, 1.0, -1.0), (0.0, -1.0, 1.0)),
+    False: ((-1.0, -1.0, 0.0), (0.0, -1.0, 1.0), (0.0, -1.0, 0.0)),
+}
+
+
+class Store(TreeRecord):
+    """The terms of one store on T days.
+
+    - `inventory`: index []; `limits`: least and most in store, index [T + 1]; `end`: owed at the
+      end, index [], None where any inventory is allowed and worthless.
+    - `rates`: most injected and most withdrawn, before `factors` [T, 2]; `costs`, `fuel`: of both;
+      `holding`: of a unit in store, None where it is free; each index [T].
+    """
+
+    inventory: CaseInput
+    limits: tuple[CaseInput, CaseInput]
+    end: CaseInput | None
+    rates: tuple[CaseInput, CaseInput]
+    factors: np.ndarray
+    costs: tuple[CaseInput, CaseInput]
+    fuel: tuple[CaseInput, CaseInput]
+    holding: CaseInput | None
+
+
+class FeasibleSets(NamedTuple):
+    """Limits of each inventory, and of their sum, from which all limits can be kept; each tight."""
+
+    low: Array
+    high: Array
+    total_low: Array
+    total_high: Array
+
+
+class DailyFlows(NamedTuple):
+    """The most that each store takes in and gives out on a day, and that both do."""
+
+    into: Array
+    out: Array
+    net_in: Array
+    net_out: Array
+
+
+class StoresContract(EnergyContract):
+    """The terms of both stores, and of their joint flow; None where it has no limit."""
+
+    stores: tuple[Store, Store]
+    net_injection: CaseInput | None
+    net_withdrawal: CaseInput | None
+    layout: ContractLayout = field(static=True)
+    transfers: bool = field(static=True)
+
+    @property
+    def joint(self) -> bool:
+        """Whether the stores depend on each other."""
+        return len(self.layout.levels) > STORES
+
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        xp = arrays.xp
+        daily = paid[::STORES]
+        flows = self._daily_flows(at, xp)
+        sets = _feasible(flows, *self._limits(at, xp), self.transfers, arrays)
+        count, levels = len(daily), len(self.layout.levels)
+        rates = xp.stack([flows.into, flows.out], axis=2)  # [T, stores, 2]
+        nothing = xp.zeros((count, 2))
+        price, money, largest = [], [], []
+        for k, store in enumerate(self.stores):
+            sign = xp.array([-1.0, 1.0])
+            fuel = xp.stack([at(x) for x in store.fuel], axis=1)
+            cost = xp.stack([at(x) for x in store.costs], axis=1)
+            price.append((sign - fuel) * daily[:, None])
+            money.append(-cost * daily[:, None])
+            largest.append([nothing] * k + [rates[:, k]] + [nothing] * (STORES - 1 - k))
+        low, high = self._level_limits(flows, sets, xp)
+        none, restarts = (
+            xp.zeros((count * STORES, levels)),
+            np.zeros((count * STORES, levels), bool),
+        )
+        restarts[STORES - 1 :: STORES, STORES:] = True
+        steps = StepTerms(
+            xp.zeros((count * STORES, 2 * STORES)),
+            _by_step(xp, *(xp.concatenate(x, axis=1) for x in largest)),
+            _by_step(xp, *[xp.concatenate(price, axis=1)] * STORES),
+            _by_step(xp, *[xp.concatenate(money, axis=1)] * STORES),
+            low,
+            high,
+            xp.where(restarts, low, none),
+            none,
+            xp.asarray(restarts),
+            xp.zeros((count * STORES, len(self.layout.every_move))),
+            promises=self._promises(flows, sets, xp) if self.joint else None,
+            of_levels=self._holding(at, daily, xp),
+        )
+        return Terms(xp.append(self._start(at, xp), xp.zeros(levels - STORES)), steps)
+
+    def _start(self, at: NumbersOf, xp: Any) -> Array:
+        return xp.stack([at(store.inventory) for store in self.stores])
+
+    def _daily_flows(self, at: NumbersOf, xp: Any) -> DailyFlows:
+        """No more than the joint limits leave, whatever the other store does."""
+        rates = [
+            xp.stack([at(x.rates[side]) * x.factors[:, side] for x in self.stores], 1)
+            for side in (0, 1)
+        ]
+        into, out = rates
+        limits = [
+            xp.sum(x, axis=1) if y is None else xp.minimum(at(y), xp.sum(x, axis=1))
+            for x, y in zip(rates, (self.net_injection, self.net_withdrawal))
+        ]
+        net_in, net_out = limits
+        if not self.transfers:
+            into, out = xp.minimum(into, net_in[:, None]), xp.minimum(out, net_out[:, None])
+        else:
+            into, out = (
+                xp.minimum(into, net_in[:, None] + out[:, ::-1]),
+                xp.minimum(out, net_out[:, None] + into[:, ::-1]),
+            )
+        return DailyFlows(into, out, net_in, net_out)
+
+    def _limits(self, at: NumbersOf, xp: Any) -> tuple[Array, Array]:
+        """[T + 1, stores] the least and the most in store at the start of a day, and at the end."""
+        low, high = (xp.stack([at(x.limits[side]) for x in self.stores], axis=1) for side in (0, 1))
+        for k, store in enumerate(self.stores):
+            if store.end is not None:
+                end = np.zeros(low.shape, bool)
+                end[-1, k] = True
+                low, high = (xp.where(end, at(store.end), x) for x in (low, high))
+        return low, high
+
+    def _level_limits(self, flows: DailyFlows, sets: FeasibleSets, xp: Any) -> tuple[Array, Array]:
+        """[steps, levels] after each step: of the first store those of the end of the day, of the
+        second one those of its start until it has decided."""
+        sides = []
+        for limit, rate, net, sign in (
+            (sets.low, flows.out, flows.net_out, -1.0),
+            (sets.high, flows.into, flows.net_in, 1.0),
+        ):
+            early = [limit[1:, 0], limit[:-1, 1], sign * rate[:, 0]]
+            late = [limit[1:, 0], limit[1:, 1], sign * net]
+            count = len(self.layout.levels)
+            sides.append(_by_step(xp, *(xp.stack(x[:count], axis=1) for x in (early, late))))
+        return sides[0], sides[1]
+
+    def _promises(self, flows: DailyFlows, sets: FeasibleSets, xp: Any) -> Promises:
+        """Limits of sums after each step, from which the second store can keep its own limits, the
+        joint ones and those of the sum; see `SUMS`."""
+        rows = xp.array(self.layout.sums)
+        bottom, top, low, high = (
+            sets.total_low[1:],
+            sets.total_high[1:],
+            sets.low[1:, 1],
+            sets.high[1:, 1],
+        )
+        into, out = flows.into[:, 1], flows.out[:, 1]
+        never = -2.0 * (
+            xp.sum(sets.high[1:] + flows.into + flows.out, axis=1) + sets.total_high[:-1]
+        )
+        if self.transfers:
+            late_limits = [bottom, -top, never, never]
+            modes = [[bottom - into, -top - out, low - flows.net_in, -high - flows.net_out]]
+        else:
+            late_limits, inward = [-top, never, never], [-top, never, -high]
+            modes = [inward, inward, [-top - out, -high - flows.net_out, never]]
+        early = xp.stack([xp.stack(x, axis=1) for x in modes], axis=2)
+        late = xp.stack([xp.stack(late_limits, axis=1)] * len(modes), axis=2)
+        minimum = _by_step(xp, early, late)
+        return Promises(
+            xp.broadcast_to(rows, (len(minimum), *rows.shape)), minimum, xp.ones(len(minimum))
+        )
+
+    def _holding(self, at: NumbersOf, daily: Array, xp: Any) -> LevelMoney | None:
+        """What is in store at the start of a day is paid for on it."""
+        if all(store.holding is None for store in self.stores):
+            return None
+        shape = len(daily), len(self.layout.levels), 2
+        nothing = xp.zeros(len(daily))
+        above = [nothing if x.holding is None else at(x.holding) * daily for x in self.stores]
+        above += [nothing] * (shape[1] - STORES)
+        rates = xp.stack([xp.zeros(shape[:2]), xp.stack(above, axis=1)], axis=2)
+        before = _by_step(xp, rates, xp.zeros(shape))
+        return LevelMoney(before, xp.zeros_like(before))
+
+    def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
+        return {"inventory": [max(levels[x.name], 0.0) for x in self.layout.levels[:STORES]]}
+
+
+def _by_step(xp: Any, *parts: Array) -> Array:
+    """[T x parts, …] of one array [T, …] for each step of a day."""
+    return xp.stack(parts, axis=1).reshape(-1, *parts[0].shape[1:])
+
+
+def _feasible(
+    flows: DailyFlows, low: Array, high: Array, transfers: bool, arrays: ArrayLibrary
+) -> FeasibleSets:
+    """[T + 1] at the start of each day, and at the end. Without transfers nothing must be injected:
+    limits are then kept by withdrawing, or by no flow."""
+    xp = arrays.xp
+
+    def tight(low: Array, high: Array, bottom: Array, top: Array) -> FeasibleSets:
+        bottom, top = xp.maximum(bottom, xp.sum(low)), xp.minimum(top, xp.sum(high))
+        return FeasibleSets(
+            xp.maximum(low, bottom - high[::-1]),
+            xp.minimum(high, top - low[::-1]),
+            bottom,
+            top,
+        )
+
+    def back(later: FeasibleSets, row):
+        day, low, high = row
+        into, net_in = (day.into, day.net_in) if transfers else (0.0, 0.0)
+        return tight(
+            xp.maximum(later.low - into, low),
+            xp.minimum(later.high + day.out, high),
+            later.total_low - net_in,
+            later.total_high + day.net_out,
+        )
+
+    last = tight(low[-1], high[-1], xp.sum(low[-1]), xp.sum(high[-1]))
+    days = arrays.backwards(back, last, (flows, low[:-1], high[:-1]))
+    return FeasibleSets(*(xp.concatenate([x, y[None]]) for x, y in zip(days, last)))
+
+
+def layout_of(names: Sequence[str], unit: str, joint: bool, transfers: bool) -> ContractLayout:
+    """The inventories and, with joint limits, the joint flow of the day; a flow in and out of each
+    store. Without transfers the first store decides whether the day is one of injections."""
+    levels = [Level(name, unit) for name in names] + [Level(JOINT_FLOW, unit)] * joint
+    flows = []
+    for k, name in enumerate(names):
+        for verb, sign in (("inject", 1.0), ("withdraw", -1.0)):
+            effects = [sign * (i == k) for i in range(STORES)] + [sign] * joint
+            flows.append(EnergyFlow(f"{verb} {name}", f"{unit}/day", tuple(effects)))
+    sums = SUMS[transfers] if joint else ()
+    if transfers:
+        return ContractLayout(tuple(levels), tuple(flows), sums=sums)
+    none = (0.0,) * len(levels)
+    moves = [
+        ContractMove(flow.name, before, after, (i,), none)
+        for i, (flow, before, after) in enumerate(zip(flows, (0, 0, 1, 2), (1, 2, 0, 0)))
+    ]
+    modes = "day begins", "injects", "withdraws"
+    return ContractLayout(tuple(levels), tuple(flows), modes, tuple(moves), sums=sums)

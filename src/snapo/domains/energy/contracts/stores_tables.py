@@ -1,0 +1,204 @@
+"""Reads a contract of two stores, and the files of both."""
+
+import datetime
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.error import CaseError
+from snapo.case.given import CaseInput, NoPosition
+from snapo.case.load import load
+from snapo.case.quantity import NOT_NEGATIVE, Quantity
+from snapo.case.table import CaseTable, TableContext, parse
+
+from ...gas_storage.read.limits import read_limits, small_move
+from ...gas_storage.read.tables import ContractTable, FileName
+from .stores import JOINT_FLOW, STORES, Store, StoresContract, layout_of
+
+JOINT = Quantity("{volume_unit}/day", NOT_NEGATIVE, "contract", move=1.0, by="date")
+# Keys of a gas store that this contract does not have, and the only value of each.
+ONLY: dict[str, Any] = {
+    "ratchets": None, "ratchet_interpolation": "linear", "fixed_costs": None,
+    "injection_cost_settlement": "flow", "withdrawal_cost_settlement": "flow",
+    "first_decision": "valuation-date", "nomination": None,
+}  # fmt: skip
+NOTHING = "allowed is 0 in a store of several"
+ZERO = "min_injection", "min_withdrawal", "inventory_loss"
+
+
+class StoresTable(CaseTable):
+    """`[contract]` of kind "stores"."""
+
+    stores: list[FileName] = Field(
+        description='two files like ["fast.toml", "slow.toml"], each with the [contract] of a store'
+    )
+    net_injection: CaseInput | None = JOINT("largest joint flow into the stores", None)
+    net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
+    transfers: bool = Field(True, description="true or false")
+    inventory: list[float] | None = Field(
+        None,
+        description="gas in store today in each of the stores, a list like [2000.0, 8000.0]; "
+        "without it that of their files",
+    )
+
+
+class NamedTable(NamedTuple):
+    """The table of a store: its name, the table, its place in messages."""
+
+    name: str
+    table: ContractTable
+    where: TableContext
+
+
+@dataclass(frozen=True)
+class OpenedStores:
+    """The contract with the tables of its stores, which have the same dates and units."""
+
+    stores: tuple[NamedTable, ...]
+    net_injection: CaseInput | None
+    net_withdrawal: CaseInput | None
+    transfers: bool
+    start: datetime.date
+    end: datetime.date
+    volume_unit: str
+    currency: str
+    inventory: tuple[float | None, ...] = (None,) * STORES
+    nomination: None = None
+
+
+def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedStores:
+    """The tables of the stores, from their files; `market`: the table of the case."""
+    if len(table.stores) != STORES:
+        message = f"allowed are {STORES} stores: their inventories and the joint flow are counted"
+        raise where.error("stores", ", ".join(table.stores), message)
+    opened = [_open(where, name, market) for name in table.stores]
+    first, second = (x.table for x in opened)
+    if opened[0].name == opened[1].name:
+        raise where.error("stores", ", ".join(table.stores), "allowed are two different files")
+    for key in ("start", "end", "volume_unit", "currency"):
+        value = getattr(first, key)
+        if getattr(second, key) != value:
+            message = f"allowed is that of {table.stores[0]}, {value}"
+            raise opened[1].where.error(key, getattr(second, key), message)
+    today = table.inventory or [None] * STORES
+    if len(today) != STORES:
+        message = f"allowed is a list of {STORES} numbers, one for each store"
+        raise where.error("inventory", str(today), message)
+    unit = f"{first.volume_unit}/day"
+    into, out = (x and replace(x, unit=unit) for x in (table.net_injection, table.net_withdrawal))
+    return OpenedStores(
+        tuple(opened), into, out, table.transfers, first.start, first.end, first.volume_unit,
+        first.currency, tuple(today),
+    )  # fmt: skip
+
+
+def _open(where: TableContext, name: str, market: Any) -> NamedTable:
+    path = where.file.parent / name
+    if path.suffix.lower() != ".toml" or path.parent.resolve() != where.file.parent.resolve():
+        message = "allowed is the name of a TOML file next to the case"
+        raise where.error("stores", name, message)
+    if not re.fullmatch(r"\w[\w -]*", path.stem) or path.stem == JOINT_FLOW:
+        message = "allowed is a name of letters, digits, spaces, - and _"
+        raise where.error("stores", name, message)
+    if not path.is_file():
+        raise where.error("stores", name, "there is no such file next to the case")
+    data = load(path)[1]
+    if list(data) != ["contract"]:
+        message = "allowed is the table [contract] alone; market and prices are those of the case"
+        raise CaseError(str(path), ", ".join(data), None, message)
+    inner = TableContext(path, "contract", where.notes)
+    table = parse(ContractTable, data["contract"], str(path), "contract", where.notes)
+    for key, only in ONLY.items():
+        if (value := getattr(table, key)) != only:
+            allowed = "no such key in a store of several" if only is None else f'"{only}"'
+            raise inner.error(key, str(value), f"allowed is {allowed}")
+    for key in ZERO:
+        if np.any(getattr(table, key).values):
+            raise inner.error(key, getattr(table, key).written, NOTHING)
+    if table.end_value not in (None, 0.0):
+        raise inner.error("end_value", table.end_value, NOTHING)
+    costs = table.injection_cost, table.withdrawal_cost, table.inventory_cost
+    if market.settlement != "flow" and any(np.any(x.values) for x in costs):
+        message = 'with costs, which are paid on the day of the flow, allowed is "flow"'
+        raise CaseError(str(where.file), "market.settlement", str(market.settlement), message)
+    return NamedTable(path.stem, table, inner)
+
+
+def read_stores(
+    where: TableContext, opened: OpenedStores, steps: Sequence[datetime.date]
+) -> StoresContract:
+    """The contract on its decision days, each of which is on two `steps`."""
+    days = steps[::STORES]
+    stores = tuple(
+        _read_store(x, days, opened.transfers, today, (*where.keys, "inventory", k))
+        for k, (x, today) in enumerate(zip(opened.stores, opened.inventory))
+    )
+    limits = opened.net_injection, opened.net_withdrawal
+    into, out = (x and x.on(days, where.notes) for x in limits)
+    joint = into is not None or out is not None or not opened.transfers
+    names = [x.name for x in opened.stores]
+    return StoresContract(
+        stores=(stores[0], stores[1]),
+        net_injection=into,
+        net_withdrawal=out,
+        layout=layout_of(names, opened.volume_unit, joint, opened.transfers),
+        transfers=opened.transfers,
+    )
+
+
+def _read_store(
+    opened: NamedTable,
+    days: Sequence[datetime.date],
+    transfers: bool,
+    today: float | None,
+    key: tuple[str | int, ...],
+) -> Store:
+    """The store on these days; `today`: what is in store, which the case gives under `key`."""
+    name, table, where = opened
+    limits = read_limits(where, table, days)
+    low, high = limits.min_inventory, limits.max_inventory
+    start = float(table.inventory.values[0]) if today is None else today
+    if not low.used()[0] <= start <= high.used()[0]:
+        message = f"allowed is {low.used()[0]:g} to {high.used()[0]:g} on {days[0]}"
+        raise where.error("inventory", start, message)
+    end, move = None, 2 * small_move(limits.ratchets)
+    if table.end_inventory != "free":
+        quantity = ContractTable.model_fields["inventory"].metadata[-1]
+        end = quantity.input("end_inventory", [table.end_inventory])
+        end = replace(end, unit=table.volume_unit, meaning="gas owed at the end", move=move)
+    if not transfers:
+        if end is not None and table.end_inventory:
+            message = 'without transfers allowed is 0 or "free"'
+            raise where.error("end_inventory", table.end_inventory, message)
+        if np.any(np.diff(low.used()) > 0):
+            message = "without transfers it may not rise"
+            raise where.error("min_inventory", table.min_inventory.written, message)
+    reason = NoPosition(f"it is in {where.file.name}")
+
+    def named(numbers: CaseInput) -> CaseInput:
+        positions = tuple(x if x is None else reason for x in numbers.positions)
+        return replace(numbers, name=f"{name}_{numbers.name}", positions=positions)
+
+    def daily(numbers: CaseInput) -> CaseInput:
+        return named(numbers.on(days, where.notes))
+
+    holding = table.inventory_cost
+    rates = limits.ratchets.injection, limits.ratchets.withdrawal
+    into, out = (replace(x, index=x.index[:, 0]) for x in rates)
+    stock = replace(named(table.inventory), move=move)
+    if today is not None:
+        stock = replace(stock, values=np.array([today]), positions=(key,))
+    return Store(
+        inventory=stock,
+        limits=(named(low), named(high)),
+        end=None if end is None else named(end),
+        rates=(named(into), named(out)),
+        factors=np.stack([limits.injection_factor, limits.withdrawal_factor], axis=1),
+        costs=(daily(table.injection_cost), daily(table.withdrawal_cost)),
+        fuel=(daily(table.injection_fuel), daily(table.withdrawal_fuel)),
+        holding=daily(holding) if np.any(holding.values) else None,
+    )
