@@ -20,7 +20,7 @@ from snapo.study.domain import find, installed
 ROUNDS = 3
 IMPORTS = ("-c", "import equinox")
 NEEDED = {"pension": 3.5}  # its liability is computed in several ways
-USUAL = 2.5
+USUAL = 0.8
 
 
 def seconds(arguments: Sequence[str]) -> float:

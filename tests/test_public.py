@@ -18,6 +18,7 @@ INNER = {
     "Factors": "numbers by name, as the schedule of Schwartz's prices has them",
     "Gaps": "the intervals between the times of a FactorPrice, made from them",
     "OfCost": "a measure of risk with a minus before it",
+    "Array": "the type of arrays of JAX, where JAX is not loaded for a type",
     "Curvature": "how a derivative changes with the policy, behind its interval",
     "Norms": "the engines' record of adjoints, of which Growth is made",
     **dict.fromkeys(("Distributed", "Workers"), "made by solve, of the executors it is given"),

@@ -4,15 +4,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .error import CaseError
+from snapo.problem.form import Use
+from snapo.problem.record import Input
 
-if TYPE_CHECKING:
-    from snapo.problem.form import Use
-    from snapo.problem.inputs import Input
+from .error import CaseError
 
 SHARED = ("bump", "judge_bump", "move", "display_unit", "display_factor", "group", "meaning")
 
@@ -150,10 +149,8 @@ class CaseInput:
         """`values[index]`, the numbers where they are used."""
         return self.values[self.index]
 
-    def use(self) -> "Use":
+    def use(self) -> Use:
         """Where the numbers are used, for a simulator: see `snapo.problem.form`."""
-        from snapo.problem.form import Use
-
         return Use.of(self.name, len(self.values), self.index)
 
     @property
@@ -162,10 +159,8 @@ class CaseInput:
         position = self.positions[0] if self.positions else None
         return position.file if isinstance(position, SheetCell) else float(self.values[0])
 
-    def input(self) -> "Input":
+    def input(self) -> Input:
         """The numbers as a differentiable input, with all their metadata."""
-        from snapo.problem.inputs import Input  # JAX: a case is read, and refused, without it
-
         metadata = {name: getattr(self, name) for name in SHARED}
         return Input(self.values, self.unit, self.labels, **metadata)
 

@@ -150,8 +150,14 @@ class CaseTable(pydantic.BaseModel):
     A key without a description is described by its type, as far as `allowed_text` can.
     """
 
+    # Built at the first use: of the tables of all kinds, a case has a few.
     model_config = pydantic.ConfigDict(
-        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
+        defer_build=True,
+        extra="forbid",
+        strict=True,
+        frozen=True,
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
     )
 
     @classmethod

@@ -8,17 +8,15 @@ two cases with equal `form_of` are the same program, and the second one compiles
 from collections.abc import Hashable, Mapping
 from typing import Any, TypeVar
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+
+from .record import TreeRecord, field
+from .record.arrays import Array, Float, Int, PyTree, jax, jnp
 
 T = TypeVar("T")
-ARRAYS = (np.ndarray, np.generic, jax.Array)
 
 
-class Use(eqx.Module):
+class Use(TreeRecord):
     """Where the numbers of an input are used.
 
     - `name`: of the input; `size`: how many numbers it has.
@@ -27,9 +25,9 @@ class Use(eqx.Module):
       order, if one number is used everywhere, and if there is none.
     """
 
-    name: str = eqx.field(static=True)
-    size: int = eqx.field(static=True)
-    shape: tuple[int, ...] = eqx.field(static=True)
+    name: str = field(static=True)
+    size: int = field(static=True)
+    shape: tuple[int, ...] = field(static=True)
     index: Int[np.ndarray, "..."] | None = None
 
     @classmethod
@@ -58,6 +56,10 @@ class Use(eqx.Module):
         return values[self.name] if self.index is None else values[self.name][self.index]
 
 
+def is_array(x: Any) -> bool:
+    return isinstance(x, np.ndarray | np.generic | jax.Array)
+
+
 def formed(record: T) -> T:
     """A module of a case as a simulator holds it: of the inputs only their `Use`, and arrays.
 
@@ -67,7 +69,7 @@ def formed(record: T) -> T:
     """
 
     def without_numbers(leaf: Any) -> Any:
-        if isinstance(leaf, ARRAYS):
+        if is_array(leaf):
             return leaf
         if not hasattr(leaf, "use"):
             raise TypeError(
@@ -92,5 +94,5 @@ def form_of(tree: PyTree) -> Hashable:
     shapes and types of its arrays."""
     leaves, structure = jax.tree.flatten(tree)
     return structure, tuple(
-        (leaf.shape, str(leaf.dtype)) if isinstance(leaf, ARRAYS) else leaf for leaf in leaves
+        (leaf.shape, str(leaf.dtype)) if is_array(leaf) else leaf for leaf in leaves
     )

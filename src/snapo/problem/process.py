@@ -14,16 +14,15 @@ import abc
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
 
-from .inputs import Input
-from .simulator import Schedule, State
+from .record import AbstractVar, Input, Schedule, TreeRecord, field
+from .record.arrays import Array, Float, Int, PyTree, jnp
+
+State = PyTree
 
 
-class Process(eqx.Module):
+class Process(TreeRecord):
     """One path of an exogenous process. Subclass it and implement every method.
 
     **Attributes:**
@@ -33,8 +32,8 @@ class Process(eqx.Module):
       Then the sum of any weights fixed in advance times `innovation` is a control variate.
     """
 
-    noise_size: eqx.AbstractVar[int]
-    martingale: eqx.AbstractVar[bool]
+    noise_size: AbstractVar[int]
+    martingale: AbstractVar[bool]
 
     @property
     def initial_noise_size(self) -> int:
@@ -116,7 +115,7 @@ class FactorStep(NamedTuple):
     next_shock: Array
 
 
-class Gaps(eqx.Module):
+class Gaps(TreeRecord):
     """The distinct intervals between successive times, the first of which begins today.
 
     - `length` [n] of each interval; `none`: whether it is 0.
@@ -125,7 +124,7 @@ class Gaps(eqx.Module):
 
     length: Float[np.ndarray, " n"]
     which: Int[np.ndarray, " T"]
-    none: tuple[bool, ...] = eqx.field(static=True)
+    none: tuple[bool, ...] = field(static=True)
 
     @classmethod
     def of(cls, times: Sequence[float] | Array) -> "Gaps":
@@ -158,8 +157,8 @@ class FactorPrice(Process):
     - `time_scale`: the time after which a factor's standard deviation counts as its typical size.
     """
 
-    times: eqx.AbstractVar[Sequence[float] | Array]
-    time_scale: eqx.AbstractVar[float]
+    times: AbstractVar[Sequence[float] | Array]
+    time_scale: AbstractVar[float]
 
     @abc.abstractmethod
     def parameters(self, inputs: PyTree) -> Factors:
@@ -215,7 +214,7 @@ class FactorPrice(Process):
         return state / constants.size
 
 
-class SchwartzInputs(eqx.Module):
+class SchwartzInputs(TreeRecord):
     """The market of a `Schwartz` price: forward curve [T], volatility and mean reversion []."""
 
     forward: Input
@@ -230,9 +229,9 @@ class Schwartz(FactorPrice):
     curve; the volatility of a forward price falls as exp(-a (T - t)).
     """
 
-    times: tuple[float, ...] = eqx.field(static=True, converter=lambda x: tuple(map(float, x)))
-    time_scale: float = eqx.field(static=True, default=1.0)
-    noise_size: int = eqx.field(static=True, default=1)
+    times: tuple[float, ...] = field(static=True, converter=lambda x: tuple(map(float, x)))
+    time_scale: float = field(static=True, default=1.0)
+    noise_size: int = field(static=True, default=1)
 
     def parameters(self, inputs: Any) -> Factors:
         loading = jnp.broadcast_to(inputs.volatility, (len(self.times), 1))

@@ -17,25 +17,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from .actions import Actions
+from .record import Schedule as Schedule
+from .record import trees as trees  # schedules are trees of JAX from here on
 
 State = PyTree
 Outputs = dict[str, Float[Array, ""]]
 Total = Literal["sum", "max", "last"]
-
-
-class Schedule(eqx.Module):
-    """The numbers that all paths share, computed once per call by `Simulator.prepare`.
-
-    **Arguments:**
-
-    - `constants`: any tree of arrays that is valid for the whole horizon.
-    - `steps`: a tree of arrays with a leading axis of length `horizon`; step t sees `steps[t]`.
-
-    Both are optional.
-    """
-
-    constants: PyTree = eqx.field(default_factory=dict)
-    steps: PyTree = eqx.field(default_factory=dict)
 
 
 class Interface(NamedTuple):

@@ -9,6 +9,7 @@ from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.domains.control import DOMAIN, SIZES
 from snapo.domains.control.plants import TYPES
+from snapo.domains.control.study import plant_at
 from snapo.study.domain import Domain
 
 
@@ -27,8 +28,8 @@ def test_a_template_has_the_numbers_of_its_plant(size):
     file, data = template(size)
     case = DOMAIN.read(file, data)
     plant = TYPES[data["plant"]["type"]]
-    assert type(case.plant) is plant
-    assert case.plant.horizon == (40 if size == "measured" else plant.steps)
+    assert type(plant_at(case)) is plant
+    assert plant_at(case).horizon == (40 if size == "measured" else plant.steps)
     for group, known in (("plant", plant.parameters), ("cost", plant.weights)):
         for name, each in known.items():
             if each.value is not None and np.isfinite(each.value):

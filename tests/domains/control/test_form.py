@@ -12,7 +12,7 @@ from tests.domains.same_form import PAIRS, same_programs
 from snapo.case.load import load
 from snapo.domains.control import SIZES
 from snapo.domains.control.read import read_case
-from snapo.domains.control.study import make_setup, setup_at
+from snapo.domains.control.study import make_setup, objective_of, plant_at, setup_at
 from snapo.engine.native.call import _runners
 from snapo.problem.problem import Problem
 
@@ -47,7 +47,7 @@ def drawn(seed: int) -> Problem:
         tables["noise"] = {"speed": float(draw.uniform(0, 0.1))} if draw.integers(2) else {}
         tables["measurement"] = {"angle": 0.01 * mean} if draw.integers(2) else {}
     case = plant(size, float(draw.uniform(1.0, 1.1)), int(draw.integers(3, 5)), **tables)
-    return Problem(case.plant, case.inputs, case.objective)
+    return Problem(plant_at(case), case.inputs, objective_of(case))
 
 
 def test_equal_forms_are_equal_programs():
@@ -61,7 +61,7 @@ def test_equal_forms_are_equal_programs_in_many_pairs(enough):
 
 @pytest.mark.parametrize("size", SIZES)
 def test_a_plant_has_no_numbers(size):
-    assert jax.tree.leaves(plant(size).plant) == []
+    assert jax.tree.leaves(plant_at(plant(size))) == []
 
 
 @pytest.mark.prove

@@ -19,7 +19,7 @@ from snapo.domains.control.regulator import (
     optimum,
     riccati,
 )
-from snapo.domains.control.study import make_setup
+from snapo.domains.control.study import make_setup, plant_at, recipe
 from snapo.engine import Native, Xla
 from snapo.problem.inputs import plain
 from snapo.study import commands
@@ -33,7 +33,7 @@ def case(**tables):
 
 
 def best(of) -> float:
-    found = optimum(of.plant, plain(of.inputs))
+    found = optimum(plant_at(of), plain(of.inputs))
     assert found is not None
     return found
 
@@ -113,8 +113,9 @@ def test_the_policy_sees_errors_and_the_cost_does_not():
 
 
 def test_memories_are_chosen_in_the_case():
-    assert isinstance(case().recipe, snapo.GRU) and case().recipe.hidden == 16
-    recent = case(policy={"memory": "Recent", "hidden": [8, 8], "steps": 3}).recipe
+    memory = recipe(case())
+    assert isinstance(memory, snapo.GRU) and memory.hidden == 16
+    recent = recipe(case(policy={"memory": "Recent", "hidden": [8, 8], "steps": 3}))
     assert isinstance(recent, snapo.LastObservations) and recent.steps == 3
     assert case(policy={"memory": None}).notes[0].startswith("States are measured with errors")
     assert not case().notes

@@ -10,7 +10,7 @@ import snapo
 from snapo.case.load import load
 from snapo.domains.control import DOMAIN
 from snapo.domains.control.rules import classical_rules
-from snapo.domains.control.study import make_setup
+from snapo.domains.control.study import make_setup, plant_at
 from snapo.engine import Xla
 from snapo.solver.evaluate import path_totals
 
@@ -48,7 +48,8 @@ def values(size: str, seed: int = 0) -> tuple[float, float]:
         totals = path_totals(problem, policy, paths, engine=Xla(precision="float64"))
         return float(np.mean(totals["reward"]))
 
-    rules = {name: mean(rule) for name, rule in classical_rules(case.plant, problem.inputs).items()}
+    rules = classical_rules(plant_at(case), problem.inputs)
+    rules = {name: mean(rule) for name, rule in rules.items()}
     best, own = max(rules, key=lambda name: rules[name]), mean(solution.policy)
     print(f"{size}: {own:.5g}, best rule {rules[best]:.5g} ({best}), {seconds:.0f} s")
     return own, rules[best]

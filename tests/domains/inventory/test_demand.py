@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from tests.domains.inventory.inventory_cases import case
 
-from snapo.domains.inventory.demand.counts import TAIL, most_of, negative_binomial
+from snapo.domains.inventory.demand.counts import TAIL, most_of, negative_binomial, poisson
 from snapo.domains.inventory.demand.registry import kinds
 
 LAWS = {
@@ -123,4 +123,13 @@ def test_the_largest_demand_is_the_quantile_of_scipy(mean):
     for size in (0.3, 1.0, 40.0):
         quantile = stats.nbinom(size, size / (size + mean)).ppf(1 - TAIL)
         assert most_of(negative_binomial(size, mean)) == quantile + 1
-    assert most_of(stats.poisson(mean).cdf) == stats.poisson(mean).ppf(1 - TAIL) + 1
+    assert most_of(poisson(mean)) == stats.poisson(mean).ppf(1 - TAIL) + 1
+
+
+@pytest.mark.parametrize("mean", [0.01, 0.7, 5.0, 63.2, 1100.0])
+def test_probabilities_in_numpy_are_those_of_the_distributions(mean):
+    k = np.arange(400.0)
+    for size in (0.05, 1.0, 30.5):
+        law = stats.nbinom(size, size / (size + mean))
+        assert negative_binomial(size, mean)(k) == pytest.approx(law.pmf(k), rel=1e-9, abs=1e-300)
+    assert poisson(mean)(k) == pytest.approx(stats.poisson(mean).pmf(k), rel=1e-9, abs=1e-300)

@@ -1,14 +1,14 @@
 """The inputs of a plant: parameters, weights, initial state and disturbances, each with its
 unit."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 
-from .plants.plant import MEASURED, Plant, PlantParameter, Variable
+from .kinds import MEASURED, PlantKind, PlantParameter, Variable
 
 PlantInputs = dict[str, dict[str, Any]]
 START_WORDS = {
@@ -18,7 +18,7 @@ START_WORDS = {
 
 
 def make_inputs(
-    plant: type[Plant],
+    plant: type[PlantKind],
     parameters: Mapping[str, Any] | None = None,
     cost: Mapping[str, Any] | None = None,
     start: Mapping[str, Mapping[str, Any]] | None = None,
@@ -99,3 +99,12 @@ def _error(state: Variable, value: Any) -> Input:
 def _move(value: Any) -> float | None:
     """Zero has no percent: it moves by 0.01 of the unit."""
     return 0.01 if not np.any(value) else None
+
+
+def flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """(name, input) of a group, "angle.mean" within a state."""
+    for key, entry in inputs.items():
+        if isinstance(entry, Mapping):
+            yield from ((f"{key}.{name}", input_) for name, input_ in flat(entry))
+        else:
+            yield key, entry

@@ -13,7 +13,6 @@ from pydantic import Field
 
 from snapo.case.error import CaseError, nearest
 from snapo.case.given import positions
-from snapo.case.objective import make_objective
 from snapo.case.plausible import CaseFiles, Plausible, checked_numbers, implausible
 from snapo.case.report import ReportTable
 from snapo.case.settings import (
@@ -26,12 +25,9 @@ from snapo.case.settings import (
     read_training,
 )
 from snapo.case.table import LARGEST, TITLE, CaseTable, Title, parse
-from snapo.problem.policies.memory import GRU, LastObservations, Memory
-from snapo.problem.policy import MLP, Policy
 
-from .inputs import make_inputs
-from .plants import TYPES
-from .plants.plant import Plant, PlantParameter
+from .inputs import flat, make_inputs
+from .kinds import KINDS, PlantKind, PlantParameter
 from .records import ControlCase
 
 Width = Annotated[int, Field(ge=1, le=4096)]
@@ -85,14 +81,14 @@ class PlantTable(CaseTable):
     )
 
 
-def plant_table(plant: type[Plant]) -> type[PlantTable]:
+def plant_table(plant: type[PlantKind]) -> type[PlantTable]:
     """`[plant]` of one type."""
     kind: Any = (Literal[plant.type], Field(description=f'"{plant.type}"'))
     fields = {"type": kind, **_fields(plant.parameters)}
     return pydantic.create_model("PlantTable", __base__=PlantTable, **fields)
 
 
-def cost_table(plant: type[Plant]) -> type[CaseTable]:
+def cost_table(plant: type[PlantKind]) -> type[CaseTable]:
     """`[cost]` of one type."""
     return pydantic.create_model("CostTable", __base__=CaseTable, **_fields(plant.weights))
 
@@ -141,7 +137,6 @@ class NormalStart(CaseTable):
 
 
 FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"
-WINDOW = 4  # default number of observations in a policy with memory = "Recent"
 RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(0.0, 25.2, "an angle is in radians, 180 degrees are 3.14", unit="rad", by_size=True),
     Plausible(0.0, 1e3, "an angular speed is in radians a second", unit="rad/s", by_size=True),
@@ -158,7 +153,7 @@ BLIND = (
 
 def formats() -> dict[str, Any]:
     """The tables of a case by name; those of the plants are made from their descriptions."""
-    plants = TYPES.values()
+    plants = KINDS.values()
     return {
         "": ControlFile,
         "plant": [plant_table(plant) for plant in plants],
@@ -182,7 +177,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     objective = read_objective(table.objective, name)
     check_window(training, [objective.kind], name)
     parse(ReportTable, table.report, name, "report")
-    recipe = _recipe(parse(ControlPolicyTable, table.policy, name, "policy"), name)
+    policy = parse(ControlPolicyTable, table.policy, name, "policy")
+    _check_policy(policy, name)
     parameters = {key: getattr(selected, key) for key in plant.parameters}
     weights = {key: getattr(cost, key) for key in plant.weights}
     starts = read_starts(plant, table.start, name)
@@ -192,20 +188,24 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     entries = [
         checked_numbers(entry, f"{group}.{key}")
         for group, entries in inputs.items()
-        for key, entry in _flat(entries)
+        for key, entry in flat(entries)
     ]
     slips = implausible(entries, RANGES, CaseFiles(file, data)).values()
     for key, value, message in plant.faults(_values(inputs)):
         raise CaseError(name, key, value, message)
     return ControlCase(
         file=file,
-        notes=(*([BLIND] if blur and not isinstance(recipe, Memory) else []), *slips),
+        notes=(*([BLIND] if blur and policy.memory is None else []), *slips),
         title=table.title or plant.description,
-        plant=plant(inputs, selected.horizon, selected.clock),
+        kind=plant,
+        horizon=selected.horizon,
+        timer=selected.clock,
         inputs=inputs,
-        objective=make_objective(objective, "reward"),
+        objective=objective,
         objective_words=_words(objective),
-        recipe=recipe,
+        hidden=None if policy.hidden is None else tuple(policy.hidden),
+        memory=policy.memory,
+        window=policy.steps,
         training=training,
         evaluation=evaluation,
         positions=dict(_positions(data, inputs)),
@@ -215,7 +215,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
 def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[tuple[str, tuple]]:
     """(name, positions of its numbers) of the inputs, but for a start that the case leaves out."""
     for group, entries in inputs.items():
-        for name, entry in _flat(entries):
+        for name, entry in flat(entries):
             first, *rest = name.split(".")
             value = data.get(group, {}).get(first)
             if group == "start" and value is None:
@@ -228,39 +228,23 @@ def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[t
             yield f"{group}.{name}", locations
 
 
-def _flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """(name, input) of a group, "angle.mean" within a state."""
-    for key, entry in inputs.items():
-        if isinstance(entry, Mapping):
-            yield from ((f"{key}.{name}", input_) for name, input_ in _flat(entry))
-        else:
-            yield key, entry
-
-
-def _recipe(table: ControlPolicyTable, name: str) -> Policy:
-    """The policy of `[policy]`, with or without a memory."""
-    hidden = None if table.hidden is None else tuple(table.hidden)
+def _check_policy(table: ControlPolicyTable, name: str) -> None:
     if table.steps is not None and table.memory != "Recent":
         message = 'only memory = "Recent" has a number of steps'
         raise CaseError(name, "policy.steps", table.steps, message)
-    if table.memory == "Recent":
-        return LastObservations(table.steps or WINDOW, MLP(hidden=hidden))
-    if table.memory is None:
-        return MLP(hidden=hidden)
-    if hidden is not None and len(hidden) != 1:
+    if table.memory == "GRU" and table.hidden is not None and len(table.hidden) != 1:
         message = 'a "GRU" has one layer: it must be a list of one width, [16], or no value'
-        raise CaseError(name, "policy.hidden", list(hidden), message)
-    return GRU(hidden=None if hidden is None else hidden[0])
+        raise CaseError(name, "policy.hidden", table.hidden, message)
 
 
-def _plant(data: Mapping[str, Any], name: str) -> type[Plant]:
+def _plant(data: Mapping[str, Any], name: str) -> type[PlantKind]:
     kind = data.get("type")
-    if isinstance(kind, str) and kind in TYPES:
-        return TYPES[kind]
-    text = ", ".join(f'"{item}"' for item in TYPES)
+    if isinstance(kind, str) and kind in KINDS:
+        return KINDS[kind]
+    text = ", ".join(f'"{item}"' for item in KINDS)
     if kind is None:
         raise CaseError(name, "plant.type", None, f"this key is missing; it is one of {text}")
-    hint = f"; {nearest(kind, TYPES)}" if isinstance(kind, str) else ""
+    hint = f"; {nearest(kind, KINDS)}" if isinstance(kind, str) else ""
     raise CaseError(name, "plant.type", kind, f"it must be one of {text}{hint}")
 
 
@@ -283,7 +267,7 @@ def _words(objective: ObjectiveTable) -> str:
     return f"{objective.kind} of the reward"
 
 
-def read_starts(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
+def read_starts(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> dict[str, Any]:
     """{state: {"at"}, {"low", "high"} or {"mean", "deviation"}} of the states that are named."""
     _known(plant, data, name, "start")
     starts = {key: _start(value, name, f"start.{key}") for key, value in data.items()}
@@ -294,7 +278,7 @@ def read_starts(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[
     return starts
 
 
-def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
+def read_noise(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> dict[str, Any]:
     """{state: standard deviations of a step's disturbance} of the states that are named.
 
     For a state of several numbers: a list, or the rows of a matrix that multiplies normals.
@@ -309,7 +293,7 @@ def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[s
     return matrices
 
 
-def read_measurement(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
+def read_measurement(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> dict[str, Any]:
     """{state: standard deviations of the errors with which it is seen} of the states named."""
     _known(plant, data, name, "measurement")
     numbers = {}
@@ -323,7 +307,7 @@ def read_measurement(plant: type[Plant], data: Mapping[str, Any], name: str) -> 
     return numbers
 
 
-def _known(plant: type[Plant], data: Mapping[str, Any], name: str, table: str) -> None:
+def _known(plant: type[PlantKind], data: Mapping[str, Any], name: str, table: str) -> None:
     for key, value in data.items():
         if key not in plant.states:
             message = f"the plant has no such state; {nearest(key, plant.states)}"

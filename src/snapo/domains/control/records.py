@@ -3,32 +3,38 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from snapo.case.given import FilePosition
-from snapo.case.settings import EvaluationTable, FollowingTable
-from snapo.problem.objective import Objective
-from snapo.problem.policy import Policy
+from snapo.case.settings import EvaluationTable, FollowingTable, ObjectiveTable
 
 from .inputs import PlantInputs
-from .plants.plant import Plant
+from .kinds import PlantKind
 
 
 @dataclass(frozen=True, eq=False)
 class ControlCase:
     """All that a study needs: the plant with its inputs, the objective, and how it is trained.
 
-    - `recipe`: of the policy that is trained; `objective_words`: "mean reward".
+    - `kind`: of the plant; `horizon`, `timer`: steps, and whether the policy sees how many are
+      left, None as the kind has them.
+    - `hidden`, `memory`, `window`: of the network that is trained, see `[policy]`.
+    - `objective_words`: "mean reward".
     - `positions`: {input: the positions of its numbers in the file}.
     """
 
     file: Path
     notes: tuple[str, ...]
     title: str
-    plant: Plant
+    kind: type[PlantKind]
+    horizon: int | None
+    timer: bool | None
     inputs: PlantInputs
-    objective: Objective
+    objective: ObjectiveTable
     objective_words: str
-    recipe: Policy
+    hidden: tuple[int, ...] | None
+    memory: Literal["GRU", "Recent"] | None
+    window: int | None
     training: FollowingTable
     evaluation: EvaluationTable
     positions: Mapping[str, tuple[FilePosition, ...]]

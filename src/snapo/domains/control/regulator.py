@@ -18,8 +18,9 @@ from jaxtyping import Float
 from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import Exact
 
+from .kinds import MEASURED, PlantValues
 from .plants.linear import LinearQuadratic
-from .plants.plant import MEASURED, Plant, PlantValues
+from .plants.plant import Plant
 
 
 class Linearised(NamedTuple):

@@ -12,7 +12,8 @@ from snapo.problem.policies.rules import Constant
 from snapo.problem.policy import Policy, as_observation
 from snapo.problem.smooth import EXACT
 
-from .plants.plant import Plant, PlantValues
+from .kinds import PlantValues
+from .plants.plant import Plant
 from .regulator import linearised, riccati
 
 

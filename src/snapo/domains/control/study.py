@@ -8,9 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.case.objective import make_objective
 from snapo.problem.inputs import named_inputs
-from snapo.problem.policies.memory import first_decision
-from snapo.problem.policy import Policy
+from snapo.problem.objective import Objective
+from snapo.problem.policies.memory import GRU, LastObservations, first_decision
+from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.solver.solve import Evaluation
@@ -27,8 +29,12 @@ from snapo.study.training import TRAINING, trained
 from .chapters.baselines import BASELINES, GYMNASIUM
 from .chapters.costs import reward_and_costs
 from .chapters.plane import PLANE
-from .plants.plant import MEASURED, Plant
+from .kinds import MEASURED
+from .plants import TYPES
+from .plants.plant import Plant
 from .records import ControlCase
+
+WINDOW = 4  # default number of observations in a policy with memory = "Recent"
 
 
 def units(plant: Plant) -> dict[str, str]:
@@ -44,7 +50,9 @@ def _bounded(plant: Plant) -> bool:
 
 def study(case: ControlCase, options: Options) -> Study:
     """Training, distribution, fans, moves, classical rules, the plane of states, certificate."""
-    setup, plant = make_setup(case, options.engine), case.plant
+    setup = make_setup(case, options.engine)
+    plant = setup.problem.simulator
+    assert isinstance(plant, Plant)
     chapters = [DISTRIBUTION, PROFILE, MOVES, BASELINES, PLANE]
     if options.reference:
         if not plant.twin:
@@ -89,13 +97,32 @@ def _result(run: StudyRun) -> dict[str, Any]:
     return trained(run, references, advantages)
 
 
+def plant_at(case: ControlCase) -> Plant:
+    """The plant of a case."""
+    return TYPES[case.kind.type](case.inputs, case.horizon, case.timer)
+
+
+def objective_of(case: ControlCase) -> Objective:
+    """What is maximised, of the reward."""
+    return make_objective(case.objective, "reward")
+
+
+def recipe(case: ControlCase) -> Policy:
+    """The policy that is trained, with or without a memory."""
+    if case.memory == "Recent":
+        return LastObservations(case.window or WINDOW, MLP(hidden=case.hidden))
+    if case.memory is None:
+        return MLP(hidden=case.hidden)
+    return GRU(hidden=None if case.hidden is None else case.hidden[0])
+
+
 def make_setup(case: ControlCase, engine: str) -> Setup:
     """The problem with its policy and engines."""
     training = Training(**case.training.model_dump(exclude_none=True))
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
-    problem = Problem(case.plant, case.inputs, case.objective, sources)
-    setup = with_auto(engine, problem, case.recipe, training, evaluation)
+    problem = Problem(plant_at(case), case.inputs, objective_of(case), sources)
+    setup = with_auto(engine, problem, recipe(case), training, evaluation)
     return setup._replace(case=case)
 
 
@@ -104,7 +131,7 @@ def setup_at(setup: Setup, case: ControlCase) -> Setup:
 
     Nothing is compiled where the case has the same form.
     """
-    problem = replace(setup.problem, simulator=case.plant, inputs=case.inputs)
+    problem = replace(setup.problem, simulator=plant_at(case), inputs=case.inputs)
     if problem.form != setup.problem.form:
         return make_setup(case, setup.engines.name)
     return setup._replace(problem=problem, case=case)

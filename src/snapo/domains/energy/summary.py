@@ -1,11 +1,15 @@
 """The text that `snapo check` prints for a contract, by NumPy; nothing is compiled."""
 
-from snapo.lanes.program.in_numpy import in_numpy
-from snapo.problem.inputs import plain
+from typing import Any
+
+from snapo.case.given import CaseInput
+from snapo.problem.record import Schedule
+from snapo.problem.record.arrays import NUMPY
 from snapo.study.kind import inputs_line
 
-from .core.feasibility import check_limits
-from .core.intraday import simulator_kind
+from ..gas_storage.contract.terms import discount
+from .core.feasibility import charged, check_limits, intervals
+from .core.schedule import Constants, Step
 from .methods.grid import check_nodes
 from .methods.intrinsic import intrinsic_value
 from .read.case import EnergyCase
@@ -16,15 +20,30 @@ def lines(case: EnergyCase) -> list[str]:
 
     **Raises:** `CaseError` where it cannot be met, see `check_limits`.
     """
-    inputs, layout = case.inputs(), case.contract.layout
-    schedule = in_numpy(simulator_kind(case).bare(case).prepare)(plain(inputs))
+    layout, schedule = case.contract.layout, known_schedule(case)
     check_limits(case, schedule)
     check_nodes(case, schedule)
     return [
         f"{case.title}: {len(case.days)} decisions, {case.days[0]} to {case.days[-1]}",
         f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "
         f"flows: {', '.join(x.name for x in layout.flows)}",
-        inputs_line([entry.value.size for entry in inputs.values()]),
+        inputs_line([entry.value.size for entry in case.inputs().values()]),
         f"intrinsic value {intrinsic_value(layout, schedule):,.2f} {case.currency}",
         "the contract can be met",
     ]
+
+
+def known_schedule(case: EnergyCase) -> Schedule:
+    """The schedule of a case at its forward prices, in NumPy, without those of the price process.
+
+    As `EnergySimulator.prepare` of its inputs, up to rounding.
+    """
+    market, at = case.market, CaseInput.used
+    paid, settled = (discount(market, days) for days in (market.gas_day, case.day + 1))
+    start, terms = case.contract.terms(at, paid, settled, NUMPY)  # pyright: ignore
+    forward: Any = at(market.forward_curve)[: len(case.days)]
+    terms = charged(terms, forward, NUMPY)
+    ranges = intervals(case.contract.layout, terms, NUMPY)
+    none: Any = None  # only paths and policies read it
+    steps = Step(case.time, forward, terms, ranges, case.model.second_price(), none)  # pyright: ignore
+    return Schedule(Constants(start, none, none, none, none), steps)

@@ -1,11 +1,14 @@
 """The text that `snapo check` prints for an item or a network; nothing is compiled."""
 
-from snapo.lanes.program.in_numpy import in_numpy
-from snapo.problem.inputs import plain
+from statistics import NormalDist
+
+import numpy as np
+
 from snapo.study.kind import inputs_line
 
+from .demand.base import MEAN
+from .item.estimates import base_stock, safety_factor, season_ahead
 from .item.records import InventoryCase
-from .item.simulator import InventorySimulator
 from .network.records import NetworkCase
 
 
@@ -20,8 +23,12 @@ def _item_lines(case: InventoryCase) -> list[str]:
     item = case.item
     unmet = "lost" if item.lost else "delivered later"
     integers = "whole" if item.integer else "any"
-    schedule = in_numpy(InventorySimulator.of(case).prepare)(plain(case.inputs()))
-    level = float(schedule.steps["level"][case.warm_up])
+    parameters, factors = case.demand.values(), case.season.values if case.seasonal else np.ones(1)
+    season = season_ahead(factors, case.horizon, item.lead_time)
+    mean, deviation = parameters[MEAN] * season, case.demand.deviation(parameters, season)
+    level = float(
+        base_stock(mean, deviation, safety_factor(case, NormalDist().inv_cdf), np)[case.warm_up]
+    )
     return [
         f"{case.title}: {_periods(case)}",
         f"demand of a {case.period}: {case.demand.describe()}; without stock it is {unmet}",

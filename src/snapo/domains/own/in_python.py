@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, cast
 from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.case.toml import to_toml
 from snapo.engine import choose
-from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.problem.record import Input
 from snapo.solver.learning.settings import resolve_auto
 from snapo.solver.provenance import versions
 from snapo.solver.solution import Solution

@@ -26,8 +26,8 @@ from snapo.case.settings import (
     read_weight,
 )
 from snapo.case.table import TITLE, CaseTable, Range, TableContext, Title, parse
-from snapo.problem.inputs import Input
 from snapo.problem.objective import Objective, Weighted
+from snapo.problem.record import Input
 from snapo.problem.simulator import Simulator
 from snapo.study.prepare import use_every_core
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from snapo.case.given import FilePosition
 from snapo.case.settings import EvaluationTable, FollowingTable
-from snapo.problem.inputs import Input
 from snapo.problem.objective import Limit, Objective
+from snapo.problem.record import Input
 from snapo.problem.simulator import Simulator
 
 

@@ -9,11 +9,10 @@ from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Generic, Self, TypeVar
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import Array, jnp
 
 Formed = TypeVar("Formed")
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 from snapo.report.quantity import unit_words
 from snapo.study.study import CalculatedOutput, LiveTable
 

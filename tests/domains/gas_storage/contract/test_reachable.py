@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from snapo.domains.gas_storage.contract.reachable import InventoryLimits, reachable
-from snapo.domains.gas_storage.contract.simulator import TRACED
+from snapo.problem.record.arrays import TRACED
 
 DAYS = 2
 

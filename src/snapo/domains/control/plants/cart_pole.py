@@ -1,16 +1,14 @@
 """Cart and pole: swing the pole up from hanging, and hold it there."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
-import numpy as np
 
 from snapo.problem.angle import angle_features
 
-from .plant import Plant, PlantParameter, Variable, runge_kutta
+from ..kinds import CartPoleKind
+from .plant import Plant, runge_kutta
 
 
-class CartPole(Plant):
+class CartPole(CartPoleKind, Plant):
     """A uniform rod of length l and mass m on a cart of mass M, pushed by a force u.
 
     With the angle a from upright and h = m l / 2,
@@ -20,34 +18,6 @@ class CartPole(Plant):
     Rasmussen, PILCO (2011). A step costs position^2 + angle 2 (1 - cos a) + speed^2 + spin^2 +
     force^2, each with its weight.
     """
-
-    type: ClassVar = "cart-pole"
-    description: ClassVar = "a cart that swings its pole up and balances it"
-    steps: ClassVar = 100
-    portrait: ClassVar = ("angle", "spin")
-    parameters: ClassVar = {
-        "cart": PlantParameter(0.5, "kg", "mass of the cart"),
-        "pole": PlantParameter(0.5, "kg", "mass of the pole"),
-        "length": PlantParameter(0.6, "m", "length of the pole"),
-        "friction": PlantParameter(0.1, "N s/m", "friction of the cart", False),
-        "gravity": PlantParameter(9.82, "m/s2", "gravity"),
-        "force": PlantParameter(10.0, "N", "largest force"),
-        "step": PlantParameter(0.05, "s", "time step"),
-    }
-    weights: ClassVar = {
-        "position": PlantParameter(0.5, "1/m2", "weight of the squared position", False),
-        "angle": PlantParameter(1.0, "1", "weight of 2 (1 - cos angle)", False),
-        "speed": PlantParameter(0.01, "s2/m2", "weight of the squared speed", False),
-        "spin": PlantParameter(0.01, "s2/rad2", "weight of the squared spin", False),
-        "force": PlantParameter(0.001, "1/N2", "weight of the squared force", False),
-    }
-    states: ClassVar = {
-        "position": Variable("m", "position", {"mean": 0.0, "deviation": 0.1}),
-        "angle": Variable("rad", "angle from upright", {"mean": np.pi, "deviation": 0.1}, True),
-        "speed": Variable("m/s", "speed of the cart", {"mean": 0.0, "deviation": 0.1}),
-        "spin": Variable("rad/s", "angular speed", {"mean": 0.0, "deviation": 0.1}),
-    }
-    actions: ClassVar = {"force": Variable("N", "force on the cart")}
 
     def drive(self, p, action):
         return p["force"] * action

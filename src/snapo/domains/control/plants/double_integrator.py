@@ -1,40 +1,18 @@
 """A mass on a line, pushed by a bounded force to its place."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 import numpy as np
 
-from .plant import Plant, PlantParameter, Variable
+from ..kinds import DoubleIntegratorKind
+from .plant import Plant
 
 
-class DoubleIntegrator(Plant):
+class DoubleIntegrator(DoubleIntegratorKind, Plant):
     """position' = position + speed dt, speed' = speed + force dt / mass.
 
     The cost of a step is position^2 + speed^2 + force^2, each with its weight; the terminal state
     costs `final` times its own. Where the force has no effective bound, the best rule is linear.
     """
-
-    type: ClassVar = "double-integrator"
-    description: ClassVar = "a mass on a line, brought to rest by a bounded force"
-    steps: ClassVar = 40
-    sees_time: ClassVar = True
-    parameters: ClassVar = {
-        "mass": PlantParameter(1.0, "kg", "mass"),
-        "force": PlantParameter(1.0, "N", "largest force"),
-        "step": PlantParameter(0.2, "s", "time step"),
-    }
-    weights: ClassVar = {
-        "position": PlantParameter(1.0, "1/m2", "weight of the squared position", False),
-        "speed": PlantParameter(0.1, "s2/m2", "weight of the squared speed", False),
-        "force": PlantParameter(0.1, "1/N2", "weight of the squared force", False),
-        "final": PlantParameter(1.0, "1", "weight of the last state", False),
-    }
-    states: ClassVar = {
-        "position": Variable("m", "position", {"mean": 1.0, "deviation": 0.5}),
-        "speed": Variable("m/s", "speed", {"mean": 0.0, "deviation": 0.5}),
-    }
-    actions: ClassVar = {"force": Variable("N", "force")}
 
     def drive(self, p, action):
         return p["force"] * action

@@ -1,21 +1,19 @@
 """Gymnasium's MountainCarContinuous-v0: an engine too weak for the hill, and a prize on top."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.policies.rules import Threshold
 from snapo.problem.smooth import Exact
 
-from .plant import Plant, PlantParameter, Variable, outputs
+from ..kinds import BOTTOM, MountainCarKind
+from .plant import Plant, outputs
 
-BOTTOM = -np.pi / 6  # of the valley
 AIM = 1.15  # energy where a training step ends the way with probability 1/2; the goal takes 1
 WIDTH = 10.0  # of the smooth goal: times the temperature, as a share of the energy it takes
 
 
-class MountainCar(Plant):
+class MountainCar(MountainCarKind, Plant):
     """A car in a valley; at the goal the episode ends with a prize (Gymnasium 1.4).
 
     speed' = clip(speed + power a - gravity cos(3 position)), position' = clip(position + speed'),
@@ -27,37 +25,6 @@ class MountainCar(Plant):
     set by the temperature; `alive` is the probability of not having arrived. With this energy the
     next swing arrives.
     """
-
-    type: ClassVar = "mountain-car"
-    description: ClassVar = "MountainCarContinuous-v0: swing a weak car up a hill"
-    steps: ClassVar = 999
-    twin: ClassVar = "MountainCarContinuous-v0"
-    rests: ClassVar = False
-    parameters: ClassVar = {
-        "power": PlantParameter(0.0015, "1/step2", "acceleration of the engine at full power"),
-        "gravity": PlantParameter(0.0025, "1/step2", "steepest pull of the hill"),
-        "max_speed": PlantParameter(0.07, "1/step", "largest speed"),
-        "left": PlantParameter(-1.2, "1", "position of the left wall", False),
-        "right": PlantParameter(0.6, "1", "position of the right wall", False),
-        "goal": PlantParameter(0.45, "1", "place of the goal", False),
-    }
-    weights: ClassVar = {
-        "prize": PlantParameter(100.0, "1", "prize at the goal", False),
-        "effort": PlantParameter(0.1, "1", "weight of the squared action", False),
-    }
-    states: ClassVar = {
-        "position": Variable("1", "position", {"low": -0.6, "high": -0.4}),
-        "speed": Variable("1/step", "speed", {"at": 0.0}),
-    }
-    actions: ClassVar = {"action": Variable("1", "share of the engine's power")}
-
-    @classmethod
-    def faults(cls, values):
-        yield from super().faults(values)
-        plant = values["plant"]
-        if not plant["left"] < BOTTOM < plant["goal"] <= plant["right"]:
-            message = f"it must be left < {BOTTOM:.3f} (the bottom of the valley) < goal <= right"
-            yield "plant.goal", float(plant["goal"]), message
 
     def initial(self, constants, noise):
         return super().initial(constants, noise) | {"alive": jnp.ones((), noise.dtype)}

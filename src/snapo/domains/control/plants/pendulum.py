@@ -1,45 +1,21 @@
 """Gymnasium's Pendulum-v1: a rod on a motor too weak to lift it at once."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.angle import angle_features, wrap_angle
 
-from .plant import Plant, PlantParameter, Variable
+from ..kinds import PendulumKind
+from .plant import Plant
 
 
-class Pendulum(Plant):
+class Pendulum(PendulumKind, Plant):
     """A rod of length l and mass m, driven by a torque u of at most `torque` (Gymnasium 1.4).
 
     speed' = clip(speed + (3 g / (2 l) sin(angle) + 3 u / (m l^2)) dt), angle' = angle + speed' dt;
     the angle is 0 upright. The cost is on the state before the move: angle^2 (between -pi and pi)
     + 0.1 speed^2 + 0.001 u^2.
     """
-
-    type: ClassVar = "pendulum"
-    description: ClassVar = "Pendulum-v1: swing up a rod and hold it upright"
-    steps: ClassVar = 200
-    twin: ClassVar = "Pendulum-v1"
-    parameters: ClassVar = {
-        "gravity": PlantParameter(10.0, "m/s2", "gravity"),
-        "mass": PlantParameter(1.0, "kg", "mass of the rod"),
-        "length": PlantParameter(1.0, "m", "length of the rod"),
-        "torque": PlantParameter(2.0, "N m", "largest torque of the motor"),
-        "max_speed": PlantParameter(8.0, "rad/s", "largest speed"),
-        "step": PlantParameter(0.05, "s", "time step"),
-    }
-    weights: ClassVar = {
-        "angle": PlantParameter(1.0, "1/rad2", "weight of the squared angle", False),
-        "speed": PlantParameter(0.1, "s2/rad2", "weight of the squared speed", False),
-        "torque": PlantParameter(0.001, "1/(N m)2", "weight of the squared torque", False),
-    }
-    states: ClassVar = {
-        "angle": Variable("rad", "angle from upright", {"low": -np.pi, "high": np.pi}, True),
-        "speed": Variable("rad/s", "angular speed", {"low": -1.0, "high": 1.0}),
-    }
-    actions: ClassVar = {"torque": Variable("N m", "torque of the motor")}
 
     def drive(self, p, action):
         return p["torque"] * action

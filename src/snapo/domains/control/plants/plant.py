@@ -1,12 +1,12 @@
-"""The base class of all plants: states with units, equations of one step, a cost by parts.
+"""The base class of all plants: equations of one step, a cost by parts.
 
 A plant is a `Simulator` whose states have names. Its parameters, the weights of its cost, the
 distribution of its initial state and its disturbances are inputs, so that each has a sensitivity.
 """
 
 import abc
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,40 +18,13 @@ from snapo.problem.actions import Actions, Box
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
-PlantValues = Mapping[str, Any]
+from ..kinds import MEASURED, PlantKind, PlantValues, any_of
+
 PlantState = dict[str, Array]
 
 
-class PlantParameter(NamedTuple):
-    """A parameter of a plant or of its cost: its default (None: it is required; infinite: there is
-    no such limit), its unit and meaning. `positive`: it must be above 0."""
-
-    value: Any
-    unit: str
-    description: str
-    positive: bool = True
-
-
-class Variable(NamedTuple):
-    """A state or an action: its unit and meaning.
-
-    - `start`: the default distribution of an initial state: {"at"}, {"low", "high"} or {"mean",
-      "deviation"}.
-    - `turn`: an angle, unwrapped in the state; its cost and features repeat every 2 pi.
-    """
-
-    unit: str
-    description: str
-    start: Mapping[str, Any] | None = None
-    turn: bool = False
-
-
-MEASURED = "measurement"  # key of the errors in the inputs, and of the readings in a state
-STARTS = (("at",), ("low", "high"), ("mean", "deviation"))  # a number; uniform; normal
-
-
-class Plant(Simulator):
-    """One path of a controlled plant. A subclass has its description and its equations.
+class Plant(PlantKind, Simulator):
+    """One path of a controlled plant. A subclass has its equations; its kind is a base of it.
 
     **Attributes:**
 
@@ -61,18 +34,6 @@ class Plant(Simulator):
     - `disturbed_parts`: the states with a disturbance; `sizes`: {state: numbers in it} as pairs.
     - `measured`: the states that are observed with measurement noise, the others exactly.
     """
-
-    type: ClassVar[str]
-    description: ClassVar[str]
-    parameters: ClassVar[Mapping[str, PlantParameter]]
-    weights: ClassVar[Mapping[str, PlantParameter]]
-    states: ClassVar[Mapping[str, Variable]]
-    actions: ClassVar[Mapping[str, Variable]]
-    steps: ClassVar[int]
-    sees_time: ClassVar[bool] = False
-    portrait: ClassVar[tuple[str, ...]] = ()  # two states to draw; the first two where empty
-    twin: ClassVar[str] = ""  # the environment of Gymnasium with the same numbers
-    rests: ClassVar[bool] = True  # it has a target: a linear rule around it is compared
 
     horizon: int = eqx.field(static=True)
     time_feature: bool = eqx.field(static=True)
@@ -93,22 +54,10 @@ class Plant(Simulator):
         self.time_feature = self.sees_time if timer is None else timer
         self.starts = tuple((name, tuple(inputs["start"][name])) for name in self.states)
         self.disturbed_parts = tuple(name for name in self.states if name in inputs["noise"])
-        sizes = {name: np.size(_any(inputs["start"][name])) for name in self.states}
+        sizes = {name: np.size(any_of(inputs["start"][name])) for name in self.states}
         self.sizes = tuple(sizes.items())
         self.measured = tuple(name for name in self.states if name in inputs.get(MEASURED, {}))
         self.action = self.decisions(inputs)
-
-    @classmethod
-    def faults(cls, values: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-        """Contradictions in a case: (key, value, allowed). `values`: as the inputs."""
-        for name, start in values["start"].items():
-            if np.size(_any(start)) > 1:
-                message = "this state is one number"
-                yield f"start.{name}", _any(start).tolist(), message
-        for group in ("noise", MEASURED):
-            for name, inputs in values[group].items():
-                if np.ndim(inputs):
-                    yield f"{group}.{name}", inputs.tolist(), "this state is one number"
 
     def decisions(self, inputs: Mapping[str, PlantValues]) -> Actions:
         """The set of actions: a share of each limit, from -1 to 1."""
@@ -191,7 +140,7 @@ class Plant(Simulator):
         state, used, sizes = {}, 0, dict(self.sizes)
         for name, keys in self.starts:
             values = constants["start"][name]
-            shape = jnp.shape(_any(values))
+            shape = jnp.shape(any_of(values))
             if keys == ("at",):
                 state[name] = values["at"] + jnp.zeros(shape, noise.dtype)
                 continue
@@ -250,12 +199,6 @@ def outputs(parts: PlantState) -> PlantState:
     """The reward, minus all costs, and every cost by its name."""
     total = sum(parts.values(), jnp.zeros(()))
     return {"reward": -total, **{f"{name}_cost": value for name, value in parts.items()}}
-
-
-def _any(values: PlantValues) -> Any:
-    """One of the arrays of a distribution: all have the shape of the state."""
-    result = next(iter(values.values()))
-    return getattr(result, "value", result)
 
 
 StateVector = Mapping[str, Array]

@@ -12,17 +12,15 @@ from dataclasses import replace
 from math import ceil
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
 from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
+from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
 
-from ...gas_storage.prices.process import use
 from ..core.contract import (
     ContractLayout,
     EnergyContract,
@@ -106,54 +104,54 @@ class BatteryContract(EnergyContract):
     cycles_term: CaseInput | None
     day_ends: Bool[np.ndarray, " T"]
     half_spread: CaseInput | None
-    layout: ContractLayout = eqx.field(static=True)
+    layout: ContractLayout = field(static=True)
 
-    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
-        count = len(self.day_ends)
-        one, zero = jnp.ones(count), jnp.zeros(count)
-        energy, into = use(inputs, self.energy), use(inputs, self.charge_efficiency)
-        out, wear = use(inputs, self.discharge_efficiency), use(inputs, self.wear)
-        charge, discharge = use(inputs, self.charge), use(inputs, self.discharge)
-        high, again = [energy * one], [jnp.zeros(count, bool)]
-        day, term = self._cycles(inputs, discharge * count / energy)
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        xp, count = arrays.xp, len(self.day_ends)
+        one, zero = xp.ones(count), xp.zeros(count)
+        energy, into = at(self.energy), at(self.charge_efficiency)
+        out, wear = at(self.discharge_efficiency), at(self.wear)
+        charge, discharge = at(self.charge), at(self.discharge)
+        high, again = [energy * one], [xp.zeros(count, bool)]
+        day, term = self._cycles(at, discharge * count / energy, xp)
         if day is not None:
             high.append(day * energy * one)
-            again.append(jnp.asarray(self.day_ends))
+            again.append(xp.asarray(self.day_ends))
         if term is not None:
             high.append(term * energy * one)
-            again.append(jnp.zeros(count, bool))
-        none = jnp.zeros((count, len(high)))
-        start = jnp.zeros(len(high)).at[0].set(use(inputs, self.stored))
+            again.append(xp.zeros(count, bool))
+        none = xp.zeros((count, len(high)))
+        start = xp.append(at(self.stored), xp.zeros(len(high) - 1))
         intraday = None
         if self.half_spread is not None:
-            sold = jnp.stack([-one / into, one * out], axis=1)
-            spread = use(inputs, self.half_spread) * one
+            sold = xp.stack([-one / into, one * out], axis=1)
+            spread = at(self.half_spread) * one
             intraday = Intraday(spread, paid * one, sold)
         steps = StepTerms(
-            jnp.zeros((count, 2)),
-            jnp.stack([charge * into * one, discharge * one], axis=1),
-            jnp.stack([-paid / into, paid * out], axis=1),
-            jnp.stack([zero, -wear * paid], axis=1),
+            xp.zeros((count, 2)),
+            xp.stack([charge * into * one, discharge * one], axis=1),
+            xp.stack([-paid / into, paid * out], axis=1),
+            xp.stack([zero, -wear * paid], axis=1),
             none,
-            jnp.stack(high, axis=1),
+            xp.stack(high, axis=1),
             none,
             none,
-            jnp.stack(again, axis=1),
-            jnp.zeros((count, 1)),
+            xp.stack(again, axis=1),
+            xp.zeros((count, 1)),
             intraday=intraday,
         )
         return Terms(start, steps)
 
-    def _cycles(self, inputs: dict[str, Any], highest: Array) -> tuple[Array | None, Array | None]:
+    def _cycles(self, at: NumbersOf, highest: Array, xp: Any) -> tuple[Array | None, Array | None]:
         """Limits of a day and of the term. Of two, that which the other one implies is at least
         `highest`, the cycles of all hours: no plan reaches it, and methods need no nodes for it."""
-        day, term = (x and use(inputs, x) for x in (self.cycles_day, self.cycles_term))
+        day, term = (x and at(x) for x in (self.cycles_day, self.cycles_term))
         if day is None or term is None:
             return day, term
-        days = jnp.sum(self.day_ends)
+        days = xp.sum(self.day_ends)
         return (
-            jnp.where(day > term, jnp.maximum(day, highest), day),
-            jnp.where(term >= days * day, jnp.maximum(term, highest), term),
+            xp.where(day > term, xp.maximum(day, highest), day),
+            xp.where(term >= days * day, xp.maximum(term, highest), term),
         )
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:

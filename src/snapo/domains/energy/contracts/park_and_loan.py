@@ -21,19 +21,16 @@ balanced against the existing balance.
 
 import datetime
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
 from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, Quantity
 from snapo.case.table import CaseTable, TableContext
+from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
 
-from ...gas_storage.prices.process import use
 from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
 from ..core.contract import (
     ContractLayout,
@@ -106,31 +103,32 @@ class ParkAndLoanContract(EnergyContract):
     balance: CaseInput
     cash_out: tuple[CaseInput | None, CaseInput | None]
     open: Bool[np.ndarray, "T 2"]
-    layout: ContractLayout = eqx.field(static=True)
+    layout: ContractLayout = field(static=True)
 
-    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
-        count = len(self.open)
-        none = jnp.zeros((count, 1))
-        park, loan = (use(inputs, x) for x in self.limits)
-        initial, completion = (use(inputs, x) for x in self.turn)
-        fees = [use(inputs, x) * paid for x in self.fees]
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        xp, count = arrays.xp, len(self.open)
+        last = np.arange(count) == count - 1
+        none = xp.zeros((count, 1))
+        park, loan = (at(x) for x in self.limits)
+        initial, completion = (at(x) for x in self.turn)
+        fees = [at(x) * paid for x in self.fees]
         turn = (initial - completion) / 2 * paid
         rates, left = [-turn - fees[1], -turn - fees[0]], self.cash_out
         low, high = -loan, park
         if left[1] is None:
-            low = low.at[-1].set(0.0)
+            low = xp.where(last, 0.0, low)
         else:
-            rates[0] = rates[0].at[-1].add(-use(inputs, left[1]) * settled[-1])
+            rates[0] = xp.where(last, rates[0] - at(left[1]) * settled[-1], rates[0])
         if left[0] is None:
-            high = high.at[-1].set(0.0)
+            high = xp.where(last, 0.0, high)
         else:
-            rates[1] = rates[1].at[-1].add(use(inputs, left[0]) * settled[-1])
+            rates[1] = xp.where(last, rates[1] + at(left[0]) * settled[-1], rates[1])
         unit = -(initial + completion) / 2 * paid
         steps = StepTerms(
-            jnp.zeros((count, 2)),
-            jnp.stack([use(inputs, x) for x in self.rates], axis=1) * self.open,
-            jnp.stack([-paid, paid], axis=1),
-            jnp.stack([unit, unit], axis=1),
+            xp.zeros((count, 2)),
+            xp.stack([at(x) for x in self.rates], axis=1) * self.open,
+            xp.stack([-paid, paid], axis=1),
+            xp.stack([unit, unit], axis=1),
             low[:, None],
             high[:, None],
             none,
@@ -138,10 +136,10 @@ class ParkAndLoanContract(EnergyContract):
             none.astype(bool),
             none,
             of_levels=LevelMoney(
-                jnp.stack([-turn, -turn], axis=1)[:, None], jnp.stack(rates, axis=1)[:, None]
+                xp.stack([-turn, -turn], axis=1)[:, None], xp.stack(rates, axis=1)[:, None]
             ),
         )
-        return Terms(use(inputs, self.balance)[None], steps)
+        return Terms(at(self.balance)[None], steps)
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         return {"balance": levels["balance"]}

@@ -14,14 +14,12 @@ from collections.abc import Mapping
 from itertools import product
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
+from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, ArrayLibrary, NumbersOf
 
-from ...gas_storage.prices.process import use
 from ..core.contract import (
     ContractLayout,
     ContractMove,
@@ -40,15 +38,9 @@ class PlantContract(EnergyContract):
     """The terms of a plant.
 
     - `min_power`, `max_power`: MW on. `idle`, `rate`: fuel of an hour on, and for a MWh of power.
-<<<<<<< HEAD
     - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price
       (None where it moves: it is then in the index), and other money for each MWh.
-    - `start_money`, `start_fuel` [classes]: of a start; None where starts are free.
-=======
-    - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price,
-      and other money for each MWh.
     - `start_money`, `start_fuel` [classes]: of a start; None if starts are free.
->>>>>>> reader
     - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
       is on.
     - `start_limit`: how many starts there may be; 0 without a limit.
@@ -65,65 +57,68 @@ class PlantContract(EnergyContract):
     other_cost: CaseInput
     start_money: CaseInput | None
     start_fuel: CaseInput | None
-    layout: ContractLayout = eqx.field(static=True)
-    classes: tuple[int, ...] = eqx.field(static=True)
-    runs: tuple[bool, ...] = eqx.field(static=True)
-    start_limit: int = eqx.field(static=True)
+    layout: ContractLayout = field(static=True)
+    classes: tuple[int, ...] = field(static=True)
+    runs: tuple[bool, ...] = field(static=True)
+    start_limit: int = field(static=True)
     ramp: CaseInput | None = None
     power_before: CaseInput | None = None
-    steps: PowerSteps | None = eqx.field(static=True, default=None)
-    powers: tuple[int, ...] = eqx.field(static=True, default=())
+    steps: PowerSteps | None = field(static=True, default=None)
+    powers: tuple[int, ...] = field(static=True, default=())
 
-    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
-        count, counted = len(paid), len(self.layout.levels)
-        emissions = jnp.zeros(count)
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        xp, count, counted = arrays.xp, len(paid), len(self.layout.levels)
+        emissions = xp.zeros(count)
         if self.emission_price is not None:
-            emissions = use(inputs, self.per_fuel) * use(inputs, self.emission_price)
-        rate = use(inputs, self.rate)
-        running = jnp.asarray(self.runs, float)
-        fuel, money = use(inputs, self.idle) * running, jnp.zeros(len(self.classes))
+            emissions = at(self.per_fuel) * at(self.emission_price)
+        rate = at(self.rate)
+        running = xp.asarray(self.runs, float)
+        fuel, money = at(self.idle) * running, xp.zeros(len(self.classes))
         if self.start_money is not None and self.start_fuel is not None:
             starts, none = np.array(self.classes) >= 0, np.maximum(self.classes, 0)
-            fuel = fuel + starts * use(inputs, self.start_fuel)[none]
-            money = money + starts * use(inputs, self.start_money)[none]
-        cost = rate * emissions + use(inputs, self.other_cost)
+            fuel = fuel + starts * at(self.start_fuel)[none]
+            money = money + starts * at(self.start_money)[none]
+        cost = rate * emissions + at(self.other_cost)
         fixed = -paid[:, None] * (money + fuel * emissions[:, None])
-        none = jnp.zeros((count, counted))
+        none = xp.zeros((count, counted))
         steps = StepTerms(
-            jnp.full((count, 1), 1.0) * use(inputs, self.min_power),
-            jnp.full((count, 1), 1.0) * use(inputs, self.max_power),
+            xp.full((count, 1), 1.0) * at(self.min_power),
+            xp.full((count, 1), 1.0) * at(self.max_power),
             paid[:, None],
             -(cost * paid)[:, None],
             none,
             none + self.start_limit,
             none,
             none,
-            jnp.zeros((count, counted), bool),
+            xp.zeros((count, counted), bool),
             fixed,
             index=-(rate * paid)[:, None],
             fixed_index=-paid[:, None] * fuel,
         )
-        return Terms(jnp.zeros(counted), self._ramped(inputs, steps))
+        return Terms(xp.zeros(counted), self._ramped(at, steps, xp))
 
-    def _ramped(self, inputs: dict[str, Any], terms: StepTerms) -> StepTerms:
+    def _ramped(self, at: NumbersOf, terms: StepTerms, xp: Any) -> StepTerms:
         """With the power of each move, where there is a ramp. No number is known where other inputs
         would have other steps: all are NaN then."""
         if self.ramp is None or self.steps is None:
             return terms
         limits = self.min_power, self.max_power, self.ramp, self.power_before
-        numbers = [jnp.zeros(()) if x is None else use(inputs, x) for x in limits]
+        numbers = [xp.zeros(()) if x is None else at(x) for x in limits]
 
-        def at(rows: Any) -> Array:
+        def combined(rows: Any) -> Array:
             columns = np.reshape(np.array(rows, float), (-1, len(numbers))).T
-            return sum((x * column for x, column in zip(numbers, columns)), jnp.zeros(()))
+            total = xp.zeros(())
+            for number, column in zip(numbers, columns):
+                total = total + number * column
+            return total
 
-        valid = jnp.all(at(self.steps.conditions) >= -TOLERANCE * numbers[1])
-        terms = terms._replace(fixed=jnp.where(valid, terms.fixed, jnp.nan))
+        valid = xp.all(combined(self.steps.conditions) >= -TOLERANCE * numbers[1])
+        terms = terms._replace(fixed=xp.where(valid, terms.fixed, xp.nan))
         if not self.steps.steps:
             return terms
-        every = at([step.parts for step in self.steps.steps])
-        powers = every[np.array(self.powers)] * jnp.asarray(self.runs, float)
-        return terms._replace(fixed_volume=jnp.zeros_like(terms.fixed) + powers)
+        every = combined([step.parts for step in self.steps.steps])
+        powers = every[np.array(self.powers)] * xp.asarray(self.runs, float)
+        return terms._replace(fixed_volume=xp.zeros_like(terms.fixed) + powers)
 
     @property
     def third_share(self) -> CaseInput | None:

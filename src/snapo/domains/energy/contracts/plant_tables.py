@@ -110,12 +110,8 @@ def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any])
         raise where.error("power.min", low, f"it must be at most power.max, {high:g}")
     starts, before = _starts(where, table), where.nested(BeforeTable, table.before or {}, "before")
     if before.on is not None and before.off is not None:
-<<<<<<< HEAD
-        raise where.error("before", table.before, "it must have `off` or `on`, not both")
-    steps = _power_steps(where, power, before)
-=======
         raise where.error("before", table.before, "it must be `off` or `on`, not both")
->>>>>>> reader
+    steps = _power_steps(where, power, before)
     first = (False, before.off or LONGEST) if before.on is None else (True, before.on)
     # A limit that no plant of these minimum times can reach is none.
     possible = -(-(len(days) + table.min_down) // (table.min_up + table.min_down))

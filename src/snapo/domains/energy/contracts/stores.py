@@ -15,15 +15,12 @@ and submodular flows", Mathematical Programming 42 (1988), 489-563).
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
+from snapo.problem.record import TreeRecord, field
+from snapo.problem.record.arrays import Array, ArrayLibrary, NumbersOf
 
-from ...gas_storage.prices.process import use
 from ..core.contract import (
     ContractLayout,
     ContractMove,
@@ -46,7 +43,7 @@ SUMS = {
 }
 
 
-class Store(eqx.Module):
+class Store(TreeRecord):
     """The terms of one store on T days.
 
     - `inventory`: index []; `limits`: least and most in store, index [T + 1]; `end`: owed at the
@@ -89,86 +86,87 @@ class StoresContract(EnergyContract):
     stores: tuple[Store, Store]
     net_injection: CaseInput | None
     net_withdrawal: CaseInput | None
-    layout: ContractLayout = eqx.field(static=True)
-    transfers: bool = eqx.field(static=True)
+    layout: ContractLayout = field(static=True)
+    transfers: bool = field(static=True)
 
     @property
     def joint(self) -> bool:
         """Whether the stores depend on each other."""
         return len(self.layout.levels) > STORES
 
-    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        xp = arrays.xp
         daily = paid[::STORES]
-        flows = self._daily_flows(inputs)
-        sets = _feasible(flows, *self._limits(inputs), self.transfers)
+        flows = self._daily_flows(at, xp)
+        sets = _feasible(flows, *self._limits(at, xp), self.transfers, arrays)
         count, levels = len(daily), len(self.layout.levels)
-        rates = jnp.stack([flows.into, flows.out], axis=2)  # [T, stores, 2]
-        nothing = jnp.zeros((count, 2))
+        rates = xp.stack([flows.into, flows.out], axis=2)  # [T, stores, 2]
+        nothing = xp.zeros((count, 2))
         price, money, largest = [], [], []
         for k, store in enumerate(self.stores):
-            sign = jnp.array([-1.0, 1.0])
-            fuel = jnp.stack([use(inputs, x) for x in store.fuel], axis=1)
-            cost = jnp.stack([use(inputs, x) for x in store.costs], axis=1)
+            sign = xp.array([-1.0, 1.0])
+            fuel = xp.stack([at(x) for x in store.fuel], axis=1)
+            cost = xp.stack([at(x) for x in store.costs], axis=1)
             price.append((sign - fuel) * daily[:, None])
             money.append(-cost * daily[:, None])
             largest.append([nothing] * k + [rates[:, k]] + [nothing] * (STORES - 1 - k))
-        low, high = self._level_limits(flows, sets)
+        low, high = self._level_limits(flows, sets, xp)
         none, restarts = (
-            jnp.zeros((count * STORES, levels)),
+            xp.zeros((count * STORES, levels)),
             np.zeros((count * STORES, levels), bool),
         )
         restarts[STORES - 1 :: STORES, STORES:] = True
         steps = StepTerms(
-            jnp.zeros((count * STORES, 2 * STORES)),
-            _by_step(*(jnp.concatenate(x, axis=1) for x in largest)),
-            _by_step(*[jnp.concatenate(price, axis=1)] * STORES),
-            _by_step(*[jnp.concatenate(money, axis=1)] * STORES),
+            xp.zeros((count * STORES, 2 * STORES)),
+            _by_step(xp, *(xp.concatenate(x, axis=1) for x in largest)),
+            _by_step(xp, *[xp.concatenate(price, axis=1)] * STORES),
+            _by_step(xp, *[xp.concatenate(money, axis=1)] * STORES),
             low,
             high,
-            jnp.where(restarts, low, none),
+            xp.where(restarts, low, none),
             none,
-            jnp.asarray(restarts),
-            jnp.zeros((count * STORES, len(self.layout.every_move))),
-            promises=self._promises(flows, sets) if self.joint else None,
-            of_levels=self._holding(inputs, daily),
+            xp.asarray(restarts),
+            xp.zeros((count * STORES, len(self.layout.every_move))),
+            promises=self._promises(flows, sets, xp) if self.joint else None,
+            of_levels=self._holding(at, daily, xp),
         )
-        return Terms(jnp.append(self._start(inputs), jnp.zeros(levels - STORES)), steps)
+        return Terms(xp.append(self._start(at, xp), xp.zeros(levels - STORES)), steps)
 
-    def _start(self, inputs: dict[str, Any]) -> Array:
-        return jnp.stack([use(inputs, store.inventory) for store in self.stores])
+    def _start(self, at: NumbersOf, xp: Any) -> Array:
+        return xp.stack([at(store.inventory) for store in self.stores])
 
-    def _daily_flows(self, inputs: dict[str, Any]) -> DailyFlows:
+    def _daily_flows(self, at: NumbersOf, xp: Any) -> DailyFlows:
         """No more than the joint limits leave, whatever the other store does."""
         rates = [
-            jnp.stack([use(inputs, x.rates[side]) * x.factors[:, side] for x in self.stores], 1)
+            xp.stack([at(x.rates[side]) * x.factors[:, side] for x in self.stores], 1)
             for side in (0, 1)
         ]
         into, out = rates
         limits = [
-            jnp.sum(x, axis=1) if y is None else jnp.minimum(use(inputs, y), jnp.sum(x, axis=1))
+            xp.sum(x, axis=1) if y is None else xp.minimum(at(y), xp.sum(x, axis=1))
             for x, y in zip(rates, (self.net_injection, self.net_withdrawal))
         ]
         net_in, net_out = limits
         if not self.transfers:
-            into, out = jnp.minimum(into, net_in[:, None]), jnp.minimum(out, net_out[:, None])
+            into, out = xp.minimum(into, net_in[:, None]), xp.minimum(out, net_out[:, None])
         else:
             into, out = (
-                jnp.minimum(into, net_in[:, None] + out[:, ::-1]),
-                jnp.minimum(out, net_out[:, None] + into[:, ::-1]),
+                xp.minimum(into, net_in[:, None] + out[:, ::-1]),
+                xp.minimum(out, net_out[:, None] + into[:, ::-1]),
             )
         return DailyFlows(into, out, net_in, net_out)
 
-    def _limits(self, inputs: dict[str, Any]) -> tuple[Array, Array]:
+    def _limits(self, at: NumbersOf, xp: Any) -> tuple[Array, Array]:
         """[T + 1, stores] the least and the most in store at the start of a day, and at the end."""
-        low, high = (
-            jnp.stack([use(inputs, x.limits[side]) for x in self.stores], axis=1) for side in (0, 1)
-        )
+        low, high = (xp.stack([at(x.limits[side]) for x in self.stores], axis=1) for side in (0, 1))
         for k, store in enumerate(self.stores):
             if store.end is not None:
-                low, high = (x.at[-1, k].set(use(inputs, store.end)) for x in (low, high))
+                end = np.zeros(low.shape, bool)
+                end[-1, k] = True
+                low, high = (xp.where(end, at(store.end), x) for x in (low, high))
         return low, high
 
-    def _level_limits(self, flows: DailyFlows, sets: FeasibleSets) -> tuple[Array, Array]:
+    def _level_limits(self, flows: DailyFlows, sets: FeasibleSets, xp: Any) -> tuple[Array, Array]:
         """[steps, levels] after each step: of the first store those of the end of the day, of the
         second one those of its start until it has decided."""
         sides = []
@@ -179,13 +177,13 @@ class StoresContract(EnergyContract):
             early = [limit[1:, 0], limit[:-1, 1], sign * rate[:, 0]]
             late = [limit[1:, 0], limit[1:, 1], sign * net]
             count = len(self.layout.levels)
-            sides.append(_by_step(*(jnp.stack(x[:count], axis=1) for x in (early, late))))
+            sides.append(_by_step(xp, *(xp.stack(x[:count], axis=1) for x in (early, late))))
         return sides[0], sides[1]
 
-    def _promises(self, flows: DailyFlows, sets: FeasibleSets) -> Promises:
+    def _promises(self, flows: DailyFlows, sets: FeasibleSets, xp: Any) -> Promises:
         """Limits of sums after each step, from which the second store can keep its own limits, the
         joint ones and those of the sum; see `SUMS`."""
-        rows = jnp.array(self.layout.sums)
+        rows = xp.array(self.layout.sums)
         bottom, top, low, high = (
             sets.total_low[1:],
             sets.total_high[1:],
@@ -194,7 +192,7 @@ class StoresContract(EnergyContract):
         )
         into, out = flows.into[:, 1], flows.out[:, 1]
         never = -2.0 * (
-            jnp.sum(sets.high[1:] + flows.into + flows.out, axis=1) + sets.total_high[:-1]
+            xp.sum(sets.high[1:] + flows.into + flows.out, axis=1) + sets.total_high[:-1]
         )
         if self.transfers:
             late_limits = [bottom, -top, never, never]
@@ -202,43 +200,46 @@ class StoresContract(EnergyContract):
         else:
             late_limits, inward = [-top, never, never], [-top, never, -high]
             modes = [inward, inward, [-top - out, -high - flows.net_out, never]]
-        early = jnp.stack([jnp.stack(x, axis=1) for x in modes], axis=2)
-        late = jnp.stack([jnp.stack(late_limits, axis=1)] * len(modes), axis=2)
-        minimum = _by_step(early, late)
+        early = xp.stack([xp.stack(x, axis=1) for x in modes], axis=2)
+        late = xp.stack([xp.stack(late_limits, axis=1)] * len(modes), axis=2)
+        minimum = _by_step(xp, early, late)
         return Promises(
-            jnp.broadcast_to(rows, (len(minimum), *rows.shape)), minimum, jnp.ones(len(minimum))
+            xp.broadcast_to(rows, (len(minimum), *rows.shape)), minimum, xp.ones(len(minimum))
         )
 
-    def _holding(self, inputs: dict[str, Any], daily: Array) -> LevelMoney | None:
+    def _holding(self, at: NumbersOf, daily: Array, xp: Any) -> LevelMoney | None:
         """What is in store at the start of a day is paid for on it."""
         if all(store.holding is None for store in self.stores):
             return None
         shape = len(daily), len(self.layout.levels), 2
-        rates = jnp.zeros(shape)
-        for k, store in enumerate(self.stores):
-            if store.holding is not None:
-                rates = rates.at[:, k, 1].set(use(inputs, store.holding) * daily)
-        before = _by_step(rates, jnp.zeros(shape))
-        return LevelMoney(before, jnp.zeros_like(before))
+        nothing = xp.zeros(len(daily))
+        above = [nothing if x.holding is None else at(x.holding) * daily for x in self.stores]
+        above += [nothing] * (shape[1] - STORES)
+        rates = xp.stack([xp.zeros(shape[:2]), xp.stack(above, axis=1)], axis=2)
+        before = _by_step(xp, rates, xp.zeros(shape))
+        return LevelMoney(before, xp.zeros_like(before))
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         return {"inventory": [max(levels[x.name], 0.0) for x in self.layout.levels[:STORES]]}
 
 
-def _by_step(*parts: Array) -> Array:
+def _by_step(xp: Any, *parts: Array) -> Array:
     """[T x parts, …] of one array [T, …] for each step of a day."""
-    return jnp.stack(parts, axis=1).reshape(-1, *parts[0].shape[1:])
+    return xp.stack(parts, axis=1).reshape(-1, *parts[0].shape[1:])
 
 
-def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> FeasibleSets:
+def _feasible(
+    flows: DailyFlows, low: Array, high: Array, transfers: bool, arrays: ArrayLibrary
+) -> FeasibleSets:
     """[T + 1] at the start of each day, and at the end. Without transfers nothing must be injected:
     limits are then kept by withdrawing, or by no flow."""
+    xp = arrays.xp
 
     def tight(low: Array, high: Array, bottom: Array, top: Array) -> FeasibleSets:
-        bottom, top = jnp.maximum(bottom, jnp.sum(low)), jnp.minimum(top, jnp.sum(high))
+        bottom, top = xp.maximum(bottom, xp.sum(low)), xp.minimum(top, xp.sum(high))
         return FeasibleSets(
-            jnp.maximum(low, bottom - high[::-1]),
-            jnp.minimum(high, top - low[::-1]),
+            xp.maximum(low, bottom - high[::-1]),
+            xp.minimum(high, top - low[::-1]),
             bottom,
             top,
         )
@@ -246,17 +247,16 @@ def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> Fe
     def back(later: FeasibleSets, row):
         day, low, high = row
         into, net_in = (day.into, day.net_in) if transfers else (0.0, 0.0)
-        now = tight(
-            jnp.maximum(later.low - into, low),
-            jnp.minimum(later.high + day.out, high),
+        return tight(
+            xp.maximum(later.low - into, low),
+            xp.minimum(later.high + day.out, high),
             later.total_low - net_in,
             later.total_high + day.net_out,
         )
-        return now, now
 
-    last = tight(low[-1], high[-1], jnp.sum(low[-1]), jnp.sum(high[-1]))
-    days = jax.lax.scan(back, last, (flows, low[:-1], high[:-1]), reverse=True)[1]
-    return FeasibleSets(*(jnp.concatenate([x, y[None]]) for x, y in zip(days, last)))
+    last = tight(low[-1], high[-1], xp.sum(low[-1]), xp.sum(high[-1]))
+    days = arrays.backwards(back, last, (flows, low[:-1], high[:-1]))
+    return FeasibleSets(*(xp.concatenate([x, y[None]]) for x, y in zip(days, last)))
 
 
 def layout_of(names: Sequence[str], unit: str, joint: bool, transfers: bool) -> ContractLayout:

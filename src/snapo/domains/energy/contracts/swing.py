@@ -13,18 +13,16 @@ import datetime
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.table import TableContext
+from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
 
 from ...gas_storage.prices.index import ONE_FACTOR, indexed
-from ...gas_storage.prices.process import Delivery, PriceProcess, use
+from ...gas_storage.prices.process import Delivery, PriceProcess
 from ..core.bank import Bank
 from ..core.contract import (
     ContractLayout,
@@ -73,61 +71,61 @@ class SwingContract(EnergyContract):
     carry_max: CaseInput | None
     carried: CaseInput | None
     year_ends: Bool[np.ndarray, " T"]
-    layout: ContractLayout = eqx.field(static=True)
-    sign: float = eqx.field(static=True)
-    at_strike: bool = eqx.field(static=True)
-    firm: bool = eqx.field(static=True)
-    most_rights: int = eqx.field(static=True)
+    layout: ContractLayout = field(static=True)
+    sign: float = field(static=True)
+    at_strike: bool = field(static=True)
+    firm: bool = field(static=True)
+    most_rights: int = field(static=True)
 
-    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
-        count = len(self.year_ends)
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        xp, count = arrays.xp, len(self.year_ends)
         names = [level.name for level in self.layout.levels]
-        strike = use(inputs, self.add if self.strike is None else self.strike)  # pyright: ignore
+        strike = at(self.add if self.strike is None else self.strike)  # pyright: ignore
         index = None
         if self.factor is not None:
-            index = (-self.sign * use(inputs, self.factor) * paid)[:, None]
-        most, zero = use(inputs, self.max_daily), jnp.zeros(count)
+            index = (-self.sign * at(self.factor) * paid)[:, None]
+        most, zero = at(self.max_daily), xp.zeros(count)
         low, high, owed, short, again, start = [], [], [], [], [], []
-        everything = jnp.sum(most) + use(inputs, self.taken)
+        everything = xp.sum(most) + at(self.taken)
         if "taken" in names:
-            least = zero if self.annual_min is None else use(inputs, self.annual_min) + zero
-            ceiling = everything if self.annual_max is None else use(inputs, self.annual_max)
+            least = zero if self.annual_min is None else at(self.annual_min) + zero
+            ceiling = everything if self.annual_max is None else at(self.annual_max)
             money = zero
             if self.shortfall is not None:
-                money = use(inputs, self.shortfall) * settled
+                money = at(self.shortfall) * settled
             elif self.at_strike:
                 money = strike * settled
             firm = self.firm and not (self.most_rights or self.layout.banks)
-            low.append(jnp.where(self.year_ends & firm, least, 0.0))
+            low.append(xp.where(self.year_ends & firm, least, 0.0))
             high.append(ceiling + zero)
             owed.append(zero if firm else least)
             short.append(money)
-            again.append(jnp.asarray(self.year_ends))
-            start.append(use(inputs, self.taken))
+            again.append(xp.asarray(self.year_ends))
+            start.append(at(self.taken))
         if "rights" in names:
             low.append(zero)
             high.append(zero + self.most_rights)
             owed.append(zero)
             short.append(zero)
-            again.append(jnp.zeros(count, bool))
-            start.append(jnp.zeros(()))
+            again.append(xp.zeros(count, bool))
+            start.append(xp.zeros(()))
         bank = None
         if self.layout.banks:
-            bank = self._bank(inputs, strike, paid)
-            newest = _number(inputs, self.made_up) - _number(inputs, self.carried)
-            for age, units in enumerate((newest, _number(inputs, self.older))[: self.layout.banks]):
+            bank = self._bank(at, strike, paid, xp)
+            newest = _number(at, self.made_up, xp) - _number(at, self.carried, xp)
+            for age, units in enumerate((newest, _number(at, self.older, xp))[: self.layout.banks]):
                 low.append(zero if age else -bank.limit)
                 high.append(bank.share * bank.minimum)
                 owed.append(zero)
                 short.append(zero)
-                again.append(jnp.zeros(count, bool))
+                again.append(xp.zeros(count, bool))
                 start.append(units)
 
         def by_level(rows: list) -> Array:
-            return jnp.stack(rows, axis=1) if rows else jnp.zeros((count, 0))
+            return xp.stack(rows, axis=1) if rows else xp.zeros((count, 0))
 
         steps = StepTerms(
-            use(inputs, self.min_daily)[:, None],
+            at(self.min_daily)[:, None],
             most[:, None],
             (self.sign * paid)[:, None],
             (-self.sign * strike * paid)[:, None],
@@ -135,58 +133,57 @@ class SwingContract(EnergyContract):
             by_level(high),
             by_level(owed),
             by_level(short),
-            jnp.stack(again, axis=1) if again else jnp.zeros((count, 0), bool),
-            jnp.zeros((count, len(self.layout.every_move))),
+            xp.stack(again, axis=1) if again else xp.zeros((count, 0), bool),
+            xp.zeros((count, len(self.layout.every_move))),
             index,
-            self._promises(inputs),
+            self._promises(at, arrays),
             bank,
         )
-        return Terms(jnp.stack(start) if start else jnp.zeros(0), steps)
+        return Terms(xp.stack(start) if start else xp.zeros(0), steps)
 
-    def _promises(self, inputs: dict[str, Any]) -> Promises | None:
+    def _promises(self, at: NumbersOf, arrays: ArrayLibrary) -> Promises | None:
         """The promises of a firm minimum with rights, in one contract year: the rest of it is at
         most the most volume of a day, times the rights left, and times the days that rests
         leave."""
         if not self.firm or self.annual_min is None:
             return None
         if self.layout.banks:
-            return self._carried(inputs)
+            return self._carried(at, arrays)
         if not self.most_rights:
             return None
-        minimum, daily = use(inputs, self.annual_min), use(inputs, self.max_daily)[0]
+        xp, minimum, daily = arrays.xp, at(self.annual_min), at(self.max_daily)[0]
         count, modes = len(self.year_ends), len(self.layout.modes)
         left = np.arange(count - 1, -1, -1)
         waits = np.append(0, np.arange(modes - 1, 0, -1))
         days = np.maximum(np.ceil((left[:, None] - waits) / modes), 0.0)
-        rights = jnp.full((count, modes), minimum - daily * self.most_rights)
-        weights = jnp.stack([jnp.array([1.0, 0.0]), jnp.stack([jnp.ones(()), -daily])])
-        bounds = jnp.stack([minimum - daily * days, rights], axis=1)
-        return Promises(jnp.broadcast_to(weights, (count, 2, 2)), bounds)
+        rights = xp.full((count, modes), minimum - daily * self.most_rights)
+        weights = xp.stack([xp.array([1.0, 0.0]), xp.stack([xp.ones(()), -daily])])
+        bounds = xp.stack([minimum - daily * days, rights], axis=1)
+        return Promises(xp.broadcast_to(weights, (count, 2, 2)), bounds)
 
-    def _carried(self, inputs: dict[str, Any]) -> Promises:
+    def _carried(self, at: NumbersOf, arrays: ArrayLibrary) -> Promises:
         """The promises of a firm minimum, lower by the units carried forward: the rest of it is at
         most the volume of the days left of the year."""
-        daily = use(inputs, self.max_daily)
-        following = jnp.append(daily[1:], 0.0)
+        xp, daily = arrays.xp, at(self.max_daily)
+        following = xp.append(daily[1:], 0.0)
 
         def back(left, row):
-            left = jnp.where(row[0], 0.0, left + row[1])
-            return left, left
+            return xp.where(row[0], 0.0, left + row[1])
 
-        rows = jnp.asarray(self.year_ends), following
-        left = jax.lax.scan(back, jnp.zeros(()), rows, reverse=True)[1]
-        minimum = use(inputs, self.annual_min) - left  # pyright: ignore[reportArgumentType]
-        weights = jnp.broadcast_to(jnp.array([1.0, -1.0]), (len(daily), 1, 2))
+        rows = xp.asarray(self.year_ends), following
+        left = arrays.backwards(back, xp.zeros(()), rows)
+        minimum = at(self.annual_min) - left  # pyright: ignore[reportArgumentType]
+        weights = xp.broadcast_to(xp.array([1.0, -1.0]), (len(daily), 1, 2))
         return Promises(weights, minimum[:, None, None])
 
-    def _bank(self, inputs: dict[str, Any], strike: Array, paid: Array) -> Bank:
+    def _bank(self, at: NumbersOf, strike: Array, paid: Array, xp: Any) -> Bank:
         """Units short may be made up, units in excess are carried forward."""
-        zero, price = jnp.zeros(len(self.year_ends)), self.make_up_price
+        zero, price = xp.zeros(len(self.year_ends)), self.make_up_price
         return Bank(
-            zero + _number(inputs, self.annual_min),
+            zero + _number(at, self.annual_min, xp),
             zero + (price is not None),
-            zero + _number(inputs, self.carry_max),
-            zero if price is None else (strike - use(inputs, price)) * paid,
+            zero + _number(at, self.carry_max, xp),
+            zero if price is None else (strike - at(price)) * paid,
         )
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
@@ -228,8 +225,8 @@ class SwingContract(EnergyContract):
         return indexed(prices, delivery, self.fixing)
 
 
-def _number(inputs: dict[str, Any], number: CaseInput | None) -> Array:
-    return jnp.zeros(()) if number is None else use(inputs, number)
+def _number(at: NumbersOf, number: CaseInput | None, xp: Any) -> Array:
+    return xp.zeros(()) if number is None else at(number)
 
 
 def layout_of(

@@ -20,7 +20,7 @@ volumes.
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from jaxtyping import Array, Float
+from snapo.problem.record.arrays import Array, Float
 
 
 class Bank(NamedTuple):

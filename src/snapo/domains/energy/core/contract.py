@@ -21,12 +21,12 @@ import abc
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
 from snapo.case.given import CaseInput
 from snapo.case.table import TableContext
+from snapo.problem.record import AbstractVar, TreeRecord
+from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, Float, NumbersOf
 
 from ...gas_storage.prices.process import Delivery, PriceProcess
 from .bank import Bank
@@ -281,15 +281,16 @@ class Terms(NamedTuple):
     steps: StepTerms
 
 
-class EnergyContract(eqx.Module):
+class EnergyContract(TreeRecord):
     """What is agreed. As it is read it has the numbers of the case, in a simulator it has none."""
 
-    layout: eqx.AbstractVar[ContractLayout]
+    layout: AbstractVar[ContractLayout]
 
     @abc.abstractmethod
-    def terms(self, inputs: dict[str, Any], paid: Array, settled: Array) -> Terms:
-        """The numbers. `paid` [T]: discount factors of the commodity; `settled` [T]: of
-        money that is owed when the step is over, a day later."""
+    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+        """The numbers; `at`: those of an input where they are used. `paid` [T]: discount factors
+        of the commodity; `settled` [T]: of money that is owed when the step is over, a day later.
+        """
 
     @abc.abstractmethod
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:

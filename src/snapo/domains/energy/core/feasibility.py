@@ -8,12 +8,10 @@ not have obligations on one level that only another one limits.
 import functools
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.error import CaseError
+from snapo.problem.record.arrays import TRACED, Array, ArrayLibrary, Float, jax, jnp
 
 from .contract import ContractLayout, ContractMove, StepPrices, StepTerms
 
@@ -29,51 +27,51 @@ class Intervals(NamedTuple):
     next_high: Float[Array, "T levels"]
 
 
-def intervals(layout: ContractLayout, steps: StepTerms) -> Intervals:
+def intervals(layout: ContractLayout, steps: StepTerms, arrays: ArrayLibrary = TRACED) -> Intervals:
     """An empty one has its low above its high, and so have all before it."""
-    least, most = changes(layout, steps)
+    xp, (least, most) = arrays.xp, changes(layout, steps, arrays.xp)
 
     def back(successor, row):
         low, high, restarts, least, most = row
-        next_low, next_high = successor
+        next_low, next_high = successor[:2]
         possible = (next_low <= 0) & (next_high >= 0)
         after = (
-            jnp.where(restarts, jnp.where(possible, low, jnp.inf), jnp.maximum(low, next_low)),
-            jnp.where(restarts, jnp.where(possible, high, -jnp.inf), jnp.minimum(high, next_high)),
+            xp.where(restarts, xp.where(possible, low, xp.inf), xp.maximum(low, next_low)),
+            xp.where(restarts, xp.where(possible, high, -xp.inf), xp.minimum(high, next_high)),
         )
-        start = after[0] - most, after[1] - least
-        return start, (*start, *after)
+        return after[0] - most, after[1] - least, *after
 
-    free = jnp.full(len(layout.levels), jnp.inf)
+    free = xp.full(len(layout.levels), xp.inf)
     rows = steps.low, steps.high, steps.restarts, least, most
-    return Intervals(*jax.lax.scan(back, (-free, free), rows, reverse=True)[1])
+    return Intervals(*arrays.backwards(back, (-free, free, -free, free), rows))
 
 
-def changes(layout: ContractLayout, steps: StepTerms) -> tuple[Array, Array]:
+def changes(layout: ContractLayout, steps: StepTerms, xp: Any) -> tuple[Array, Array]:
     """[T, levels] the least and the most that a step may change each level by."""
     least, most = [], []
     for move in layout.every_move:
-        low = high = jnp.broadcast_to(jnp.asarray(move.changes), steps.low.shape)
+        low = high = xp.broadcast_to(xp.asarray(move.changes), steps.low.shape)
         for flow in move.flows:
-            effect = jnp.asarray(layout.flows[flow].effects)
+            effect = xp.asarray(layout.flows[flow].effects)
             volumes = steps.least[:, flow, None] * effect, steps.most[:, flow, None] * effect
-            low, high = low + jnp.minimum(*volumes), high + jnp.maximum(*volumes)
+            low, high = low + xp.minimum(*volumes), high + xp.maximum(*volumes)
         least.append(low)
         most.append(high)
-    return jnp.min(jnp.stack(least), axis=0), jnp.max(jnp.stack(most), axis=0)
+    return xp.min(xp.stack(least), axis=0), xp.max(xp.stack(most), axis=0)
 
 
-def charged(steps: StepTerms, forward: Array) -> StepTerms:
+def charged(steps: StepTerms, forward: Array, arrays: ArrayLibrary = TRACED) -> StepTerms:
     """With promises: a charge for a missed unit, so large that no method misses one by choice."""
     if steps.promises is None:
         return steps
-    price = jnp.abs(steps.price) + (0.0 if steps.index is None else jnp.abs(steps.index))
-    unit = jnp.max(price) * jnp.max(jnp.abs(forward)) + jnp.max(jnp.abs(steps.money))
-    charge = jax.lax.stop_gradient(MISSED * unit)
+    xp = arrays.xp
+    price = xp.abs(steps.price) + (0.0 if steps.index is None else xp.abs(steps.index))
+    unit = xp.max(price) * xp.max(xp.abs(forward)) + xp.max(xp.abs(steps.money))
+    charge = arrays.fixed(MISSED * unit)
     if steps.promises.missed is not None:
         missed = steps.promises.missed * charge
         return steps._replace(promises=steps.promises._replace(missed=missed))
-    return steps._replace(short=jnp.full_like(steps.short, 1.0) * charge)
+    return steps._replace(short=xp.full_like(steps.short, 1.0) * charge)
 
 
 class FeasibleVolumes(NamedTuple):

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from jaxtyping import Array, Float, PyTree
+from snapo.problem.record.arrays import Array, Float, PyTree
 
 from .contract import StepTerms
 from .feasibility import Intervals

@@ -7,6 +7,7 @@ training moves may be mixed: levels, modes and cash are then means over them.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Self
 
 import equinox as eqx
@@ -18,12 +19,13 @@ from jaxtyping import Array, Float
 from snapo.problem.actions import Box
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
+from snapo.problem.record.arrays import TRACED
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
-from ...gas_storage.contract.schedule import Discount
+from ...gas_storage.contract.schedule import Discount, PricedSimulator
 from ...gas_storage.policy.network import curve_ahead
-from ...gas_storage.prices.process import PricedSimulator, PriceProcess, TwoPrices, use
+from ...gas_storage.prices.process import PriceProcess, TwoPrices, use
 from .contract import ContractLayout, EnergyContract, StepPrices, level_money
 from .feasibility import charged, intervals, of_fixed_moves, volumes_by_move
 from .observation import observation
@@ -100,8 +102,8 @@ class EnergySimulator(PricedSimulator):
         )
 
     def _terms(self, inputs: dict[str, Any]):
-        rates = use(inputs, self.rate)
-        return self.contract.terms(inputs, self.paid(rates), self.settled(rates))
+        rates, at = use(inputs, self.rate), partial(use, inputs)
+        return self.contract.terms(at, self.paid(rates), self.settled(rates), TRACED)
 
     def on_paths(self):
         names = (

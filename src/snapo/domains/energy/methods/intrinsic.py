@@ -7,7 +7,6 @@ joint obligations the best volumes at known prices are a linear program, which n
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sparse
 
 from ..core.contract import ContractLayout, StepPrices, StepTerms
 from .grid import grid_of
@@ -46,7 +45,8 @@ def _units(schedule: Any) -> np.ndarray:
 
 def _best_plan(layout: ContractLayout, schedule: Any) -> float:
     """Variables are the flows of each step, the levels after it, and the units missed."""
-    from scipy.optimize import linprog  # late: it takes a while to load
+    from scipy import sparse  # late: it takes a while to load
+    from scipy.optimize import linprog
 
     terms: StepTerms = schedule.steps.terms
     count, flows = terms.most.shape

@@ -23,7 +23,7 @@ from snapo.case.settings import (
     read_training,
 )
 from snapo.case.table import TITLE, CaseTable, Formats, TableContext, Title, parse
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 
 from ...gas_storage.contract.records import GasMarket
 from ...gas_storage.ladder.products import FORMATS as PRODUCTS

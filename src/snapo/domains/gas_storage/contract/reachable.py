@@ -9,13 +9,9 @@ where step ratchets break that, it is the largest interval in which every point 
 The formulas are those of `ArrayLibrary`: of JAX in a simulator, of NumPy where a case is checked.
 """
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
-
-if TYPE_CHECKING:
-    from jaxtyping import Array, Float
+from snapo.problem.record.arrays import NUMPY, Array, ArrayLibrary, Float
 
 TOLERANCE = 1e-9  # of the largest limit: rounding must not turn a contract met exactly into none
 
@@ -23,37 +19,14 @@ TOLERANCE = 1e-9  # of the largest limit: rounding must not turn a contract met 
 class InventoryLimits(NamedTuple):
     """Bounds of the inventory and of its change, per day: leaves [T] or [T, K]."""
 
-    minimum: 'Float[Array, " T"]'
-    maximum: 'Float[Array, " T"]'
-    inventory_loss: 'Float[Array, " T"]'
-    levels: 'Float[Array, "T K"]'
-    withdrawal_rate: 'Float[Array, "T K"]'
-    injection_rate: 'Float[Array, "T K"]'
-    min_injection: 'Float[Array, " T"]'
-    min_withdrawal: 'Float[Array, " T"]'
-
-
-class ArrayLibrary(NamedTuple):
-    """An array library: its functions as in NumPy, and two that JAX has its own names for.
-
-    - `running_maximum(x)`: of the elements up to each.
-    - `backwards(step, last, rows)`: stacked results of `step(result of the next row, row)`.
-    """
-
-    xp: Any
-    running_maximum: Callable[[Any], Any]
-    backwards: Callable[[Callable[[Any, Any], Any], Any, Any], Any]
-
-
-def _backwards(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
-    results = []
-    for row in reversed([type(rows)(*leaves) for leaves in zip(*rows)]):
-        last = step(last, row)
-        results.append(last)
-    return tuple(np.array(leaves[::-1]) for leaves in zip(*results))
-
-
-NUMPY = ArrayLibrary(np, np.maximum.accumulate, _backwards)
+    minimum: Float[Array, " T"]
+    maximum: Float[Array, " T"]
+    inventory_loss: Float[Array, " T"]
+    levels: Float[Array, "T K"]
+    withdrawal_rate: Float[Array, "T K"]
+    injection_rate: Float[Array, "T K"]
+    min_injection: Float[Array, " T"]
+    min_withdrawal: Float[Array, " T"]
 
 
 def reachable(
@@ -62,7 +35,7 @@ def reachable(
     end_high: Any,
     interpolation: str,
     arrays: ArrayLibrary = NUMPY,
-) -> "tuple[Float[Array, ' T+1'], Float[Array, ' T+1']]":
+) -> tuple[Float[Array, " T+1"], Float[Array, " T+1"]]:
     """Least and greatest inventory at the start of every day, and on the end date.
 
     A day without a feasible continuation has least > greatest (and so have all days before it).

@@ -14,15 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import by_name, numbers_in
 from snapo.case.settings import EvaluationTable, FittedTable, ObjectiveTable
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input, TreeRecord, field
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..curves.quotes import QuotedCurve
 from ..hedges.table import Hedges
@@ -46,7 +44,7 @@ def _no_table() -> tuple[Any, Any]:
     return np.zeros(2), np.zeros(2)
 
 
-class EndRule(eqx.Module):
+class EndRule(TreeRecord):
     """A rule for the end date; prices and money are those of the end date, undiscounted.
 
     As it is read it has the numbers of the case, and in a simulator it has none: `owed`,
@@ -147,7 +145,7 @@ class ValueAtEnd(EndRule):
         return float(np.interp(inventory, self.inventory.used(), self.value.used()))
 
 
-class Ratchets(eqx.Module):
+class Ratchets(TreeRecord):
     """How fast gas may move, by day and by inventory at the start of the day.
 
     Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
@@ -162,10 +160,10 @@ class Ratchets(eqx.Module):
     inventory: CaseInput
     withdrawal: CaseInput
     injection: CaseInput
-    interpolation: Literal["linear", "step"] = eqx.field(static=True)
+    interpolation: Literal["linear", "step"] = field(static=True)
 
 
-class Contract(eqx.Module):
+class Contract(TreeRecord):
     """Rights, obligations and costs. All volumes are in `StorageCase.volume_unit`.
 
     - `inventory`: in store at the start of the first decision day, index [].
@@ -204,7 +202,7 @@ class Contract(eqx.Module):
     fixed_cost_day: np.ndarray
 
 
-class GasMarket(eqx.Module):
+class GasMarket(TreeRecord):
     """Prices and discounting, seen from the valuation date.
 
     - `forward_curve`: one price per decision day, currency per unit, labelled by the day, index

@@ -1,4 +1,4 @@
-"""The state of one path of a store, discount factors, and the schedule of its prices."""
+"""The state of one path of a store, discount factors, and the simulators of contracts at prices."""
 
 from typing import NamedTuple
 
@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from snapo.problem.simulator import Schedule
+from snapo.problem.form import without_uses
+from snapo.problem.simulator import Schedule, Simulator
 
-from ..prices.process import YEAR
+from ..prices.process import YEAR, PriceProcess
 from .records import StorageCase
 
 
@@ -88,3 +89,28 @@ def of_prices(schedule: Schedule) -> Schedule:
     days, last = schedule.steps.price, schedule.constants.end_price
     rows = jax.tree.map(lambda leaf, end: np.concatenate([leaf, np.asarray(end)[None]]), days, last)
     return Schedule(schedule.constants.price, rows)
+
+
+class PricedSimulator(Simulator):
+    """A simulator whose only noise is that of the prices of its `process`."""
+
+    process: eqx.AbstractVar[PriceProcess]
+
+    def on_step(self):
+        return without_uses(self)
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.noise_size
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.initial_noise_size
+
+    @property
+    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.initial_steps
+
+    @property
+    def calendar(self) -> tuple[float, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.process.calendar

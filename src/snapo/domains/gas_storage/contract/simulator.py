@@ -22,27 +22,17 @@ from jaxtyping import Array, Float, Int
 from snapo.problem.actions import Box
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
+from snapo.problem.record.arrays import TRACED
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
 from ..policy.guide import Innovations, ValueTable, of_day, of_end
 from ..policy.network import curve_ahead, observation
-from ..prices.process import PricedSimulator, PriceProcess, use
-from .reachable import ArrayLibrary, reachable
+from ..prices.process import PriceProcess, use
+from .reachable import reachable
 from .records import Contract, EndTerms, StorageCase, storage_inputs
-from .schedule import Discounts, FlowLimits, StoreState
+from .schedule import Discounts, FlowLimits, PricedSimulator, StoreState
 from .terms import ContractTerms, Day, end_interval, inventory_limits, per_day
-
-
-def _backwards(step, last, rows):
-    def result(following, row):
-        row = step(following, row)
-        return row, row
-
-    return jax.lax.scan(result, last, rows, reverse=True)[1]
-
-
-TRACED = ArrayLibrary(jnp, jax.lax.cummax, _backwards)
 
 
 class StorageSimulator(PricedSimulator):

@@ -4,18 +4,17 @@
 traced inputs in a simulator. The formulas are the same for both; nothing here uses JAX.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import NumbersOf
 
 from .reachable import InventoryLimits, reachable
 from .records import Contract, GasMarket, StorageCase
 
 AnyArray = Any  # an array of NumPy, or of JAX in a simulator
-NumbersOf = Callable[[Any], AnyArray]
 _PER_DAY = (
     "injection_cost",
     "withdrawal_cost",

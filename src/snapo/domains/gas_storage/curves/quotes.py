@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
@@ -15,6 +14,7 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import Quantity
 from snapo.case.table import CaseTable, Positive, TableContext
+from snapo.problem.record.arrays import Float
 
 from .products import delivery_of
 

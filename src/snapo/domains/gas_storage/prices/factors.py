@@ -6,17 +6,15 @@ The common part of all Gaussian factor prices comes first; each kind adds its pa
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput, Copies, FilePosition
 from snapo.case.quantity import Quantity, Range, stacked
 from snapo.case.table import CaseTable, TableContext, parse
 from snapo.problem.process import FactorPrice, Factors, Gaps
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import AbstractVar, Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .process import (
     REVERSION,
@@ -53,8 +51,8 @@ class StorageConstants(NamedTuple):
 class FactorPrices(FactorPrice, PriceProcess):
     """Correlated mean-reverting factors around the forward curve; see the core's `FactorPrice`."""
 
-    delivery: eqx.AbstractVar[Times]
-    fast_factor: eqx.AbstractVar[int]  # which reverts fastest, among those that move prices
+    delivery: AbstractVar[Times]
+    fast_factor: AbstractVar[int]  # which reverts fastest, among those that move prices
     proportional = True
     time_scale = 1.0
 
@@ -160,8 +158,8 @@ class GivenFactors(FactorPrices):
     mean_reversion: CaseInput
     volatility: CaseInput
     correlation: CaseInput
-    noise_size: int = eqx.field(static=True)
-    fast_factor: int = eqx.field(static=True)
+    noise_size: int = field(static=True)
+    fast_factor: int = field(static=True)
 
     @classmethod
     def read(cls, section: TableContext, table: FactorTable, delivery: Delivery):

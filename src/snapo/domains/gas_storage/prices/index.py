@@ -14,18 +14,15 @@ The index of a month that begins on the valuation date is the mean of today's cu
 import datetime
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
 
 from snapo.case.given import CaseInput
 from snapo.problem.process import integral
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule, TreeRecord
+from snapo.problem.record.arrays import Array, Bool, Float, Int, jax, jnp
 
 from .factors import FactorTable, GivenFactors
-from .process import YEAR, Delivery, GaussianFactors, PriceProcess, TwoPrices, use
+from .process import YEAR, Delivery, GaussianFactors, KnownPrices, PriceProcess, TwoPrices, use
 
 ONE_FACTOR = ("one-factor", "one-factor-normal", "one-factor-shifted")  # kinds with an index
 
@@ -69,7 +66,7 @@ class PriceIndex(NamedTuple):
         return self.price(of, t, factors[-1])
 
 
-class IndexMonths(eqx.Module):
+class IndexMonths(TreeRecord):
     """The months of T + 1 dates; the end date has the index of the last day.
 
     - `days` [T + 1, D]: dates of the month, by number; `weight` of each, 0 for none.
@@ -190,6 +187,13 @@ class IndexedPrices(TwoPrices):
         following = jnp.append(months.renewed[1:], False)
         constants = IndexedConstants(spot.constants, *self._first(spot, speed))
         return Schedule(constants, IndexedStep(spot.steps, rows, following))
+
+    def second_price(self) -> KnownPrices:
+        months, none = self.months, np.zeros(0)
+        forward = self.spot.delivery.on_dates(self.spot.delivery.curve.used())
+        fixed = months.fixed * (0.0 if self.fixing is None else self.fixing.used())
+        rows: Any = forward[months.days], none, none, months.weight, fixed, months.renewed
+        return KnownPrices(IndexRows(*rows))
 
     def _first(self, spot: Schedule, speed: Array) -> tuple[Array, Array]:
         """`before` and `first` of `IndexedConstants`."""

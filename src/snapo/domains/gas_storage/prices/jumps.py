@@ -2,16 +2,14 @@
 
 from typing import Literal, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import Quantity, Range
 from snapo.problem.process import integral
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .process import (
     REVERSION,
@@ -102,9 +100,9 @@ class OneFactorJumps(PriceProcess):
     jump_intensity: CaseInput
     jump_size: CaseInput
     jump_mean_reversion: CaseInput
-    gap: int = eqx.field(static=True)
-    last: int = eqx.field(static=True)
-    noise_size: int = eqx.field(static=True, default=3)
+    gap: int = field(static=True)
+    last: int = field(static=True)
+    noise_size: int = field(static=True, default=3)
 
     @classmethod
     def of(cls, delivery: Delivery, **numbers: CaseInput):

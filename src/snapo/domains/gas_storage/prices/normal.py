@@ -3,15 +3,13 @@
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range
 from snapo.case.table import TableContext
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .factors import FactorTable, GivenFactors, read_factors
 from .process import Delivery, in_numpy, register, use
@@ -117,7 +115,7 @@ class Shifted(SignedPrices):
 
     kind = "one-factor-shifted"
     table = ShiftedTable
-    shift: CaseInput = eqx.field(kw_only=True)
+    shift: CaseInput = field(kw_only=True)
 
     @classmethod
     def read(cls, section: TableContext, table: ShiftedTable, delivery: Delivery):

@@ -9,17 +9,15 @@ have the covariance rho (1 - exp(-(a_1 + a_2) h)) / (a_1 + a_2).
 
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 from snapo.problem.process import Factors, integral
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .factors import FactorPrices, FactorTable
-from .process import GaussianFactors, Times, TwoPrices, use
+from .process import GaussianFactors, KnownPrices, Times, TwoPrices, use
 
 
 class SecondRows(NamedTuple):
@@ -82,8 +80,8 @@ class CommodityPair(FactorPrices, TwoPrices):
     correlation: CaseInput
     kind: ClassVar[str] = "pair"  # pyright: ignore[reportIncompatibleVariableOverride]
     table: ClassVar[type] = FactorTable  # pyright: ignore[reportIncompatibleVariableOverride]
-    noise_size: int = eqx.field(static=True, default=2)
-    fast_factor: int = eqx.field(static=True, default=0)
+    noise_size: int = field(static=True, default=2)
+    fast_factor: int = field(static=True, default=0)
 
     def parameters(self, inputs: Any) -> Factors:
         loading = use(inputs, self.volatilities[0])
@@ -102,6 +100,10 @@ class CommodityPair(FactorPrices, TwoPrices):
         variance = loading**2 * integral(2 * speed, jnp.asarray(self.delivery.years))
         second = SecondRows(curve, loading, variance)
         return Schedule(rows.constants, PairStep(*rows.steps, index=second))
+
+    def second_price(self) -> KnownPrices:
+        rows: Any = self.second_curve.used(), np.zeros(0), np.zeros(0)
+        return KnownPrices(SecondRows(*rows))
 
     def index(self, constants, now, state):
         return now.index.price(state[1])

@@ -7,23 +7,23 @@ parameters, noise, dynamics, forward price, description. Nothing outside depends
 import abc
 import datetime
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range, on_dates
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.form import Use, without_uses
+from snapo.problem.form import Use
 from snapo.problem.process import Gaps, Process
-from snapo.problem.scenarios import Sources
-from snapo.problem.simulator import Simulator
+from snapo.problem.record import AbstractClassVar, AbstractVar, TreeRecord, field
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from .spikes import Spikes
+
+if TYPE_CHECKING:
+    from snapo.problem.scenarios import Sources
 
 YEAR = 365.0
 FEWEST = 32  # days of noise before the first date, where they are several
@@ -98,7 +98,7 @@ class Delivery(NamedTuple):
         return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, notice)
 
 
-class Times(eqx.Module):
+class Times(TreeRecord):
     """When a process has prices, and how they are expected today.
 
     - `years` [T + 1]: time of each date from the valuation date, Act/365; `gaps` between them.
@@ -114,13 +114,16 @@ class Times(eqx.Module):
     gaps: Gaps
     curve: CaseInput
     age: Float[np.ndarray, " n"]
-    before: int = eqx.field(static=True)
+    before: int = field(static=True)
     notice: Float[np.ndarray, " T+1"] | None = None
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
         """The forward price of each date; an end date without a price has the last."""
-        prices, count = use(inputs, self.curve), len(self.years)
-        return prices[np.minimum(np.arange(count), max(len(prices) - 1, 0))]
+        return self.on_dates(use(inputs, self.curve))
+
+    def on_dates(self, prices: Any) -> Any:
+        """[T + 1] the forward prices of the curve on all dates."""
+        return prices[np.minimum(np.arange(len(self.years)), max(len(prices) - 1, 0))]
 
 
 class GaussianFactors(NamedTuple):
@@ -201,9 +204,9 @@ class PriceProcess(Process):
 
     initial_steps: ClassVar[int] = 0
 
-    kind: eqx.AbstractClassVar[str]
-    table: eqx.AbstractClassVar[type[CaseTable]]
-    proportional: eqx.AbstractVar[bool]
+    kind: AbstractClassVar[str]
+    table: AbstractClassVar[type[CaseTable]]
+    proportional: AbstractVar[bool]
 
     @classmethod
     def read(cls, section: TableContext, table: Any, delivery: Delivery) -> Self:
@@ -250,42 +253,30 @@ class PriceProcess(Process):
         """How far spot prices may be from the forward price, in money; None: in proportion."""
         return None
 
-    def sources(self, seed: int) -> Sources | None:
+    def second_price(self) -> "KnownPrices | None":
+        """The second price of a case at its forward prices, in NumPy; None without one."""
+        return None
+
+    def sources(self, seed: int) -> "Sources | None":
         """Separate scenarios for every role, instead of drawn normals."""
         return None
+
+
+class KnownPrices(NamedTuple):
+    """`index`: rows of a second price, as far as today's expectation needs them."""
+
+    index: Any
 
 
 class TwoPrices(PriceProcess):
     """A spot price, and a second price that a contract's cash depends on."""
 
     @abc.abstractmethod
+    def second_price(self) -> KnownPrices: ...
+
+    @abc.abstractmethod
     def index(self, constants, now, state) -> Float[Array, ""]:
         """The second price of the date, which `now`, a row, has in its `index`."""
-
-
-class PricedSimulator(Simulator):
-    """A simulator whose only noise is that of the prices of its `process`."""
-
-    process: eqx.AbstractVar[PriceProcess]
-
-    def on_step(self):
-        return without_uses(self)
-
-    @property
-    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.noise_size
-
-    @property
-    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.initial_noise_size
-
-    @property
-    def initial_steps(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.initial_steps
-
-    @property
-    def calendar(self) -> tuple[float, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.process.calendar
 
 
 def use(inputs: dict[str, Any], series: CaseInput | Use):

@@ -1,18 +1,14 @@
 """`[model]` of kind "regimes": a mean-reverting factor in a market that is calm or tight."""
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Quantity, Range
-from snapo.problem.noise import Markov
 from snapo.problem.process import integral
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, Float, Int, jax, jnp
 
 from .process import (
     YEAR,
@@ -104,9 +100,9 @@ class Regimes(PriceProcess):
     tightens: CaseInput
     eases: CaseInput
     premium: CaseInput
-    gap: int = eqx.field(static=True)
-    last: int = eqx.field(static=True)
-    noise_size: int = eqx.field(static=True, default=2)
+    gap: int = field(static=True)
+    last: int = field(static=True)
+    noise_size: int = field(static=True, default=2)
 
     @classmethod
     def of(cls, delivery: Delivery, **numbers: CaseInput):
@@ -145,12 +141,12 @@ class Regimes(PriceProcess):
     def initial(self, constants, noise):
         tight = constants.first_tight
         row = jnp.stack([1 - tight, tight])
-        regime, weight = Markov(jnp.stack([row, row])).weigh(noise[1:], jnp.zeros((), jnp.int32))
+        regime, weight = _chain(jnp.stack([row, row])).weigh(noise[1:], jnp.zeros((), jnp.int32))
         return RegimeState(constants.first_deviation * noise[0], regime, weight)
 
     def step(self, constants, now, state, noise):
         factor = constants.decay * state.factor + constants.deviation * noise[0]
-        tight, likelihood = Markov(constants.transition).weigh(noise[1:], state.tight)
+        tight, likelihood = _chain(constants.transition).weigh(noise[1:], state.tight)
         return RegimeState(factor, tight, state.weight * likelihood)
 
     def weight(self, state):
@@ -194,3 +190,9 @@ class Regimes(PriceProcess):
 
     def describe(self) -> str:
         return "One mean-reverting factor in a market that is calm or tight, compensated"
+
+
+def _chain(transition: Float[Array, "2 2"]) -> Any:
+    from snapo.problem.noise import Markov  # JAX: of a path, not of a case
+
+    return Markov(transition)

@@ -1,22 +1,22 @@
 """`[model]` of kind "supplied": user-supplied price paths, from two different files."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.csv import FileReference, read_array
 from snapo.case.error import CaseError, Unquoted
 from snapo.case.table import CaseTable, TableContext
-from snapo.problem.scenarios import Sources, Supplied
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..read.tables import FileName
 from .process import Delivery, PriceProcess, Times, register
+
+if TYPE_CHECKING:
+    from snapo.problem.scenarios import Sources
 
 
 class SuppliedTable(CaseTable):
@@ -61,8 +61,8 @@ class SuppliedPrices(PriceProcess):
     delivery: Times
     scale: Float[np.ndarray, ""]
     paths: SuppliedPaths
-    rescaled: bool = eqx.field(static=True)
-    noise_size: int = eqx.field(static=True, default=1)
+    rescaled: bool = field(static=True)
+    noise_size: int = field(static=True, default=1)
 
     @classmethod
     def read(cls, section: TableContext, table: SuppliedTable, delivery: Delivery):
@@ -121,23 +121,25 @@ class SuppliedPrices(PriceProcess):
     def state_at(self, constants, now, spot):
         return jnp.atleast_1d(spot / now.forward if self.rescaled else spot)
 
-    def sources(self, seed: int) -> Sources:
+    def sources(self, seed: int) -> "Sources":
         """Three quarters of the training paths train, the others validate; evaluation has its own.
 
         The first day's price starts a path; the days after it are its noise.
         """
-        training = self._scenarios(self.paths.training, seed)
+        from snapo.problem.scenarios import Sources, Supplied  # JAX: of a run, not of a case
+
+        days = len(self.delivery.years) - 1
+
+        def scenarios(paths: np.ndarray) -> Supplied:
+            later = np.zeros((days, len(paths), 1))
+            successor = paths[:, 1 : days + 1].T
+            later[: len(successor), :, 0] = successor
+            return Supplied(later, paths[:, :1], seed)
+
+        training, evaluation = map(scenarios, (self.paths.training, self.paths.evaluation))
         first = max(1, 3 * training.size // 4)
         validation = training.part(min(first, training.size - 1), training.size)
-        evaluation = self._scenarios(self.paths.evaluation, seed)
         return Sources(training.part(0, first), validation, evaluation)
-
-    def _scenarios(self, paths: np.ndarray, seed: int) -> Supplied:
-        days = len(self.delivery.years) - 1
-        later = np.zeros((days, len(paths), 1))
-        successor = paths[:, 1 : days + 1].T
-        later[: len(successor), :, 0] = successor
-        return Supplied(later, paths[:, :1], seed)
 
     def describe(self) -> str:
         return "Supplied price paths" + (", rescaled to the forward curve" * self.rescaled)

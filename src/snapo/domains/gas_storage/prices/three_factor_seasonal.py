@@ -5,15 +5,14 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.table import CaseTable
 from snapo.problem.process import Factors
+from snapo.problem.record import field
+from snapo.problem.record.arrays import Float, jnp
 
 from .factors import FactorPrices
 from .process import REVERSION, SPEED, VOLATILITY, Delivery, Times, register, use
@@ -49,8 +48,8 @@ class ThreeFactorSeasonal(FactorPrices):
     long_term_volatility: CaseInput
     seasonal_volatility: CaseInput
     season: Float[np.ndarray, " T+1"]
-    noise_size: int = eqx.field(static=True, default=3)
-    fast_factor: int = eqx.field(static=True, default=0)
+    noise_size: int = field(static=True, default=3)
+    fast_factor: int = field(static=True, default=0)
 
     @classmethod
     def of(cls, delivery: Delivery, **numbers: CaseInput):

@@ -9,15 +9,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Self
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
 from snapo.problem.form import Use
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input, TreeRecord
+from snapo.problem.record.arrays import Array, Float
 
 MEAN, DEVIATION = "demand_mean", "demand_deviation"
 
@@ -36,7 +35,7 @@ def deviation_key(note: str = "", default: Any = ...) -> Any:
     return quantity("standard deviation of the demand of a period", default)
 
 
-class Demand(eqx.Module):
+class Demand(TreeRecord):
     """Demand of one period, by period: static fields, arrays, and its parameters.
 
     **Class attributes:** `kind`, the word in `[demand]`; `table`, its keys; `integer`, whether it

@@ -21,19 +21,17 @@ Kinds of `[demand]`: "poisson", "geometric" and "negative-binomial".
 """
 
 import abc
+import math
 from collections.abc import Callable
 from typing import Any, Literal
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaln, ndtr
-from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
 from snapo.case.table import CaseTable, TableContext
+from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from .base import DEVIATION, MEAN, Demand, Parameters, deviation_key, mean_key, register
 
@@ -49,7 +47,7 @@ class CountDemand(Demand):
     """
 
     integer = True
-    maximum: int = eqx.field(static=True)
+    maximum: int = field(static=True)
 
     @abc.abstractmethod
     def logarithms(self, parameters: Parameters, factor: Array, k: Array) -> Array:
@@ -67,7 +65,7 @@ class CountDemand(Demand):
 
     def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
         below, probability = now["below"], now["chance"]
-        uniform = ndtr(normal)
+        uniform = jax.scipy.special.ndtr(normal)
         k = jnp.sum(uniform >= below[1:]).astype(jnp.int32)
         start, size = below[k], jax.lax.stop_gradient(probability[k])
         if not spread:
@@ -92,20 +90,31 @@ def count_mean() -> Any:
     return mean_key(LARGEST)
 
 
-def most_of(upto: Callable[[np.ndarray], np.ndarray]) -> int:
-    """The largest distinguished demand; `upto`: the probabilities of at most each demand, at the
-    largest mean."""
+def most_of(probabilities: Callable[[np.ndarray], np.ndarray]) -> int:
+    """The largest distinguished demand; `probabilities`: of each demand, at the largest mean."""
     count = 64
-    while upto(np.array(float(count))) < 1 - TAIL:
+    while (upto := np.cumsum(probabilities(np.arange(count + 1.0))))[-1] < 1 - TAIL:
         count *= 2
-    return int(np.argmax(upto(np.arange(count + 1.0)) >= 1 - TAIL)) + 1
+    return int(np.argmax(upto >= 1 - TAIL)) + 1
+
+
+def poisson(mean: float) -> Callable[[np.ndarray], np.ndarray]:
+    """The probability of each demand, in NumPy."""
+    return lambda k: np.exp(k * math.log(mean) - mean - _log_factorial(k))
 
 
 def negative_binomial(size: float, mean: float) -> Callable[[np.ndarray], np.ndarray]:
-    """The probabilities of at most each demand."""
-    from scipy.special import betainc  # late: a case without counts needs none
+    """The probability of each demand, in NumPy."""
 
-    return lambda k: betainc(size, k + 1, size / (size + mean))
+    def probabilities(k: np.ndarray) -> np.ndarray:
+        available = _log_factorial(k + size - 1) - math.lgamma(size) - _log_factorial(k)
+        return np.exp(available - size * math.log1p(mean / size) - k * math.log1p(size / mean))
+
+    return probabilities
+
+
+def _log_factorial(k: np.ndarray) -> np.ndarray:
+    return np.array([math.lgamma(x + 1) for x in k.tolist()])
 
 
 class GeometricTable(CaseTable):
@@ -177,6 +186,7 @@ class NegativeBinomialDemand(CountDemand):
 
     def logarithms(self, parameters, factor, k):
         mean, size = parameters[MEAN] * factor, _size(parameters)
+        gammaln = jax.scipy.special.gammaln
         available = gammaln(k + size) - gammaln(size) - gammaln(k + 1.0)
         return available - size * jnp.log1p(mean / size) - k * jnp.log1p(size / mean)
 
@@ -211,14 +221,12 @@ class PoissonDemand(CountDemand):
 
     @classmethod
     def read(cls, section: TableContext, table: PoissonTable, maximum: float):
-        mean = ROOM * maximum * table.mean.values[0]
-        from scipy.special import pdtr  # late, as above
-
-        return cls(most_of(lambda k: pdtr(k, mean)), table.mean)
+        mean = ROOM * maximum * float(table.mean.values[0])
+        return cls(most_of(poisson(mean)), table.mean)
 
     def logarithms(self, parameters, factor, k):
         mean = parameters[MEAN] * factor
-        return k * jnp.log(mean) - mean - gammaln(k + 1.0)
+        return k * jnp.log(mean) - mean - jax.scipy.special.gammaln(k + 1.0)
 
     def deviation(self, parameters, factors):
         return (parameters[MEAN] * factors) ** 0.5

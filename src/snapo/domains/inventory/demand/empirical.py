@@ -2,11 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
-from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.csv import FileReference, read_rows
@@ -14,6 +10,8 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import POSITIVE, quantity_of
 from snapo.case.table import CaseTable, TableContext
+from snapo.problem.record import field
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 
@@ -52,8 +50,8 @@ class EmpiricalDemand(Demand):
     spread: CaseInput
     numbers: Float[np.ndarray, " n"]
     scores: Float[np.ndarray, " n"]
-    whole: bool = eqx.field(static=True)
-    moved: bool = eqx.field(static=True)
+    whole: bool = field(static=True)
+    moved: bool = field(static=True)
 
     @classmethod
     def read(cls, section: TableContext, table: EmpiricalTable, maximum: float):
@@ -89,7 +87,7 @@ class EmpiricalDemand(Demand):
 
     def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
         levels, n = now["levels"], now["levels"].shape[0]
-        position = ndtr(normal) * n
+        position = jax.scipy.special.ndtr(normal) * n
         k = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, n - 1)
         return now["factor"] * levels[k]
 

@@ -2,12 +2,10 @@
 
 import pkgutil
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
-
-import jax
 
 from snapo.case.given import CaseInput
 from snapo.case.table import TableContext, parse, record_kinds
@@ -35,4 +33,6 @@ def read_demand(
         raise section.error("kind", kind, f"it must be one of {available}")
     table = parse(KINDS[kind].table, data, str(section.file), section.name)
     demand = KINDS[kind].read(section, table, maximum)
-    return jax.tree.map(lambda x: replace(x, unit=unit) if isinstance(x, CaseInput) else x, demand)
+    parts = {item.name: getattr(demand, item.name) for item in fields(demand)}
+    numbers = {name: x for name, x in parts.items() if isinstance(x, CaseInput)}
+    return replace(demand, **{name: replace(x, unit=unit) for name, x in numbers.items()})

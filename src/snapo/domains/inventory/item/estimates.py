@@ -1,5 +1,8 @@
 """Rules of thumb of one item: where a rule starts, and the cost of a period to expect."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from .records import InventoryCase
@@ -15,21 +18,35 @@ def usual_deviation(case: InventoryCase) -> float:
     return float(np.mean(case.demand.deviation(case.demand.values(), case.season.values)))
 
 
-def safety_factor(case: InventoryCase) -> float:
+def safety_factor(case: InventoryCase, quantile: Callable[[float], float] | None = None) -> float:
     """Standard deviations of the demand of L + 1 periods above its mean, of the first base stock.
 
     The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), as if demand waited
     at a shortage cost of p / (L + 1), which costs less than losing it does (Janakiraman, Seshadri
     and Shanthikumar, Operations Research 55, 2007). It is where training starts.
+
+    `quantile`: of the standard normal distribution, another one than SciPy's.
     """
     item = case.item
     holding = item.cost("holding") * (item.lead_time + 1 if item.lost else 1)
     ratio = item.cost("shortage") / (item.cost("shortage") + holding)
-    return float(np.clip(_quantile(ratio), -1.0, 4.0))
+    return float(np.clip((quantile or _quantile)(ratio), -1.0, 4.0))
+
+
+def base_stock(mean: Any, deviation: Any, safety: Any, xp: Any) -> Any:
+    """[T] the levels to start from: `safety` standard deviations above the mean of the demand of
+    L + 1 periods; `mean`, `deviation` [T, L + 1] of each, in the arrays of the library `xp`."""
+    return xp.sum(mean, 1) + safety * xp.sqrt(xp.sum(deviation**2, 1))
+
+
+def season_ahead(factors: Any, periods: int, lead_time: int) -> Any:
+    """[T, L + 1] the factors of demand from each period until an order of it arrives."""
+    ahead = np.add.outer(np.arange(periods), np.arange(lead_time + 1))
+    return factors[ahead % len(factors)]
 
 
 def _quantile(share: float) -> float:
-    from scipy.special import ndtri  # late: a network is checked without it
+    from scipy.special import ndtri  # late: cases are checked without it
 
     return float(ndtri(share))
 

@@ -34,7 +34,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
 from ..demand.base import MEAN, Demand
-from .estimates import memory, safety_factor, usual_cost
+from .estimates import base_stock, memory, safety_factor, season_ahead, usual_cost
 from .records import InventoryCase
 
 CORNER = 8.0  # of a corner in units of the standard deviation of demand, times the temperature
@@ -104,13 +104,11 @@ class InventorySimulator(Simulator):
         return 2 if self.fixed else 1
 
     def prepare(self, inputs: Any) -> Schedule:
-        ahead = np.add.outer(np.arange(self.horizon), np.arange(self.lead_time + 1))
         factors = jnp.asarray(inputs.get("season", np.ones(1)))
-        season = factors[ahead % len(factors)]
+        season = season_ahead(factors, self.horizon, self.lead_time)
         mean, deviation = inputs[MEAN] * season, self.demand.deviation(inputs, season)
         usual = deviation[: len(factors), 0].mean()
-        safety = jnp.sqrt(jnp.sum(deviation**2, 1))
-        level = jnp.sum(mean, 1) + self.safety_factor * safety
+        level = base_stock(mean, deviation, self.safety_factor, jnp)
         steps = {
             "demand": self.demand.prepare(inputs, season[:, 0]),
             "weight": jnp.asarray(self.weights),

@@ -8,7 +8,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput, FilePosition
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 
 from ..demand.base import Demand, as_input
 

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 from snapo.problem.form import Use, formed
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 
 from .case import DerivedNumbers, PensionCase, PensionModel
 

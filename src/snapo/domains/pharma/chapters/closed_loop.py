@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 from snapo.problem.smooth import Exact
 from snapo.report.drawing import LIGHT, draw
 from snapo.report.evidence import training_history

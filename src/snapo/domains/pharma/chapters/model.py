@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 from snapo.case.quantity import numbers_in
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Table, Text
 from snapo.report.quantity import finite, quantity, raised, unit_words

@@ -14,9 +14,9 @@ import numpy as np
 
 from snapo.engine import Engines
 from snapo.problem.chain import Chain
-from snapo.problem.inputs import Input
 from snapo.problem.objective import CVaR, Mean, Objective
 from snapo.problem.problem import Problem, prepare
+from snapo.problem.record import Input
 from snapo.problem.simulator import Simulator, probe
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation

@@ -5,10 +5,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Self
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+
+from snapo.problem.record.arrays import Array, jax, jnp
 
 from ..flowsheet.case import Flowsheet, PharmaCase
 from ..quality.records import Attribute, Distribution

@@ -14,6 +14,7 @@ from pathlib import Path
 from snapo.case.settings import EvaluationTable, TrainingTable
 
 from ..control.records import Control, Goal
+from ..given import Entry
 from ..quality.records import Attribute, DesignSpace, Estimation, Parameter, Uncertainty
 from ..recipe.records import Optimise
 from ..time.dynamics import Numerics
@@ -98,3 +99,12 @@ class PharmaCase:
         names += [term.of for term in terms if term.entry is None]
         parts = self.network, self.feeds, self.units, self.connections, self.numerics
         return Flowsheet(*parts, tuple(dict.fromkeys(names)))
+
+
+def process_entries(case: PharmaCase) -> tuple[Entry, ...]:
+    """(input, entry) of the process parameters that vary about their set point."""
+    return tuple(
+        (parameter.input, parameter.entry)
+        for parameter in case.parameters
+        if parameter.distribution
+    )

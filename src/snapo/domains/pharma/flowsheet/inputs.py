@@ -1,7 +1,7 @@
 """Every number of a pharma case that has a gradient, as `Input`s named "unit.field"."""
 
 from snapo.case.quantity import numbers_in
-from snapo.problem.inputs import Input
+from snapo.problem.record import Input
 
 from .case import PharmaCase
 

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..given import use
 

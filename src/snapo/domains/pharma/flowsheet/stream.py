@@ -5,11 +5,10 @@ crystals are counted; the delivery of a unit, and the terms of its balance other
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+
+from snapo.problem.record import TreeRecord, field
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ def together(sizes: tuple[Sizes, ...]) -> Sizes:
 MOMENTS = 6
 
 
-class Stream(eqx.Module):
+class Stream(TreeRecord):
     """Material of one batch, or of `duration` seconds of a continuous run. S species.
 
     - `species`: [S] kmol dissolved. `solid`: [S] kmol in crystals, of which `seed`, [S], was
@@ -79,9 +78,9 @@ class Stream(eqx.Module):
     inner_size: Float[Array, ""]
     inner_density: Float[Array, ""]
     numbers: Float[Array, " N"]
-    grid: Sizes = eqx.field(static=True)
-    inner_numbers: Float[Array, " M"] = eqx.field(default_factory=lambda: jnp.zeros(0))
-    inner_grid: Sizes = eqx.field(static=True, default=None)
+    grid: Sizes = field(static=True)
+    inner_numbers: Float[Array, " M"] = field(default_factory=lambda: jnp.zeros(0))
+    inner_grid: Sizes = field(static=True, default=None)
 
     def concentration(self) -> Float[Array, " S"]:
         """kmol/m3 of the dissolved species."""
@@ -131,12 +130,12 @@ def blank(species: int, sizes: Sizes) -> Stream:
 
 def flat(stream: Stream) -> Float[Array, " K"]:
     """The stream as one vector, fields in order; `unflat` undoes it."""
-    return ravel_pytree(stream)[0]
+    return jax.flatten_util.ravel_pytree(stream)[0]
 
 
 def unflat(vector: Float[Array, " K"], like: Stream) -> Stream:
     """The stream that `flat` made a vector of; `like` has its shapes."""
-    return ravel_pytree(like)[1](vector)
+    return jax.flatten_util.ravel_pytree(like)[1](vector)
 
 
 class Ledger(NamedTuple):

@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 
 from snapo.case.quantity import numbers_in
 
-from ..flowsheet.case import PharmaCase
+from ..flowsheet.case import PharmaCase, process_entries
 from ..given import Entry
 from .records import Distribution
 
@@ -20,15 +20,6 @@ from .records import Distribution
 def entries(case: PharmaCase) -> tuple[Entry, ...]:
     """[U] (input, entry) of the uncertain model parameters."""
     return tuple(zip(case.uncertainty.inputs, case.uncertainty.entries))
-
-
-def process_entries(case: PharmaCase) -> tuple[Entry, ...]:
-    """(input, entry) of the process parameters that vary about their set point."""
-    return tuple(
-        (parameter.input, parameter.entry)
-        for parameter in case.parameters
-        if parameter.distribution
-    )
 
 
 def all_entries(case: PharmaCase) -> tuple[Entry, ...]:

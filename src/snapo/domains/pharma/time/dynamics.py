@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
 
 from ..flowsheet.stream import LedgerFinish
 from .profile import Profile

@@ -11,11 +11,10 @@ power of the step.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record import TreeRecord
+from snapo.problem.record.arrays import Array, Float, eqx, jax, jnp
 
 from .dynamics import Dynamics, Numerics, Track
 from .mesh import Mesh, edges_of, make_mesh
@@ -119,7 +118,7 @@ def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     return jnp.concatenate([problem.start[None], later]), final, share
 
 
-class _Field(eqx.Module):
+class _Field(TreeRecord):
     """The right-hand side over the share of the duration; the arrays that it closes over become
     arguments, through which derivatives flow."""
 

@@ -9,9 +9,9 @@ power of the time since, hence steps that shrink towards it on both sides.
 from math import ceil
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+
+from snapo.problem.record.arrays import Array, Float, Int, jnp
 
 from .profile import Profile, values_in
 

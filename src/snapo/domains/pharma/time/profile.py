@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import Array, Float, Int, jax, jnp
 
 from ..given import fixed, use
 

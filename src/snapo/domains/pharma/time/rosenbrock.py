@@ -16,10 +16,9 @@ section IV.7, equation 7.25), times h, so that a step of no length changes nothi
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float, custom_jvp, jax, jnp
 
 WRITTEN_OUT = 24  # unknowns above which LAPACK factorises, which the native engine does not have
 
@@ -39,21 +38,20 @@ def factorised(matrix: Float[Array, "m m"]) -> LUFactors:
     return LUFactors(*jax.scipy.linalg.lu_factor(matrix))
 
 
-@jax.custom_jvp
+def _solve_tangent(primals, tangents):
+    matrix, factors, right = primals
+    d_matrix, _, d_right = tangents
+    result = solve(matrix, factors, right)
+    return result, solve(matrix, factors, d_right - d_matrix @ result)
+
+
+@custom_jvp(_solve_tangent)
 def solve(
     matrix: Float[Array, "m m"], factors: LUFactors, right: Float[Array, " m"]
 ) -> Float[Array, " m"]:
     """x with `matrix` x = `right`; its derivatives are those of the exact solution."""
     first = _apply(factors, right)
     return first + _apply(factors, right - matrix @ first)
-
-
-@solve.defjvp
-def _solve_tangent(primals, tangents):
-    matrix, factors, right = primals
-    d_matrix, _, d_right = tangents
-    result = solve(matrix, factors, right)
-    return result, solve(matrix, factors, d_right - d_matrix @ result)
 
 
 def _apply(factors: LUFactors, right: Array) -> Array:

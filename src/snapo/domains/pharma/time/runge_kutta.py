@@ -11,13 +11,11 @@ linear part, so that its transpose, the adjoint, has none either.
 """
 
 from collections.abc import Callable
-from functools import partial
 from math import isqrt
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float, custom_jvp, jax, jnp
 
 RateFunction = Callable[[Array, Array], Array]
 
@@ -51,15 +49,6 @@ def final_state(
     return _last(rate, start, step, drive, tuple(held))
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _last(rate, start, step, drive, held):
-    def advance(y, now):
-        return runge_kutta(lambda y, u: rate(y, u, *held), y, *now), None
-
-    return jax.lax.scan(advance, start, (step, drive))[0]
-
-
-@_last.defjvp
 def _last_tangent(rate, primals, tangents):
     start, step, drive, held = primals
     d_start, d_step, d_drive, d_held = tangents
@@ -85,6 +74,14 @@ def _last_tangent(rate, primals, tangents):
     moved = by_step * d_step + sum(_times(w, g) for w, g in zip(weights, others))
     after, complete = _products(map_)
     return final, complete @ d_start + jnp.sum(_times(after, moved), -1)
+
+
+@custom_jvp(_last_tangent, fixed=(0,))
+def _last(rate, start, step, drive, held):
+    def advance(y, now):
+        return runge_kutta(lambda y, u: rate(y, u, *held), y, *now), None
+
+    return jax.lax.scan(advance, start, (step, drive))[0]
 
 
 def _linear(slopes: Callable, points: Float[Array, "4 m n"], step: Float[Array, " n"]):

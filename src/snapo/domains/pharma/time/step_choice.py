@@ -2,10 +2,9 @@
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from .dynamics import Dynamics
 from .mesh import edges_of

@@ -8,10 +8,9 @@ too long is known.
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+
+from snapo.problem.record.arrays import Array, Float, Int, jax, jnp
 
 from .dynamics import Dynamics
 from .mesh import break_up, edges_of

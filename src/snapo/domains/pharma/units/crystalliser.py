@@ -8,14 +8,13 @@ in amounts per m3 of the first charge.
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
 from snapo.case.table import TableContext
+from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Stream, ledger
 from ..given import absent, fixed, use

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from jaxtyping import Array, Float
-
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import Array, Float
 
 from ..flowsheet.stream import LedgerFinish, Stream, ledger
 from ..given import use

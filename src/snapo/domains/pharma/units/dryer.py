@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..flowsheet.network import GAS_CONSTANT
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger

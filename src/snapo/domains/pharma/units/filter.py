@@ -7,12 +7,9 @@ dissolved in it, and wash liquid replaces the liquor. The filtrate is the rest o
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import jax.numpy as jnp
-from jax.scipy.special import erfc
-from jaxtyping import Array, Float
-
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger
 from ..given import use
@@ -166,7 +163,7 @@ def displacement(ratio, peclet) -> Float[Array, ""]:
     w = jnp.where(washed, ratio, 1.0)
     root = jnp.sqrt(peclet / w) / 2
     a, b = (1 - w) * root, (1 + w) * root
-    left = 1 - (erfc(a) + jnp.exp(-a * a) * scaled_erfc(b)) / 2
+    left = 1 - (jax.scipy.special.erfc(a) + jnp.exp(-a * a) * scaled_erfc(b)) / 2
     return jnp.where(washed, left, 1.0)
 
 
@@ -177,7 +174,11 @@ def scaled_erfc(x) -> Array:
     fraction = far
     for k in range(30, 0, -1):
         fraction = far + k / 2 / fraction
-    return jnp.where(x < 4, jnp.exp(near * near) * erfc(near), 1 / (fraction * jnp.sqrt(jnp.pi)))
+    return jnp.where(
+        x < 4,
+        jnp.exp(near * near) * jax.scipy.special.erfc(near),
+        1 / (fraction * jnp.sqrt(jnp.pi)),
+    )
 
 
 def check_wash(read) -> None:

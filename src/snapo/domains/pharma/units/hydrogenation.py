@@ -8,13 +8,11 @@ transfer and reaction (for a reaction slow against kL a that is wrong only at th
 from dataclasses import dataclass
 from typing import Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
+from snapo.problem.record.arrays import Array, jax, jnp
 
 from ..flowsheet.network import GAS_CONSTANT, rate_constants, rates
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger

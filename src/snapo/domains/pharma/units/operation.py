@@ -11,11 +11,10 @@ from dataclasses import dataclass, fields, is_dataclass
 from math import inf
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..flowsheet.feed import Feed
 from ..flowsheet.network import FlowNetwork

@@ -9,12 +9,11 @@ one, and the amounts that left the last point. With a jacket the heat at a point
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
+from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.network import FlowNetwork, fastest_rate, rate_constants, rates
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 from pydantic import Field
 
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import jnp
 
 from ..flowsheet.stream import LedgerFinish, Stream, ledger
 from ..given import use

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
-from jaxtyping import Array
 from pydantic import Field
+
+from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import LedgerFinish, Stream, ledger, together
 from ..read.reader import Texts

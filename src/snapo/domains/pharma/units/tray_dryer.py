@@ -14,13 +14,12 @@ cake, from the shelf and into the vapour, so that energy closes to rounding.
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import choice
+from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger
 from ..given import use

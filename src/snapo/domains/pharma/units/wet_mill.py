@@ -13,11 +13,9 @@ cell by their volume, and number is lost only there.
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..flowsheet.stream import LedgerFinish, ledger
 from ..given import fixed, use

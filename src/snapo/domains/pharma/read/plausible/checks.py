@@ -15,12 +15,11 @@ from snapo.case.quantity import numbers_in
 from snapo.case.table import TableContext
 
 from ...control.staging import staged
-from ...flowsheet.case import Connection, PharmaCase
+from ...flowsheet.case import Connection, PharmaCase, process_entries
 from ...flowsheet.feed import Feed
 from ...flowsheet.network import FlowNetwork
 from ...flowsheet.order import ancestors, groups, settled
 from ...given import Entry
-from ...quality.draws import process_entries
 from ...quality.records import Distribution
 from ...time.profile import Profile, weights
 from ...units.crystals.seed import Seed

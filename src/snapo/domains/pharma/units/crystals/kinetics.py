@@ -3,10 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...given import absent, use
 from ...read.declared import TableRecord, UnitQuantity

@@ -19,10 +19,9 @@ on any grid.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ...flowsheet.stream import MOMENTS
 from ...given import fixed

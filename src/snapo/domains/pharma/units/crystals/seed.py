@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
-from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ...flowsheet.stream import MOMENTS
 from ...given import fixed, use
@@ -86,7 +84,9 @@ def seed_numbers(seed: Seed, inputs, shape, density, edges: np.ndarray) -> Float
     variance = jnp.log1p(use(inputs, seed.spread) ** 2)
     median = jnp.log(use(inputs, seed.size) / SIZE) - variance / 2
     # The logarithm of an edge at 0 would be infinite, and its derivative undefined.
-    share = ndtr((fixed(np.log(np.maximum(edges, 1e-9))) - median) / jnp.sqrt(variance))
+    share = jax.scipy.special.ndtr(
+        (fixed(np.log(np.maximum(edges, 1e-9))) - median) / jnp.sqrt(variance)
+    )
     numbers = jnp.diff(share)
     weight = density * shape * NUMBER * SIZE**3
     mass = weight * jnp.sum(fixed(cell_powers(edges)[3]) * numbers)

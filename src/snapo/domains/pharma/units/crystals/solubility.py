@@ -14,15 +14,12 @@ bisection of ln x, and its derivatives by two further steps with the slope held,
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.given import CaseInput, FilePosition, NoPosition
 from snapo.case.quantity import choice, quantity_of
+from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import fixed, use
@@ -62,7 +59,7 @@ def activity(x: Float[Array, " n"], tau: Float[Array, "n n"], alpha) -> Float[Ar
     return first + (g / below * (tau - first)) @ x
 
 
-def ideal(temperature, melting, fusion, capacity: ArrayLike = 0.0) -> Array:
+def ideal(temperature, melting, fusion, capacity: Array | float = 0.0) -> Array:
     """ln of the activity of the pure crystal: `melting` K, `fusion` J/mol, `capacity` J/mol/K."""
     ratio = melting / temperature
     heat = fusion / GAS_CONSTANT * (1 / temperature - 1 / melting)

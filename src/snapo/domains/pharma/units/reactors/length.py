@@ -9,9 +9,9 @@ points, each element conserves mass: its gain is inflow less outflow.
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...given import fixed
 

@@ -18,12 +18,11 @@ with the sizes of the crystals inside kept with them.
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...flowsheet.stream import MOMENTS, LedgerFinish, ledger
 from ...given import use

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...flowsheet.stream import NO_CRYSTALS, Stream
 from ...given import fixed, use

@@ -19,11 +19,9 @@ deviation of the batch instead of a sample's.
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range, choice
+from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...flowsheet.stream import LedgerFinish, Stream, ledger
 from ...given import use

@@ -1,0 +1,124 @@
+"""JAX for modules that describe a kind of case and state its equations: loaded at its first use.
+
+    from snapo.problem.record.arrays import Array, Float, jnp
+
+A price process, a unit operation or a contract is one file with the keys of its table and its
+equations. Reading a case needs the first, and calls none of the second. The names are those of the
+libraries, and so are the objects that come from them: `jnp.exp` is `jax.numpy.exp`. Types of arrays
+are those of jaxtyping where types are checked, and nothing at run time.
+
+Equations that a check evaluates too are written for an `ArrayLibrary`: JAX in a simulator, NumPy
+where a case is checked.
+"""
+
+from collections.abc import Callable
+from functools import cache, wraps
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import equinox as eqx
+    import jax
+    import jax.flatten_util
+    import jax.numpy as jnp
+    from jaxtyping import Array, Bool, Float, Int, PyTree
+else:
+
+    class _Library(ModuleType):
+        """A library that is imported when one of its names is first asked for, and keeps them."""
+
+        def __getattr__(self, name: str):
+            if name.startswith("__"):
+                raise AttributeError(name)
+            import_module(f"{__package__}.trees")  # records are trees from here on
+            library = import_module(self.__name__)
+            if not hasattr(library, name):
+                import_module(f"{self.__name__}.{name}")
+            value = getattr(library, name)
+            setattr(self, name, value)
+            return value
+
+    class Array:
+        """An array, or a tree of arrays, of a type and a shape that are for readers."""
+
+        def __class_getitem__(cls, shape):
+            return cls
+
+    eqx, jax, jnp = map(_Library, ("equinox", "jax", "jax.numpy"))
+    Bool = Float = Int = PyTree = Array
+
+P = ParamSpec("P")
+NumbersOf = Callable[[Any], Any]  # the numbers of an input where they are used
+R = TypeVar("R")
+
+
+def custom_jvp(
+    tangent: Callable[..., Any], fixed: tuple[int, ...] = ()
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Gives a function the rule `tangent` of its derivatives: `jax.custom_jvp`, made when the
+    function is first called. `fixed`: positions of arguments without derivatives."""
+
+    def decorated(function: Callable[P, R]) -> Callable[P, R]:
+        @cache
+        def made() -> Callable[P, R]:
+            result = jax.custom_jvp(function, nondiff_argnums=fixed)
+            result.defjvp(tangent)
+            return result
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            return made()(*args, **kwargs)
+
+        return call
+
+    return decorated
+
+
+class ArrayLibrary(NamedTuple):
+    """An array library: its functions as in NumPy, and three that JAX has its own names for.
+
+    - `running_maximum(x)`: of the elements up to each.
+    - `backwards(step, last, rows)`: stacked results of `step(result of the next row, row)`.
+    - `fixed(x)`: a number without a derivative.
+    """
+
+    xp: Any
+    running_maximum: Callable[[Any], Any]
+    backwards: Callable[[Callable[[Any, Any], Any], Any, Any], Any]
+    fixed: Callable[[Any], Any]
+
+
+def _row(rows: Any, t: int) -> Any:
+    if not isinstance(rows, tuple):
+        return rows[t]
+    return getattr(type(rows), "_make", tuple)(_row(x, t) for x in rows)
+
+
+def _row_by_row(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
+    first = rows
+    while isinstance(first, tuple):
+        first = first[0]
+    results = []
+    for t in reversed(range(len(first))):
+        last = step(last, _row(rows, t))
+        results.append(last)
+    if not isinstance(last, tuple):
+        return np.array(results[::-1])
+    return tuple(np.array(leaves[::-1]) for leaves in zip(*results))
+
+
+def _scanned(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
+    def result(following, row):
+        row = step(following, row)
+        return row, row
+
+    return jax.lax.scan(result, last, rows, reverse=True)[1]
+
+
+NUMPY = ArrayLibrary(np, np.maximum.accumulate, _row_by_row, np.asarray)
+TRACED = ArrayLibrary(
+    jnp, lambda x: jax.lax.cummax(x), _scanned, lambda x: jax.lax.stop_gradient(x)
+)
