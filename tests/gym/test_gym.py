@@ -93,7 +93,7 @@ def test_sets_of_actions_have_spaces():
     given = {"a": np.array([1, 0]), "b": np.array([[0.5], [7.0]])}
     assert np.array_equal(read(given), [[0.5, 0, 1], [1, 1, 0]])
 
-    with pytest.raises(ValueError, match="a Odd has no space"):
+    with pytest.raises(ValueError, match="a Odd has no corresponding Gymnasium space"):
         space_of(Odd())
 
 

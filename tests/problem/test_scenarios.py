@@ -194,7 +194,7 @@ def test_supplied_paths_are_given_back():
     np.testing.assert_array_equal(drawn(Supplied(noise, start), [3])[0], start[[3]])
     with pytest.raises(ValueError, match="needs"):
         drawn(Supplied(noise[:6]), [0])
-    with pytest.raises(ValueError, match="path 5 was asked for"):
+    with pytest.raises(ValueError, match="path 5 was requested"):
         drawn(Supplied(noise), [5])
 
 

@@ -68,7 +68,7 @@ def test_limits_and_a_base_are_those_of_the_case(tmp_path):
     ("other", "named"),
     [
         (net(activation=jax.nn.tanh), ["activation tanh", "needs silu"]),
-        (net(features=5), ["4 x 5", "4 x 3", "takes 5 numbers, and here there are 3"]),
+        (net(features=5), ["4 x 5", "4 x 3", "takes 5 numbers, but the case has 3"]),
         (net(Box(-np.inf, np.inf, 3)), ["size 3", "needs 2"]),
         (net(Integers(0, np.inf, 2)), ["action Integers", "needs Box"]),
         (net(hidden=(8,)), ["hidden[0] 8", "needs 4"]),

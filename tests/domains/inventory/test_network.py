@@ -72,7 +72,7 @@ def test_periods_to_cover():
     [
         ((SHOP, SHOP), "another place has this name"),
         ((SHOP | {"supplier": "moon"},), "the places are shop"),
-        ((SHOP | {"supplier": "shop"},), "circle|has no customers"),
+        ((SHOP | {"supplier": "shop"},), "circle|must not have customers"),
         (({"name": "depot", "lead_time": 0, "holding": 1.0},), "no customers"),
         (({**SHOP, "shortage": None},), "allowed|shortage"),
         ((SHOP | {"name": "a shop"},), "letters, digits"),

@@ -81,28 +81,28 @@ def _tree(x: Any) -> Iterator[str]:
 
 def _value(x: Any) -> str:
     if isinstance(x, type):
-        return _named(x)
+        return _name(x)
     if isinstance(x, Enum):
-        return f"{_named(type(x))}.{x.name}"
+        return f"{_name(type(x))}.{x.name}"
     if isinstance(x, PLAIN):
         return f"{type(x).__name__} {x!r}"
     if isinstance(x, tuple | list | frozenset):
         items = [_value(item) for item in x]
         ordered = sorted(items) if isinstance(x, frozenset) else items
-        return f"{_named(type(x))} [{', '.join(ordered)}]"
+        return f"{_name(type(x))} [{', '.join(ordered)}]"
     if isinstance(x, partial):
         return f"partial {_value((x.func, x.args, tuple(sorted(x.keywords.items()))))}"
     if isinstance(x, MethodType):
-        return f"method {_named(x.__func__)} of {_value(x.__self__)}"
+        return f"method {_name(x.__func__)} of {_value(x.__self__)}"
     if isinstance(x, FunctionType) or package(type(x)) not in WRITTEN_IN_PYTHON:
-        return _named(x)
+        return _name(x)
     if any(vars(kind).get("__slots__") for kind in type(x).__mro__):
         raise _NoTextError
     members = (f"{name}={_value(value)}" for name, value in sorted(vars(x).items()))
-    return f"{_named(type(x))}({', '.join(members)})"
+    return f"{_name(type(x))}({', '.join(members)})"
 
 
-def _named(x: Any) -> str:
+def _name(x: Any) -> str:
     """The name of a class or a function of snapo or of a dependency, if it has that name there."""
     if x is type(None):
         return "None"

@@ -196,7 +196,7 @@ class _Day:
             gas = code.mul(self._number("goals", node.i), price)
             self._set_scratch(scratch, node.i, code.sub(self._row("after", node.i), gas))
         with self._times(side, 1) as maximum:
-            pair = [self._named(side, "maxima", maximum, i, 2) for i in (0, 1)]
+            pair = [self._by_number(side, "maxima", maximum, i, 2) for i in (0, 1)]
             row = code.index(f"add i64 {maximum}, %goals")
             self._set_scratch(scratch, row, self._larger(*pair))
         last = code.index(f"sub i64 {self._integer(f'{side}_sizes', '0', 0, 3)}, 1")
@@ -207,9 +207,11 @@ class _Day:
         code = self.code
         price = self._row(f"{side}_price", "0")
         with code.loop("%rows") as row:
-            best = self._larger(*(self._named(side, "window", row.i, i, 2) for i in (0, 1)))
+            best = self._larger(*(self._by_number(side, "window", row.i, i, 2) for i in (0, 1)))
             for i in (0, 1):
-                left, right = (self._named(side, "endpoints", row.i, 2 * i + j, 4) for j in (0, 1))
+                left, right = (
+                    self._by_number(side, "endpoints", row.i, 2 * i + j, 4) for j in (0, 1)
+                )
                 share = self._number(f"{side}_shares", row.i, i, 2)
                 there = code.add(code.mul(code.sub(right, left), share), left)
                 best = self._larger(there, best)  # a row of nothing is not larger
@@ -278,7 +280,7 @@ class _Day:
     def _scratch(self, name: str, row: str) -> "Ref":
         return self.code.load(self._entry(name, row, 0, WIDTH), "float64", WIDTH, align=8)
 
-    def _named(self, side: str, table: str, row: str, i: int, width: int) -> "Ref":
+    def _by_number(self, side: str, table: str, row: str, i: int, width: int) -> "Ref":
         """The row of scratch memory whose number is in a table."""
         return self._scratch(f"{side}_scratch", self._integer(f"{side}_{table}", row, i, width))
 

@@ -7,14 +7,12 @@ and the shocks of all three are correlated. Transitions are exact over any step.
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 from snapo.problem.process import Factors, integral
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule, field
+from snapo.problem.record.arrays import Array, jnp
 
 from .pair import CommodityPair, SecondCommodity, SecondRows
 from .process import GaussianFactors, use
@@ -75,9 +73,9 @@ class CommodityTrio(CommodityPair):
       needs.
     """
 
-    third_curve: CaseInput = eqx.field(kw_only=True)
-    share: CaseInput = eqx.field(kw_only=True)
-    noise_size: int = eqx.field(static=True, default=3)
+    third_curve: CaseInput = field(kw_only=True)
+    share: CaseInput = field(kw_only=True)
+    noise_size: int = field(static=True, default=3)
 
     def parameters(self, inputs: Any) -> Factors:
         loading, none = use(inputs, self.volatilities[0]), jnp.zeros(())
