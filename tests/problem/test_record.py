@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from snapo.problem.process import Schwartz
-from snapo.problem.record import AbstractVar, Input, TreeRecord, field
+from snapo.problem.record import AbstractVar, Input, Schedule, TreeRecord, field
 from snapo.problem.record.arrays import NUMPY, TRACED, custom_jvp
 
 
@@ -66,7 +66,7 @@ def test_a_record_is_frozen_after_its_init():
         Checked([-1])
     assert dataclasses.replace(Pair([1]), name="c").name == "c"
     assert pickle.loads(pickle.dumps(checked)).first.tolist() == [1, 2]
-    assert checked != Checked([1, 2]) and checked == checked
+    assert checked == Checked([1, 2]) != Checked([1, 3])
 
 
 def test_what_a_class_leaves_open_must_be_there():
@@ -130,3 +130,12 @@ def test_a_rule_of_derivatives_is_used():
         return scale * x
 
     assert double(2.0, 3.0) == 6.0 and jax.grad(lambda x: double(2.0, x))(3.0) == 7.0
+
+
+def test_inputs_are_compared_by_their_fields():
+    one = Input([1.0, 2.0], "EUR", labels=("a", "b"))
+    assert one == Input([1.0, 2.0], "EUR", labels=("a", "b")) and hash(one) == hash(Input([3.0]))
+    assert one != Input([1.0, 2.5], "EUR", labels=("a", "b"))
+    assert one != Input([1.0, 2.0], "USD", labels=("a", "b")) and one != Input([1.0], "EUR")
+    assert Schedule({"a": np.ones(2)}) == Schedule({"a": np.ones(2)}) != Schedule({"b": np.ones(2)})
+    assert Schedule((np.ones(2), 1)) != Schedule((np.ones(3), 1)) and one != 1

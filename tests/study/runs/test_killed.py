@@ -36,7 +36,8 @@ def test_killed_runs_leave_the_others_whole(fake, case, capsys):
     first = store.folders(case)[0]
     before = contents(first)
     for batch in range(3):
-        several = [begin(case, 0.1) for _ in range(4)]
+        # In the first batch those to be killed are long enough to be in the middle of it then.
+        several = [begin(case, 0.1 if batch or i % 2 else 2.0) for i in range(4)]
         try:
             count = len(store.folders(case))
             deadline = time.monotonic() + 120

@@ -65,7 +65,7 @@ class RecordType(ABCMeta):
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
 class TreeRecord(metaclass=RecordType):
-    """A frozen dataclass that is a tree of JAX once JAX is loaded; compared by identity.
+    """A frozen dataclass that is a tree of JAX once JAX is loaded; compared by its fields.
 
     A method `__check_init__` of a class refuses values that do not fit together.
     """
@@ -99,6 +99,15 @@ class TreeRecord(metaclass=RecordType):
             raise TypeError(f"Can't instantiate abstract class {cls.__name__} without {names}")
         return super().__new__(cls)
 
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return NotImplemented
+        names = [item.name for item in dataclasses.fields(self)]
+        return all(_equal(getattr(self, x), getattr(other, x)) for x in names)
+
+    def __hash__(self) -> int:
+        return hash(type(self))  # of arrays there is none
+
     def __setattr__(self, name: str, value: Any) -> None:
         if id(self) not in _UNFINISHED:
             raise dataclasses.FrozenInstanceError(f"cannot assign to field {name!r}")
@@ -106,6 +115,20 @@ class TreeRecord(metaclass=RecordType):
 
     def __delattr__(self, name: str) -> None:
         raise dataclasses.FrozenInstanceError(f"cannot delete field {name!r}")
+
+
+def _equal(one: Any, other: Any) -> bool:
+    """Whether two values of a field are equal; arrays in type, shape and numbers."""
+    if one is other:
+        return True
+    if hasattr(one, "dtype") or hasattr(other, "dtype"):
+        kinds = [(np.shape(x), getattr(x, "dtype", None)) for x in (one, other)]
+        return kinds[0] == kinds[1] and bool(np.all(one == other))
+    if isinstance(one, tuple | list) and type(one) is type(other):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_equal(one[k], other[k]) for k in one)
+    return bool(one == other)
 
 
 def _is_abstract(kind: Any) -> bool:

@@ -56,7 +56,7 @@ def solved(out, resume: bool = False, parts: tuple[str, ...] = ("today",)):
 
 def sections(out) -> set[str]:
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert 'class="missing"' not in page and "not asked for" in page
+    assert 'class="missing"' not in page and "not requested" in page
     return set(re.findall(r'<section id="([^"]+)"', page))
 
 
