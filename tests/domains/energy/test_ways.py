@@ -10,9 +10,10 @@ from snapo.domains.energy.core.contract import StepPrices
 from snapo.domains.energy.methods import ways
 from snapo.domains.energy.methods.grid import best, grid_of
 from snapo.domains.energy.setup import bare_problem
+from snapo.lanes.machine import pipeline
 
 DAYS = {"end": datetime.datetime(2026, 5, 6)}
-pytestmark = pytest.mark.skipif(not ways.available(), reason="llvmlite is not installed")
+pytestmark = pytest.mark.skipif(not pipeline.available(), reason="llvmlite is not installed")
 
 
 @pytest.mark.parametrize(

@@ -134,15 +134,15 @@ class NativeCall:
         kind = type(self.simulator), self.version
         return setup, self.shared.key(), self.steps.key(1), starts, kind
 
-    def kernel(self, setup: FunctionSetup, like) -> Kernel:
-        """The kernel as an earlier process stored it, or newly made."""
+    def kernel(self, setup: FunctionSetup, like, stages: KernelStages | None = None) -> Kernel:
+        """The kernel as an earlier process stored it, or newly made; with `stages` always new."""
         missing = unavailable()
         if missing is not None:
             raise Unsupported(missing)
-        stored = self._stored(setup, like)
+        stored = None if stages is not None else self._stored(setup, like)
         kernel = None if stored is None else stored.read()
         if kernel is None:
-            kernel = self.emitted(setup, like)
+            kernel = self._emitted(setup, like, stages)
             if stored is not None:
                 stored.write(kernel)
         return kernel
@@ -154,7 +154,7 @@ class NativeCall:
         noise = self.simulator.initial_noise_size
         return StoredKernel(self.simulator, self.shared, self.steps, like, setup, noise)
 
-    def emitted(self, setup: FunctionSetup, like, stages: KernelStages | None = None) -> Kernel:
+    def _emitted(self, setup: FunctionSetup, like, stages: KernelStages | None) -> Kernel:
         """Traces and emits. An error of the emitter is reported as the reason."""
         simulator = self.simulator
         sizes = (simulator.noise_size, simulator.initial_noise_size)

@@ -67,7 +67,7 @@ def explain(
     engine = Native(precision)
     with engine.numbers():
         call, setup = _whole(engine, simulator, schedule, policy, smooth)
-        kernel = call.emitted(setup, None, stages)
+        kernel = call.kernel(setup, None, stages)
     rows = [f"{name:16} {layout.stride}" for name, layout in kernel.layouts.items()]
     processor = host()
     target = (

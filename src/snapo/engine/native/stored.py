@@ -8,6 +8,7 @@ traced in every process, as no text holds all that its code reads.
 
 import json
 import zlib
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class StoredKernel:
         trees = type(simulator), shared.shapes(), steps.shapes(1), like, (setup, tuple(host()))
         self.text = described.described(*trees)
 
-    @property
+    @cached_property
     def path(self) -> Path | None:
         """The file; None for a kernel that no text describes."""
         if self.text is None:

@@ -37,6 +37,12 @@ def unavailable() -> str | None:
     return None
 
 
+@cache
+def available() -> bool:
+    """Whether machine code can be made here."""
+    return unavailable() is None
+
+
 def versions() -> str:
     """The releases of llvmlite and of LLVM itself."""
     llvmlite = importlib.import_module("llvmlite")

@@ -32,7 +32,7 @@ SETTINGS = (
     "jax_debug_nans", "jax_debug_infs", "jax_enable_checks", "jax_disable_jit",
 )  # fmt: skip
 
-WRITTEN_IN_PYTHON = {"equinox", "snapo"}
+WRITTEN_IN_PYTHON = {"equinox", "snapo"}  # packages whose objects are all in their attributes
 
 
 class _NoTextError(Exception):

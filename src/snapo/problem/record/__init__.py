@@ -106,7 +106,7 @@ class TreeRecord(metaclass=RecordType):
         return all(_equal(getattr(self, x), getattr(other, x)) for x in names)
 
     def __hash__(self) -> int:
-        return hash(type(self))  # of arrays there is none
+        return hash(type(self))  # arrays have no hash
 
     def __setattr__(self, name: str, value: Any) -> None:
         if id(self) not in _UNFINISHED:

@@ -61,6 +61,8 @@ class StepWays:
 
     def serve(self, columns: int) -> bool:
         """Whether machine code is available for them, and there are enough columns to use it."""
+        from snapo.lanes.machine.pipeline import available  # late, as above
+
         return columns >= WIDTH and bool(self.parts[0].flows) and available()
 
 
@@ -100,14 +102,6 @@ def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: lis
         goals[moved].astype(np.int64),
         weights[moved].astype(float),
     )
-
-
-@cache
-def available() -> bool:
-    """Whether machine code can be made here."""
-    from snapo.lanes.machine.pipeline import unavailable  # late, as above
-
-    return unavailable() is None
 
 
 @cache

@@ -87,7 +87,9 @@ class DayCode:
 
 def serves(columns: int) -> bool:
     """Whether machine code can be made here, and there are enough columns to use it."""
-    return columns >= WIDTH and _available()
+    from snapo.lanes.machine.pipeline import available  # late, as above
+
+    return columns >= WIDTH and available()
 
 
 def _side(reach: ReachableLevels, bends: Bends | None, rows: int, nodes: int) -> SideCode:
@@ -129,13 +131,6 @@ def _side(reach: ReachableLevels, bends: Bends | None, rows: int, nodes: int) ->
 
 def _numbers(rows: GridRows) -> np.ndarray:
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
-
-
-@cache
-def _available() -> bool:
-    from snapo.lanes.machine.pipeline import unavailable  # late, as above
-
-    return unavailable() is None
 
 
 @cache
