@@ -102,7 +102,8 @@ class TreeRecord(metaclass=RecordType):
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented
-        names = [item.name for item in dataclasses.fields(self)]
+        record: Any = self
+        names = [item.name for item in dataclasses.fields(record)]
         return all(_equal(getattr(self, x), getattr(other, x)) for x in names)
 
     def __hash__(self) -> int:
