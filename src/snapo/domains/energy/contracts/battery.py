@@ -32,7 +32,8 @@ from ..core.contract import (
 )
 from ..methods.measure import common_measure
 from ..read.auction import AUCTION
-from ..read.hours import HourlyContractTable
+from ..read.hours import HourlyContractTable, Hours
+from .reserve import IN_RESERVE, MODES, Reserve, read_reserve, with_reserve
 
 NARROWEST, WIDEST = 0.01, 0.1  # of the energy: a wider bump would be no derivative
 MAX_TRIES = 100
@@ -88,6 +89,9 @@ class BatteryTable(HourlyContractTable):
     cycles: dict | None = Field(None, description="a table like { day = 1.5 }")
     auction: dict | None = Field(None, description=AUCTION)
     intraday: dict | None = Field(None, description="a table like { half_spread = 2.0 }")
+    reserve: dict | None = Field(
+        None, description="a table like { price = 10.0, stock = [1.0, 3.0] }"
+    )
 
 
 class BatteryContract(EnergyContract):
@@ -104,6 +108,7 @@ class BatteryContract(EnergyContract):
     cycles_term: CaseInput | None
     day_ends: Bool[np.ndarray, " T"]
     half_spread: CaseInput | None
+    reserve: Reserve | None
     layout: ContractLayout = field(static=True)
 
     def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
@@ -140,6 +145,9 @@ class BatteryContract(EnergyContract):
             xp.zeros((count, 1)),
             intraday=intraday,
         )
+        if self.reserve is not None:
+            power = xp.minimum(charge, discharge * out)
+            steps = self.reserve.added(steps, at(self.reserve.price) * power * paid, xp)
         return Terms(start, steps)
 
     def _cycles(self, at: NumbersOf, highest: Array, xp: Any) -> tuple[Array | None, Array | None]:
@@ -155,6 +163,8 @@ class BatteryContract(EnergyContract):
         )
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
+        if mode == MODES[IN_RESERVE]:
+            raise ValueError("a block in reserve is not over, and no case begins within one")
         keys = {"stored": levels["energy"]}
         if self.cycles_term is not None:
             used = levels["taken"] / float(self.energy.used())
@@ -175,17 +185,17 @@ def layout_of(day: bool, term: bool) -> ContractLayout:
 
 def bumps(
     energy: float,
-    stored: float,
+    others: Sequence[float],
     powers: tuple[ChargeTable, DischargeTable],
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
     """The least energy and cycles that keep volumes, halfway too, on the common measure of
-    all, on whose multiples methods have their nodes; of at least 1 %. None if they are more than
-    `WIDEST`."""
+    all and of `others`, on whose multiples methods have their nodes; of at least 1 %. None if they
+    are more than `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
     limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]
     measure = common_measure(
-        [energy, stored, into[0] * into[1], out[0], *(energy * x for x in limits)]
+        [energy, *others, into[0] * into[1], out[0], *(energy * x for x in limits)]
     )
     if measure is None or 2 * measure > WIDEST * energy:
         return None, None
@@ -197,8 +207,8 @@ def bumps(
     return None, 2 * measure * first / energy
 
 
-def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) -> BatteryContract:
-    """The contract; `days`: the local date of each hour."""
+def read_battery(where: TableContext, table: BatteryTable, hours: Hours) -> BatteryContract:
+    """The contract in these hours, with the auctions at which flows are fixed."""
     charge = where.nested(ChargeTable, table.charge, "charge")
     discharge = where.nested(DischargeTable, table.discharge, "discharge")
     cycles = where.nested(CyclesTable, table.cycles or {}, "cycles")
@@ -210,9 +220,16 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
         raise where.error("stored", stored, f"it must be at most energy, {energy:g}")
-    steps = bumps(energy, stored, (charge, discharge), cycles)
+    reserve, others = None, [stored]
+    if table.reserve is not None:
+        if intraday is not None:
+            message = "it cannot be combined with `intraday`; leave out one of both"
+            raise where.error("reserve", table.reserve, message)
+        reserve = read_reserve(where, table.reserve, hours, energy, table.currency)
+        others += reserve.stock.tolist()
+    steps = bumps(energy, others, (charge, discharge), cycles)
     day, term = (x and replace(x, judge_bump=steps[1]) for x in (cycles.day, cycles.term))
-    ends = [one != following for one, following in zip(days, [*days[1:], None])]
+    ends = [one != following for one, following in zip(hours.days, [*hours.days[1:], None])]
     return BatteryContract(  # pyright: ignore[reportCallIssue]
         replace(table.energy, judge_bump=steps[0]),
         table.stored,
@@ -225,7 +242,8 @@ def read_battery(where: TableContext, table: BatteryTable, days: Sequence[Any]) 
         term,
         np.array(ends, bool),
         intraday,
-        layout=layout_of(  # pyright: ignore[reportCallIssue]
-            cycles.day is not None, cycles.term is not None
+        reserve,
+        layout=with_reserve(  # pyright: ignore[reportCallIssue]
+            layout_of(cycles.day is not None, cycles.term is not None), reserve
         ),
     )

@@ -11,7 +11,7 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, POSITIVE, Quantity, stacked
 from snapo.case.table import CaseTable, TableContext, parse
 
-from ..read.hours import HourlyContractTable
+from ..read.hours import HourlyContractTable, Hours
 from .plant import PlantContract, layout_of
 from .ramp import PowerSteps, power_steps
 
@@ -95,8 +95,9 @@ class PowerPlantTable(HourlyContractTable):
     before: dict | None = Field(None, description="a table like { off = 12 } or { on = 6 }")
 
 
-def read_plant(where: TableContext, table: PowerPlantTable, days: Sequence[Any]) -> PlantContract:
-    """The contract; `days`: the local date of each hour."""
+def read_plant(where: TableContext, table: PowerPlantTable, hours: Hours) -> PlantContract:
+    """The contract in these hours."""
+    days = hours.days
     power = where.nested(PowerTable, table.power, "power")
     fuel = where.nested(FuelTable, table.fuel, "fuel")
     emission = where.nested(

@@ -201,6 +201,23 @@ def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
     return sum(parts[1:], parts[0])
 
 
+class MoveLimits(NamedTuple):
+    """Limits of the levels after each move, besides those of the step; infinite for none. A move
+    whose `low` is above its `high` is closed on the step.
+
+    They make the value jump between levels, so that methods need nodes on them and look at every
+    volume from node to node.
+    """
+
+    low: Float[Array, "T moves levels"]
+    high: Float[Array, "T moves levels"]
+
+    def of_level(self, i: int) -> np.ndarray:
+        """[T, n] the limits of a level that are finite on some step."""
+        both = np.concatenate([self.low[:, :, i], self.high[:, :, i]], axis=1)
+        return both[:, np.isfinite(both).any(axis=0)]
+
+
 class Intraday(NamedTuple):
     """Trades of differences from a schedule, see `intraday.py`; in units of a market.
 
@@ -223,7 +240,7 @@ class StepTerms(NamedTuple):
     - `restarts`: whether the level is set to zero after the step.
     - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
       none. `fixed_volume`: that of the flow of a move, None where policies decide the volumes.
-    - `promises`, `bank`, `of_levels`, `intraday`: None without any.
+    - `promises`, `bank`, `of_levels`, `intraday`, `of_moves`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -243,6 +260,7 @@ class StepTerms(NamedTuple):
     fixed_index: Float[Array, "T moves"] | None = None
     fixed_volume: Float[Array, "T moves"] | None = None
     intraday: Intraday | None = None
+    of_moves: MoveLimits | None = None
 
 
 class StepPrices(NamedTuple):

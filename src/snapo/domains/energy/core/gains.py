@@ -3,7 +3,8 @@
 The value of one more unit of a volume is constant between the rows of the table and changes at
 them. A line through a few units would put the last one that gains between rows, where no best
 volume ends; without volatility, 0.1 to 0.7 % of the value would be lost. Where volumes are
-longer than a row, the last row that gains is therefore searched for.
+longer than a row, the last row that gains is therefore searched for; where the value jumps between
+levels, the row up to which all together gain most.
 """
 
 import functools
@@ -55,6 +56,8 @@ class FlowRows(NamedTuple):
         if self.table.slopes.shape[1:-1]:
             if self.table.units is not None:
                 return self._searched(self.table.units[self.pair], forced, free, read, unit)
+            if self.table.every is not None:
+                return self._compared(self.table.every[self.pair], forced, free, read, unit)
             if self.table.between is not None:
                 return self._between_rows(self.table.between[self.pair], forced, free, read, unit)
         positions = [forced + free * j / SEGMENTS for j in range(SEGMENTS + 1)]
@@ -63,21 +66,9 @@ class FlowRows(NamedTuple):
 
     def _searched(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
         """With these segments: the rows before the last one that gains; that row; the next one; the
-        rows behind it. Rows change together on all levels that the flow moves and that have
-        several rows."""
+        rows behind it."""
         dims, flat = self._table
-        position = position_of(self.table, self._levels(forced))
-        start = along(position, self.effects, first=True)
-        touched = [i for i, effect in enumerate(self.effects) if effect]
-        room, stride, behind = jnp.full((), jnp.inf), jnp.zeros(()), jnp.zeros(())
-        for i in reversed(touched):
-            up, several = self.effects[i] > 0, self.table.rows.spacing[i] > 0
-            left_over = dims[i] - 1 - start[i] if up else start[i]
-            room = jnp.where(several, jnp.minimum(room, left_over), room)
-            step = math.prod(dims[i + 1 :]) * (1.0 if up else -1.0)
-            stride = stride + jnp.where(several, step, 0.0)
-            off = position[i] - start[i]
-            behind = jnp.where(several, off if up else -off, behind)
+        position, start, room, stride, behind = self._along(forced)
         length = free / units[-1]
         count = jnp.maximum(jnp.minimum(jnp.ceil(behind + length - NEAR), room + 1), 1.0)
         shares = []
@@ -99,6 +90,47 @@ class FlowRows(NamedTuple):
             return unit + between(at, shares)
 
         return _up_to_last(gain, lambda row: row - behind, count, length, len(units))
+
+    def _compared(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
+        """With these segments: the rows up to the one at which the volume gains most, and the rows
+        behind it, each at their mean gain."""
+        dims, flat = self._table
+        _, start, room, stride, behind = self._along(forced)
+        length, first_row = free / units[-1], row_number(self.pair, start, dims)
+        gained = end = best = at_best = jnp.zeros_like(length)
+        gains = []
+        for k in range(len(units)):
+            row = jnp.minimum(float(k), room)
+            gains.append(unit + jnp.sum(flat[first_row + (row * stride).astype(jnp.int32)] * read))
+            further = jnp.clip(k + 1 - behind, 0.0, length)
+            gained, end = gained + gains[-1] * (further - end), further
+            better = gained > best
+            best, at_best = jnp.where(better, gained, best), jnp.where(better, end, at_best)
+        left = length - at_best
+        up_to = jnp.where(at_best > 0, best / jnp.where(at_best > 0, at_best, 1.0), gains[0])
+        after = jnp.where(left > 0, (gained - best) / jnp.where(left > 0, left, 1.0), gains[-1])
+        position = at_best / jnp.where(length > 0, length, 1.0)
+        return VolumeGains([(up_to, up_to)] * 2 + [(after, after)] * 2, [position] * (SEGMENTS - 1))
+
+    def _along(self, forced: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Of the rows along the flow: the position of a volume, the row from which it starts, how
+        many rows are ahead of it, the numbers from one to the next, and the part of the first row
+        that lies behind. Rows change together on all levels that the flow moves and that have
+        several rows."""
+        dims = self._table[0]
+        position = position_of(self.table, self._levels(forced))
+        start = along(position, self.effects, first=True)
+        touched = [i for i, effect in enumerate(self.effects) if effect]
+        room, stride, behind = jnp.full((), jnp.inf), jnp.zeros(()), jnp.zeros(())
+        for i in reversed(touched):
+            up, several = self.effects[i] > 0, self.table.rows.spacing[i] > 0
+            left_over = dims[i] - 1 - start[i] if up else start[i]
+            room = jnp.where(several, jnp.minimum(room, left_over), room)
+            step = math.prod(dims[i + 1 :]) * (1.0 if up else -1.0)
+            stride = stride + jnp.where(several, step, 0.0)
+            off = position[i] - start[i]
+            behind = jnp.where(several, off if up else -off, behind)
+        return position, start, room, stride, behind
 
     def _between_rows(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
         """With these segments: the pieces before the last one that gains; that piece; the next

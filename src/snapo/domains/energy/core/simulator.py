@@ -181,7 +181,7 @@ class EnergySimulator(PricedSimulator):
             )
             return jnp.all(within, axis=1) * 1.0
         spaces = volumes_by_move(self.layout, now, state.levels, Exact(), scale)
-        for move, room in zip(self.layout.every_move, spaces):
+        for i, (move, room) in enumerate(zip(self.layout.every_move, spaces)):
             after = state.levels + jnp.asarray(move.changes)
             for k, flow in enumerate(move.flows):
                 assert room is not None
@@ -189,6 +189,9 @@ class EnergySimulator(PricedSimulator):
             within = (after >= now.intervals.next_low - near) & (
                 after <= now.intervals.next_high + near
             )
+            if now.terms.of_moves is not None:
+                limits = now.terms.of_moves
+                within &= (after >= limits.low[i] - near) & (after <= limits.high[i] + near)
             if now.terms.promises is not None:
                 promises = now.terms.promises
                 room = promises.weights @ after - promises.minimum[:, move.after]

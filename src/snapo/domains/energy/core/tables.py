@@ -33,6 +33,8 @@ class UnitValues(NamedTuple):
       found in that number of searches. None if one row is enough, since no volume is longer.
     - `between`: the same for levels between rows: the number of searches for the last piece between
       two rows of any level that gains. Then `units` is None.
+    - `every` [pairs, rows]: the volume of a row, where the value jumps between levels: of so many
+      rows, all are compared. Then both others are None.
     """
 
     rows: LevelRows
@@ -41,6 +43,7 @@ class UnitValues(NamedTuple):
     reading: Reading
     units: Array | None = None
     between: Array | None = None
+    every: Array | None = None
 
     def read(self, factors: Array) -> Array:
         """[n] the functions of the factors: polynomials, hinges where the table has them, times

@@ -11,7 +11,6 @@ backwards. Only where these are too many are nodes evenly spaced, and values bet
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,9 +18,9 @@ import numpy as np
 from snapo.case.error import CaseError
 
 from ..core.contract import ContractLayout
-from .corners import corners
 from .idle import at_rest, extremes, idle_levels, with_idle, without
 from .measure import banked_widths, measures_of, node_widths
+from .passages import Passage, passages_of
 from .settling import Settling, ranges_of_balances, settling
 from .ways import StepWays
 
@@ -31,22 +30,6 @@ COARSE = {0: 1, 1: 401, 2: 2601, 3: 4913}  # where these are too many, by the nu
 MOVED = 1.5  # times as many for a moved contract, whose nodes are as far apart as before
 LONG = 2_000_000  # nodes of all steps of a coarse grid
 NEAR = 1e-9  # of the largest volume: nearer levels are one
-
-
-class Passage(NamedTuple):
-    """A volume along a flow, from some nodes of a step to nodes after it.
-
-    - `flow`: its index, -1 for none; `volume`: how much.
-    - `rows`, `goals`: from a block of nodes to one of the same shape, a slice of each level.
-    - `weights` [corners, rows, 1]: where it ends between nodes. `rows` are then numbers of nodes,
-      and `goals` [corners, rows] those around each end.
-    """
-
-    flow: int
-    volume: float
-    rows: Any
-    goals: Any
-    weights: np.ndarray | None = None
 
 
 class StepGrid(NamedTuple):
@@ -101,9 +84,10 @@ def grid_of(
     for t in range(len(after)):
         numbers = [terms.least[t], terms.most[t], *before[t], *after[t]]
         numbers += [] if terms.fixed_volume is None else [terms.fixed_volume[t]]
+        numbers += [] if terms.of_moves is None else [x[t] for x in terms.of_moves]
         key = tuple(np.asarray(x).tobytes() for x in numbers)
         if key not in by_volumes:
-            passages = _passages(layout, terms, t, before[t], after[t], NEAR * scale)
+            passages = passages_of(layout, terms, t, before[t], after[t], NEAR * scale)
             sizes = [[len(x) for x in nodes] for nodes in (before[t], after[t])]
             by_volumes[key] = passages, StepWays(layout, passages, *sizes)
         end = settling(layout, terms, t, before[t], after[t], before[t + 1])
@@ -113,21 +97,29 @@ def grid_of(
 
 
 def check_nodes(case: Any, schedule: Any) -> None:
-    """Refuses joint limits between coarse nodes; `schedule`: with NumPy leaves.
+    """Refuses limits of moves and joint limits between coarse nodes; `schedule`: with NumPy leaves.
 
     **Raises:** `CaseError` where volumes have no common divisor with few enough nodes.
     """
     layout = case.contract.layout
-    if not layout.sums or grid_of(layout, schedule).exact:
+    limited = schedule.steps.terms.of_moves is not None
+    if not (layout.sums or limited) or grid_of(layout, schedule).exact:
         return
     measure = measures_of(layout, schedule.steps.terms, schedule.constants.start)[0]
     divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
+    count = int(min(TOGETHER, 2 * LONG / len(case.days)))
     message = (
-        "inventories, limits and rates need a common divisor with at most about "
-        f"{int(min(TOGETHER, 2 * LONG / len(case.days))):,} multiples together: of the inventories "
-        f"of both stores, times those of the joint flow; theirs is {divisor}"
+        f"{_VOLUMES[limited]} need a common divisor with at most about {count:,} multiples "
+        f"together: {_TOGETHER[limited]}; theirs is {divisor}"
     )
     raise CaseError(str(case.file), "contract", None, message)
+
+
+_VOLUMES = {False: "inventories, limits and rates", True: "levels, their limits and flows"}
+_TOGETHER = {
+    False: "of the inventories of both stores, times those of the joint flow",
+    True: "of all levels, where a move needs levels between limits",
+}
 
 
 def best(
@@ -285,6 +277,8 @@ def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
             limits = np.append(limits, terms.owed[t, i])
         if terms.of_levels is not None:  # whose money bends at zero
             limits = np.append(limits, 0.0)
+        if terms.of_moves is not None:
+            limits = np.append(limits, terms.of_moves.of_level(i)[t])
         after.append(_within(limits, low[t + 1], high[t + 1], near))
     first = np.array([start[i]])
     for _ in range(3):
@@ -310,84 +304,3 @@ def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
 def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndarray:
     points = np.sort(points[(points >= low - near) & (points <= high + near)])
     return points[np.append(True, np.diff(points) > near)] if len(points) else points
-
-
-def _passages(layout: ContractLayout, terms, t: int, before, after, near: float):
-    signs, result = layout.signs, []
-    for m, move in enumerate(layout.every_move):
-        passages: list[Passage] = []
-        changes, lower, upper = np.array(move.changes), terms.least[t], terms.most[t]
-        if terms.fixed_volume is not None:
-            lower = upper = np.full(len(lower), terms.fixed_volume[t, m])
-        still = all(lower[flow] <= near for flow in move.flows)
-        if still:
-            passages += _moved(-1, 0.0, changes, (), before, after, signs, near)
-        for flow in move.flows:
-            effects = np.array(layout.flows[flow].effects)
-            ends = float(lower[flow]), float(upper[flow])
-            touched = np.flatnonzero(effects)
-            for volume in _possible(effects, changes, ends, before, after, near):
-                if volume > near or not still:
-                    change = changes + volume * effects
-                    pinned = () if volume in ends else touched
-                    passages += _moved(flow, volume, change, pinned, before, after, signs, near)
-        result.append(tuple(passages))
-    return tuple(result)
-
-
-def _possible(effects, changes, ends, before, after, near: float) -> list[float]:
-    """The volumes to try: both ends, and those that lead from a node to a node of a level."""
-    volumes = list(ends)
-    for i in np.flatnonzero(effects):
-        every = ((after[i][None, :] - before[i][:, None] - changes[i]) / effects[i]).ravel()
-        inside = every[(every > ends[0] + near) & (every < ends[1] - near)]
-        volumes += inside.tolist()
-    rounded = np.round(np.array(volumes) / (10 * near))
-    return [volumes[k] for k in np.unique(rounded, return_index=True)[1]]
-
-
-def _moved(flow: int, volume: float, change, pinned, before, after, signs, near: float):
-    """The passages of one volume: from the nodes that it moves to a node, and from others that it
-    moves between nodes; of these only such that get on a node of a `pinned` level, if there is one,
-    since values are linear between them."""
-    if not before:
-        return [Passage(flow, volume, (), ())]
-    goals, positions, on, inside = [], [], [], []
-    for points, nodes, moved in zip(before, after, change):
-        goal = points + moved
-        position = np.clip(np.searchsorted(nodes, goal - 4 * near), 0, len(nodes) - 1)
-        goals.append(goal)
-        positions.append(position)
-        on.append(np.abs(nodes[position] - goal) <= 4 * near)
-        inside.append((goal >= nodes[0] - near) & (goal <= nodes[-1] + near))
-    blocks = product(*(_runs(np.flatnonzero(x), position) for x, position in zip(on, positions)))
-    result: list[Passage] = []
-    for block in blocks:
-        rows, there = zip(*block)
-        result.append(Passage(flow, volume, rows, there))
-    chosen = np.stack(np.meshgrid(*map(np.flatnonzero, inside), indexing="ij"), -1)
-    chosen = chosen.reshape(-1, len(on))
-    hits = np.stack([x[i] for x, i in zip(on, chosen.T)])
-    between = ~hits.all(axis=0)
-    if len(pinned):
-        between &= hits[pinned].any(axis=0)
-    if between.any():
-        chosen = chosen[between]
-        levels = np.stack([goal[i] for goal, i in zip(goals, chosen.T)], axis=1)
-        around, weights = corners(after, levels, signs)
-        used = weights.any(axis=1)
-        rows = np.ravel_multi_index(tuple(chosen.T), [len(x) for x in before])
-        result.append(Passage(flow, volume, rows, around[used], weights[used, :, None]))
-    return result
-
-
-def _runs(rows: np.ndarray, positions: np.ndarray) -> list[tuple[slice, slice]]:
-    """Rows and their positions, cut where one of both does not go on by one."""
-    if not len(rows):
-        return []
-    there = positions[rows]
-    cuts = np.flatnonzero((np.diff(rows) != 1) | (np.diff(there) != 1)) + 1
-    return [
-        (slice(int(a[0]), int(a[-1]) + 1), slice(int(b[0]), int(b[-1]) + 1))
-        for a, b in zip(np.split(rows, cuts), np.split(there, cuts))
-    ]

@@ -42,13 +42,16 @@ def guide_tables(
     """The tables of the fitted value of a schedule with NumPy leaves, which has a step.
 
     A policy searches for the last row that gains where best volumes end on rows, and elsewhere for
-    the last piece between rows; `like`: a table with the same search, whatever the grid.
+    the last piece between rows; where the value jumps it compares all rows. `like`: a table with
+    the same search, whatever the grid.
     """
-    on_rows, between = grid.exact, not grid.exact
-    if like is not None:
-        on_rows, between = like.units is not None, like.between is not None
-    largest = np.asarray(schedule.steps.terms.most)
-    units = _UnitRows(layout, basis, grid, largest if on_rows or between else None, between)
+    terms, search = schedule.steps.terms, "units" if grid.exact else "between"
+    if terms.of_moves is not None:
+        search = "every"
+    elif like is not None:
+        search = next((x for x in ("units", "between") if getattr(like, x) is not None), "")
+    compared = 0 if like is None or like.every is None else like.every.shape[-1]
+    units = _UnitRows(layout, basis, grid, np.asarray(terms.most), search, compared)
     surprises = _SurpriseRows(layout, basis, grid) if factors.exact else None
     later = np.zeros(0)
     for t, coefficients in backwards(layout, schedule, factors, grid):
@@ -64,10 +67,17 @@ class _UnitRows:
     """The value of a unit of each volume after each step, and of each move."""
 
     def __init__(
-        self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid, largest, between: bool
+        self,
+        layout: ContractLayout,
+        basis: AnyBasis,
+        grid: ContractGrid,
+        largest: np.ndarray,
+        search: str,
+        compared: int,
     ):
         self.layout, self.basis, self.grid, self.largest = layout, basis, grid, largest
-        self.between = between
+        self.search = search  # the field of `UnitValues` with its rows; "" for none
+        self.compared = compared  # rows of a table of other inputs, which is compiled already
         self.available, self.counts = regression_of(basis), _row_counts(layout, grid)
         horizon = len(grid.steps)
         self.low, self.spacing = np.zeros((2, horizon, len(layout.levels)))
@@ -102,16 +112,15 @@ class _UnitRows:
         reading = Reading(*(x[: len(self.low)] for x in self.basis.linear()))  # pyright: ignore
         moves = self.moves if self.layout.moves else None
         rows = LevelRows(self.low, self.spacing)  # pyright: ignore
-        units = self._units()
-        units = (None, units) if self.between else (units, None)
-        table = UnitValues(rows, self.slopes, moves, reading, *units)  # pyright: ignore
-        return UnitValueTable(table)
+        table = UnitValues(rows, self.slopes, moves, reading)  # pyright: ignore
+        return UnitValueTable(
+            table._replace(**({self.search: self._units()} if self.search else {}))
+        )
 
     def _units(self) -> np.ndarray | None:
-        """[T, pairs, searches] the volume of a row along each flow. None if no volume is
-        longer, or where the rows of levels that a flow joins are of different volumes."""
-        if self.largest is None:
-            return None
+        """[T, pairs, searches, or rows where all are compared] the volume of a row along each flow.
+        None if no volume is longer, or where the rows of levels that a flow joins are of different
+        volumes."""
         result = np.ones((len(self.low), len(self.layout.pairs)))
         longest, crossings = 0.0, 0
         for k, (_, f) in enumerate(self.layout.pairs):
@@ -122,7 +131,7 @@ class _UnitRows:
             if np.any(rows > (1 + 1e-6) * smallest[:, None]):
                 return None
             several = 1
-            if self.between:  # see `FlowRows`
+            if self.search == "between":  # see `FlowRows`
                 several = len(touched) if len(touched) > 1 else len(effects)
             longest = max(longest, float(np.max(self.largest[:, f] / smallest, initial=0.0)))
             crossings = max(crossings, several * math.ceil(longest))
@@ -130,6 +139,8 @@ class _UnitRows:
         if longest <= FURTHER:
             return None
         searches = (crossings + 1).bit_length()  # a volume begins and ends within rows
+        if self.search == "every":
+            searches = max(crossings + 1, self.compared or crossings + 2)
         return np.repeat(result[:, :, None], searches, axis=2)
 
     def _after(self, t: int, later: np.ndarray) -> np.ndarray:

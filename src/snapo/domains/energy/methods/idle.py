@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.contract import ContractLayout, StepTerms
+from ..core.contract import ContractLayout, MoveLimits, StepTerms
 
 NEAR = 1e-9  # of the largest volume
 
@@ -24,6 +24,8 @@ def idle_levels(
 
 def _idle(layout: ContractLayout, terms: StepTerms, intervals: Any, start: float, i: int) -> bool:
     if np.any(terms.short[:, i]):
+        return False
+    if terms.of_moves is not None and terms.of_moves.of_level(i).size:
         return False
     near = NEAR * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
     first = last = start
@@ -53,6 +55,8 @@ def without(layout: ContractLayout, terms: StepTerms, intervals: Any, idle: tupl
     reduced = _with_numbers(layout, lambda x: tuple(x[i] for i in keep))
     names = "low", "high", "owed", "short", "restarts"
     terms = terms._replace(**{name: of(getattr(terms, name)) for name in names})
+    if terms.of_moves is not None:
+        terms = terms._replace(of_moves=MoveLimits(*(x[..., keep] for x in terms.of_moves)))
     levels = tuple(layout.levels[i] for i in keep)
     return reduced._replace(levels=levels), terms, type(intervals)(*map(of, intervals))
 

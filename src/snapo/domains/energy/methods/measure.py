@@ -27,6 +27,9 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
             volumes |= {move.changes[i] for move in layout.every_move}
             for numbers in (terms.low[:, i], terms.high[:, i], terms.owed[:, i]):
                 volumes |= set(np.unique(numbers[np.isfinite(numbers)]).tolist())
+            if terms.of_moves is not None:
+                numbers = terms.of_moves.of_level(i)
+                volumes |= set(np.unique(numbers[np.isfinite(numbers)]).tolist())
             for flow in range(len(layout.flows)):
                 effect = layout.flows[flow].effects[i]
                 for numbers in (terms.least[:, flow], terms.most[:, flow]):

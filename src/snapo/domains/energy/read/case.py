@@ -1,7 +1,7 @@
 """Reads a case of any contract, a TOML file and its CSVs, into an `EnergyCase`."""
 
 import datetime
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -52,6 +52,7 @@ from ..contracts.plant_tables import (
     StartTable,
     read_plant,
 )
+from ..contracts.reserve import ReserveTable
 from ..contracts.stores_tables import StoresTable, open_stores, read_stores
 from ..contracts.swing_tables import (
     AnnualTable,
@@ -93,13 +94,15 @@ class EnergyTable(CaseTable):
 class ContractKind(NamedTuple):
     """The parts of a kind of contract: its table, its reader, tables within it, a title.
 
+    The reader takes its decision days, or its `Hours`.
+
     `hourly`: whether its steps are hours of the local calendar, not days; `pair`: whether its cash
     depends on two commodities; `steps`: of a day, at one price; `opened`: its table with those of
     other files that it names.
     """
 
     table: type[CaseTable]
-    read: Callable[[TableContext, Any, Sequence[datetime.date]], EnergyContract]
+    read: Callable[[TableContext, Any, Any], EnergyContract]
     title: str
     inner: Mapping[str, type[CaseTable]]
     hourly: bool = False
@@ -143,6 +146,7 @@ KINDS: dict[str, ContractKind] = {
             "cycles": CyclesTable,
             "auction": AuctionTable,
             "intraday": IntradayTable,
+            "reserve": ReserveTable,
         },
         hourly=True,
     ),
@@ -264,7 +268,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
             market = _by_steps(market, kind.steps)
         delivery = Delivery(days, days, table.end, valuation, market.forward_curve, nominated)
         time = np.array([(date - valuation).days for date in days]) / 365.0
-    contract: EnergyContract = kind.read(where, table, days)
+    contract: EnergyContract = kind.read(where, table, delivery if kind.hourly else days)
     section = TableContext(file, "model", notes)
     if others is None:
         if kind.steps > 1 and top.model.get("kind") not in BY_STEP:

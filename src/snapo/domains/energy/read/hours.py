@@ -14,6 +14,7 @@ from pydantic import Field
 from snapo.case.csv import FileReference, Row, read_rows, rising_dates
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
+from snapo.case.quantity import KeyContext, Quantity
 from snapo.case.table import CaseTable, TableContext
 from snapo.problem.process import Gaps
 
@@ -26,6 +27,13 @@ TIME = "a date or a time of the hour, 2026-05-01T00:00:00"
 FIELDS = ("time", "price")
 # Without a time zone: that of the case holds. Seconds may be written where they are zero.
 HOUR = re.compile(r"(\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2})?)(:00(\.0+)?)?", re.ASCII)
+
+
+class HourlyQuantity(Quantity):
+    """A number, or the name of a CSV with one for each hour, which is read with `rows_by_hour`."""
+
+    def read(self, raw: Any, key: KeyContext) -> Any:
+        return raw if isinstance(raw, str) and raw else super().read(raw, key)
 
 
 class HourlyContractTable(CaseTable):
@@ -151,12 +159,18 @@ def hourly_market(curve: CaseInput, table: Any, hours: Hours) -> GasMarket:
 def hourly_curve(
     section: TableContext, file: str, hours: Hours, unit: str, name: str = "forward_curve"
 ) -> CaseInput:
-    """The price of each hour, by its local time; an hour that comes twice has two rows in order.
+    """The forward price of each hour, see `rows_by_hour`."""
+    rows = rows_by_hour(FileReference(section, "forward_curve", file), hours)
+    return _input(name, rows, hours.local, unit, "hour")
+
+
+def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
+    """[T] the row of each hour, by its local time; an hour that comes twice has two rows in order.
 
     **Raises:** `CaseError` for an hour without a price, and for a row from the first to the last
     hour that is a second price of its hour, or of no hour.
     """
-    rows = read_rows(FileReference(section, "forward_curve", file), FIELDS)
+    rows, file = read_rows(reference, FIELDS), reference.name
     by_hour: dict[str, list[Row]] = {}
     for row in rows:
         by_hour.setdefault(_local_hour(row), []).append(row)
@@ -180,7 +194,7 @@ def hourly_curve(
                 raise row.error("time", f"this hour has a price already, on line {before}")
             message = f"there is no such hour from {first} to {last} in the time zone of the case"
             raise row.error("time", message)
-    return _input(name, prices, hours.local, unit, "hour")
+    return prices
 
 
 def _local_hour(row: Row) -> str:

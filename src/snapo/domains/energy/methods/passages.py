@@ -1,0 +1,113 @@
+"""Ways from the nodes of one step to those of the next: a volume of a move from each node."""
+
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..core.contract import ContractLayout
+from .corners import corners
+
+
+class Passage(NamedTuple):
+    """A volume along a flow, from some nodes of a step to nodes after it.
+
+    - `flow`: its index, -1 for none; `volume`: how much.
+    - `rows`, `goals`: from a block of nodes to one of the same shape, a slice of each level.
+    - `weights` [corners, rows, 1]: where it ends between nodes. `rows` are then numbers of nodes,
+      and `goals` [corners, rows] those around each end.
+    """
+
+    flow: int
+    volume: float
+    rows: Any
+    goals: Any
+    weights: np.ndarray | None = None
+
+
+def passages_of(
+    layout: ContractLayout, terms, t: int, before, after, near: float
+) -> tuple[tuple[Passage, ...], ...]:
+    """[moves] the passages of step t between the nodes `before` and `after` it."""
+    signs, result = layout.signs, []
+    free = (np.full(len(before), -np.inf), np.full(len(before), np.inf))
+    for m, move in enumerate(layout.every_move):
+        passages: list[Passage] = []
+        changes, lower, upper = np.array(move.changes), terms.least[t], terms.most[t]
+        if terms.fixed_volume is not None:
+            lower = upper = np.full(len(lower), terms.fixed_volume[t, m])
+        limits = free if terms.of_moves is None else tuple(x[t, m] for x in terms.of_moves)
+        nodes = before, after, limits, signs, near
+        still = all(lower[flow] <= near for flow in move.flows)
+        if still:
+            passages += _moved(-1, 0.0, changes, (), *nodes)
+        for flow in move.flows:
+            effects = np.array(layout.flows[flow].effects)
+            ends = float(lower[flow]), float(upper[flow])
+            touched = np.flatnonzero(effects)
+            for volume in _possible(effects, changes, ends, before, after, near):
+                if volume > near or not still:
+                    change = changes + volume * effects
+                    pinned = () if volume in ends else touched
+                    passages += _moved(flow, volume, change, pinned, *nodes)
+        result.append(tuple(passages))
+    return tuple(result)
+
+
+def _possible(effects, changes, ends, before, after, near: float) -> list[float]:
+    """The volumes to try: both ends, and those that lead from a node to a node of a level."""
+    volumes = list(ends)
+    for i in np.flatnonzero(effects):
+        every = ((after[i][None, :] - before[i][:, None] - changes[i]) / effects[i]).ravel()
+        inside = every[(every > ends[0] + near) & (every < ends[1] - near)]
+        volumes += inside.tolist()
+    rounded = np.round(np.array(volumes) / (10 * near))
+    return [volumes[k] for k in np.unique(rounded, return_index=True)[1]]
+
+
+def _moved(flow: int, volume: float, change, pinned, before, after, limits, signs, near: float):
+    """The passages of one volume: from the nodes that it moves to a node, and from others that it
+    moves between nodes; of these only such that get on a node of a `pinned` level, if there is one,
+    since values are linear between them. All end between the `limits` [2][levels] of the move."""
+    if not before:
+        return [Passage(flow, volume, (), ())]
+    goals, positions, on, inside = [], [], [], []
+    for points, nodes, moved, low, high in zip(before, after, change, *limits):
+        goal = points + moved
+        allowed = (goal >= low - 4 * near) & (goal <= high + 4 * near)
+        position = np.clip(np.searchsorted(nodes, goal - 4 * near), 0, len(nodes) - 1)
+        goals.append(goal)
+        positions.append(position)
+        on.append(allowed & (np.abs(nodes[position] - goal) <= 4 * near))
+        inside.append(allowed & (goal >= nodes[0] - near) & (goal <= nodes[-1] + near))
+    blocks = product(*(_runs(np.flatnonzero(x), position) for x, position in zip(on, positions)))
+    result: list[Passage] = []
+    for block in blocks:
+        rows, there = zip(*block)
+        result.append(Passage(flow, volume, rows, there))
+    chosen = np.stack(np.meshgrid(*map(np.flatnonzero, inside), indexing="ij"), -1)
+    chosen = chosen.reshape(-1, len(on))
+    hits = np.stack([x[i] for x, i in zip(on, chosen.T)])
+    between = ~hits.all(axis=0)
+    if len(pinned):
+        between &= hits[pinned].any(axis=0)
+    if between.any():
+        chosen = chosen[between]
+        levels = np.stack([goal[i] for goal, i in zip(goals, chosen.T)], axis=1)
+        around, weights = corners(after, levels, signs)
+        used = weights.any(axis=1)
+        rows = np.ravel_multi_index(tuple(chosen.T), [len(x) for x in before])
+        result.append(Passage(flow, volume, rows, around[used], weights[used, :, None]))
+    return result
+
+
+def _runs(rows: np.ndarray, positions: np.ndarray) -> list[tuple[slice, slice]]:
+    """Rows and their positions, cut where one of both does not go on by one."""
+    if not len(rows):
+        return []
+    there = positions[rows]
+    cuts = np.flatnonzero((np.diff(rows) != 1) | (np.diff(there) != 1)) + 1
+    return [
+        (slice(int(a[0]), int(a[-1]) + 1), slice(int(b[0]), int(b[-1]) + 1))
+        for a, b in zip(np.split(rows, cuts), np.split(there, cuts))
+    ]
