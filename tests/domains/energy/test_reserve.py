@@ -4,6 +4,7 @@ import datetime
 import shutil
 from itertools import groupby
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
@@ -11,6 +12,16 @@ from tests.domains.energy.energy_cases import HOME, battery, case_at, exact
 
 from snapo.case.error import CaseError
 from snapo.case.quantity import numbers_in
+from snapo.domains.energy.core.gains import FlowRows
+from snapo.domains.energy.core.tables import LevelRows, UnitValues
+from snapo.domains.energy.methods.grid import check_nodes, grid_of
+from snapo.domains.energy.methods.hindsight import EnergyRelaxation
+from snapo.domains.energy.methods.lattice import refined
+from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
+from snapo.engine import TRAJECTORY
+from snapo.problem.smooth import Exact
+from snapo.solver.bound import bound
+from snapo.solver.derivatives.by_block import DerivativePass
 
 START = datetime.datetime(2026, 5, 4)
 
@@ -70,7 +81,6 @@ def best_plan(case, hours_of_block):
     return -result.fun
 
 
-DRAWS = np.random.default_rng(7)
 SMALL = [
     ({}, 1, [1.0, 3.0]),
     ({"auction": {"step": "4h"}}, 4, [1.0, 3.0]),
@@ -90,3 +100,199 @@ def test_without_volatility_it_is_the_best_plan(changes, block, stock, tmp_path)
         case = with_prices(tmp_path / str(k), prices, paid, stock, **changes)
         value = best_plan(case, block)
         assert exact(case, forward=True) == pytest.approx(value, rel=1e-6)
+
+
+DAY = {"end": START + datetime.timedelta(days=1)}
+BLOCKS = {"step": "4h"}
+
+
+@pytest.mark.parametrize("auction", [None, BLOCKS])
+def test_reserve_without_a_price_or_a_reachable_stock_changes_nothing(auction):
+    """Bit for bit with volatility; nothing is charged, and 1 MWh is less than the least stock."""
+    short = {"end": START + datetime.timedelta(hours=8), "auction": auction}
+    reserve = {"price": 0.0, "stock": [1.0, 3.0]}
+    assert exact(battery(**short, reserve=reserve), finer=1) == exact(battery(**short), finer=1)
+    never = {"charge": {"power": 1e-9, "efficiency": 1.0}, "stored": 1.0} | short
+    value = exact(battery(**never, reserve={"price": 50.0, "stock": [2.0, 3.0]}), forward=True)
+    assert value == exact(battery(**never), forward=True)
+
+
+@pytest.mark.parametrize("stored, hours", [(1.0, 24), (0.0, 21)])
+def test_at_a_high_price_reserve_is_sold_in_every_step_it_can(stored, hours):
+    """At once from a stock within the limits; else after two hours of charge, 0.9 MWh each, in
+    blocks of an hour, and of all later blocks of four hours but the first."""
+    price = 1e5
+    reserve = {"price": price, "stock": [1.0, 3.0]}
+    by_hour = exact(battery(**DAY, stored=stored, reserve=reserve), forward=True)
+    assert by_hour == pytest.approx(0.95 * price * (24 if stored else 22), rel=1e-3)
+    case = battery(**DAY, stored=stored, reserve=reserve, auction=BLOCKS)
+    blocks = 24 if stored else 20
+    assert exact(case, forward=True) == pytest.approx(0.95 * price * blocks, rel=1e-3)
+
+
+SPEED, VOLATILITY, HOUR = 525.6, 10.2956, 1 / 8760  # of the template
+PRICES = np.array([60.0, 45.0, 66.0, 52.0, 70.0, 61.0])
+
+
+@pytest.mark.parametrize("block", [1, 3])
+def test_every_decision_on_a_fine_grid_of_the_factor(block, tmp_path):
+    """2 MWh, of which one is stored or taken in an hour; reserve needs one of them. Blocks of three
+    hours at the forward prices of their auctions."""
+    paid, into = np.array([3.0, 4.0, 2.0, 9.0, 5.0, 4.0]), 0.9
+    keys = {
+        "energy": 2.0, "auction": {"step": f"{block}h"}, "stored": 1.0,
+        "charge": {"power": 1 / into, "efficiency": into},
+    }  # fmt: skip
+    case = with_prices(tmp_path, PRICES, paid, [1.0, 1.5], **keys)
+    problem = bare_problem(case)
+    result = refined(case.contract.layout, problem.schedule, factors_of(problem))
+    hours, count = np.arange(len(PRICES)), 1601
+    variance = -np.expm1(-2 * SPEED * HOUR * hours) / (2 * SPEED)
+    f = np.linspace(-1, 1, count) * 7 * np.sqrt(variance[-block])
+    value = np.zeros((3, count))
+    for first in reversed(range(0, len(PRICES), block)):
+        if first + block < len(PRICES):
+            left = np.exp(-SPEED * HOUR * block)
+            step = np.exp(-0.5 * (f[None, :] - left * f[:, None]) ** 2 / variance[block])
+            value = value @ (step / step.sum(axis=1, keepdims=True)).T
+        reserve = value + 0.95 * paid[first : first + block].sum()
+        for t in reversed(range(first, first + block)):
+            loading = VOLATILITY * np.exp(-SPEED * HOUR * (t - first))
+            price = PRICES[t] * np.exp(loading * f - loading**2 * variance[first] / 2)
+            value = np.stack([
+                np.max([value[at + q] + (-price / into if q > 0 else -q * (0.95 * price - 3.0))
+                        for q in (-1, 0, 1) if 0 <= at + q <= 2], axis=0)
+                for at in range(3)
+            ])  # fmt: skip
+        value[1] = np.maximum(value[1], reserve[1])
+    assert result.value == pytest.approx(float(np.interp(0.0, f, value[1])), rel=3e-5)
+
+
+VOLATILE = [
+    {"reserve": {"price": 8.0, "stock": [1.0, 3.0]}},
+    {"reserve": {"price": 14.0, "stock": [1.0, 3.0]}, "auction": BLOCKS},
+    {"reserve": {"price": 10.0, "stock": [1.5, 2.0]}, "cycles": {"term": 0.7}, "stored": 0.3},
+]
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("changes", VOLATILE)
+def test_the_policy_is_near_the_lattice_and_below_the_bound(changes):
+    """And keeps stock and flows in reserve on every path; the derivative with respect to the price
+    of reserve is that of the lattice, by central differences."""
+    case = battery(**DAY, **changes)
+    problem = bare_problem(case)
+    best = refined(case.contract.layout, problem.schedule, factors_of(problem)).value
+    setup = make_setup(case, "native")
+    problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
+    result = bound(problem, rule, relaxation=EnergyRelaxation(problem), engine=engine, paths=2048)
+    lower, upper = result.lower, result.upper
+    assert lower.value >= best * 0.997 - 3 * lower.standard_error
+    assert lower.value <= best + 3 * lower.standard_error
+    assert best - 3 * upper.standard_error <= upper.value
+    assert upper.value <= best * 1.008 + 3 * upper.standard_error
+
+    draws = problem.sources.evaluation.draws(np.arange(512), problem.simulator)
+    rollout = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY)
+    outputs = rollout.record["outputs"]
+    sold, stored = outputs["reserve"] > 0.5, rollout.record["state"].levels[..., 0]
+    low, high = changes["reserve"]["stock"]
+    assert sold.any() and not sold.all()
+    assert np.all((stored[sold] > low - 1e-5) & (stored[sold] < high + 1e-5))
+    assert np.all(outputs["charge"][sold] == 0) and np.all(outputs["discharge"][sold] == 0)
+    if "auction" in changes:
+        assert np.all(sold.reshape(-1, 4, sold.shape[1]).all(axis=1) == sold[::4])
+
+    path = DerivativePass(problem, engine.bind(problem), rule, Exact(), held=True)
+    slope = path.derivatives([np.arange(2048)]).inputs["reserve_price"].value.item()
+    price, width = changes["reserve"]["price"], 0.02
+    moved = [
+        exact(battery(**DAY, **changes | {"reserve": changes["reserve"] | {"price": price + x}}))
+        for x in (-width, width)
+    ]
+    assert slope == pytest.approx((moved[1] - moved[0]) / (2 * width), rel=0.02)
+
+
+def gains_of(values, begin, free, unit):
+    """The volume and its gain by `FlowRows`, of values of one level on rows 0.1 apart."""
+    slopes = np.append(np.diff(values) / 0.1, 0.0)
+    rows = LevelRows(np.zeros(1), np.full(1, 0.1))  # pyright: ignore
+    table = UnitValues(
+        rows, jnp.asarray(slopes)[None, :, None], None, None, every=jnp.full((1, 12), 0.1)  # pyright: ignore
+    )  # fmt: skip
+    flow = FlowRows(table, 0, (1.0,), jnp.array([begin]), 0, (1,))
+    result = flow.gains(jnp.zeros(()), jnp.asarray(free), jnp.ones(1), jnp.asarray(unit))
+    widths = free * np.diff([0.0, *result.positions, 1.0])
+    gains = np.array([np.mean(x) for x in result.units])
+    return widths @ (gains > 0), widths @ np.maximum(gains, 0.0)
+
+
+@pytest.mark.parametrize("begin, free", [(0.0, 1.0), (0.23, 0.7), (0.5, 0.08), (0.9, 0.1)])
+def test_a_volume_that_gains_most_is_among_all_rows(begin, free):
+    """Of values that jump and are neither convex nor concave, against all volumes to rows."""
+    for values in 0.2 * np.random.default_rng(3).normal(size=(20, 11)).cumsum(axis=1):
+        nodes = np.arange(11) * 0.1
+        points = np.unique(np.clip([begin, *nodes, begin + free], begin, begin + free))
+        totals = np.interp(points, nodes, values) - np.interp(begin, nodes, values)
+        totals = totals + 0.3 * (points - begin)
+        volume, gain = gains_of(values, begin, free, 0.3)
+        assert gain == pytest.approx(totals.max(), abs=1e-5)
+        assert volume == pytest.approx(points[np.argmax(totals)] - begin, abs=1e-5)
+
+
+def test_prices_of_reserve_are_inputs_by_the_hour(tmp_path):
+    case = with_prices(tmp_path, PRICES, PRICES / 10, [1.0, 3.0])
+    assert case.inputs()["reserve_price"].value.tolist() == (PRICES / 10).tolist()
+    assert case.contract.reserve.price.labels[1] == "2026-05-04T01:00"
+    assert case.contract.reserve.price.unit == "EUR/MW/h"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"reserve": {"price": -1.0, "stock": [1.0, 3.0]}}, r"reserve.price: got -1; it must be"),
+        ({"reserve": {"price": 5.0}}, r"contract.reserve.stock"),
+        ({"reserve": {"price": 5.0, "stock": [3.0, 1.0]}}, r"reserve.stock: got \[3, 1\]; it must be two"),
+        ({"reserve": {"price": 5.0, "stock": 2.0}}, r"reserve.stock: got 2; it must be two"),
+        ({"reserve": {"price": 5.0, "stock": [1.0, 5.0]}}, r"reserve.stock: .*at most energy, 4"),
+        ({"reserve": {"price": "none.csv", "stock": [1.0, 3.0]}}, r"reserve.price.*none.csv"),
+        ({"reserve": {"price": 5.0, "stock": [1.0, 3.0]}, "auction": BLOCKS,
+          "intraday": {"half_spread": 1.0}}, r"contract.reserve: .*cannot be combined with `intraday`"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_named(changes, message):
+    with pytest.raises(CaseError, match=message):
+        battery(**changes)
+
+
+def test_every_hour_needs_a_price_of_reserve(tmp_path):
+    with_prices(tmp_path, PRICES, PRICES, [1.0, 3.0])
+    lines = (tmp_path / "reserve.csv").read_text().splitlines()
+    keys = {
+        "contract.reserve": {"price": "reserve.csv", "stock": [1.0, 3.0]},
+        "contract.end": datetime.datetime(2026, 5, 4, 6),
+    }
+    for rows, message in (
+        (lines[:4] + lines[5:], "reserve.csv, 2026-05-04T03:00: there is no price for this hour"),
+        (
+            [*lines[:3], "2026-05-04T02:00,-4", *lines[4:]],
+            "reserve.csv, line 4, column price: got '-4'",
+        ),
+    ):
+        (tmp_path / "reserve.csv").write_text("\n".join(rows))
+        with pytest.raises(CaseError, match=message):
+            case_at(tmp_path, keys)
+
+
+def test_coarse_nodes_are_refused():
+    """Without a common divisor of two levels; of one level there are breakpoints."""
+    reserve = {"price": 5.0, "stock": [1.0, 3.0]}
+    case = battery(**DAY, energy=4.013, reserve=reserve)
+    with pytest.raises(CaseError, match="a move needs levels between limits"):
+        check_nodes(case, bare_problem(case).schedule)
+    case = battery(
+        end=START + datetime.timedelta(hours=8), energy=4.0 + 1e-8, cycles=None, reserve=reserve
+    )
+    schedule = bare_problem(case).schedule
+    check_nodes(case, schedule)
+    assert grid_of(case.contract.layout, schedule).exact

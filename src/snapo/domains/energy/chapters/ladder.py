@@ -40,7 +40,10 @@ def no_flat_volumes(layout: ContractLayout) -> str:
         return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()
     if layout.moves or not (len(layout.flows) == 1 or opposite) or len(layout.levels) > 1:
-        return "this method is for contracts of at most one level, and of one flow or two opposite"
+        return (
+            "this method is for contracts of at most one level, of one flow or two opposite, and "
+            "without a choice of moves"
+        )
     return ""
 
 

@@ -33,7 +33,7 @@ from ..core.contract import (
 from ..methods.measure import common_measure
 from ..read.auction import AUCTION
 from ..read.hours import HourlyContractTable, Hours
-from .reserve import IN_RESERVE, MODES, Reserve, read_reserve, with_reserve
+from .reserve import IN_RESERVE, MODES, SoldReserve, read_reserve, with_reserve
 
 NARROWEST, WIDEST = 0.01, 0.1  # of the energy: a wider bump would be no derivative
 MAX_TRIES = 100
@@ -108,7 +108,7 @@ class BatteryContract(EnergyContract):
     cycles_term: CaseInput | None
     day_ends: Bool[np.ndarray, " T"]
     half_spread: CaseInput | None
-    reserve: Reserve | None
+    reserve: SoldReserve | None
     layout: ContractLayout = field(static=True)
 
     def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:

@@ -2,9 +2,9 @@
 
     earnings of a step in reserve = discount x price x MW;  no flow,  low <= energy in store <= high
 
-The MW are those that can be called either way: the smaller of what may be bought and of what may
-be sold. Calls themselves are not modelled: on average they are taken to cancel, and to be paid for
-apart. Prices of reserve are known today.
+The MW are those that can be called either way: the smaller of the power that may be bought and of
+that which may be sold. Calls themselves are not modelled: on average they are taken to cancel, and
+to be paid for apart. Prices of reserve are known today.
 
 With blocks of several steps a block is in reserve from its first step to its last one: modes say
 whether it is.
@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 from snapo.case.csv import FileReference
-from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
-from snapo.case.quantity import NOT_NEGATIVE, KeyContext, custom
+from snapo.case.quantity import NOT_NEGATIVE, CaseInput, KeyContext, custom
 from snapo.case.table import CaseTable, TableContext
 from snapo.problem.record import TreeRecord, field
 from snapo.problem.record.arrays import Array, Bool, Float
@@ -53,63 +52,61 @@ class ReserveTable(CaseTable):
     stock: np.ndarray = custom(_stock, STOCK, types=("array",))
 
 
-class Reserve(TreeRecord):
+class SoldReserve(TreeRecord):
     """The terms of reserve.
 
     - `price`: index [] or [T]; `stock` [2]: least and most energy in store.
-    - `begins`, `ends` [T]: whether a step is the first, or the last one, of a block.
+    - `first_steps`, `last_steps` [T]: whether a step is the first, or the last one, of a block.
     """
 
     price: CaseInput
     stock: Float[np.ndarray, " 2"]
-    begins: Bool[np.ndarray, " T"]
-    ends: Bool[np.ndarray, " T"]
+    first_steps: Bool[np.ndarray, " T"]
+    last_steps: Bool[np.ndarray, " T"]
     moves: tuple[tuple[int, int], ...] = field(static=True)
 
     def added(self, terms: StepTerms, earned: Array, xp: Any) -> StepTerms:
         """Terms with the moves in reserve; `earned` [T]: by each of them."""
         fixed = xp.stack([xp.zeros_like(earned), *[earned] * len(self.moves)], axis=1)
-        return terms._replace(fixed=fixed, of_moves=self._limits(terms.low.shape[1], xp))
+        return terms._replace(fixed=fixed, of_moves=self._limits(terms, xp))
 
-    def _limits(self, levels: int, xp: Any) -> MoveLimits:
-        """Of the first level, the energy in store; the other ones have none here."""
-        begins, ends = xp.asarray(self.begins), xp.asarray(self.ends)
-        free = xp.zeros(len(self.begins))
-        low, high = [free - np.inf], [free + np.inf]
+    def _limits(self, terms: StepTerms, xp: Any) -> MoveLimits:
+        """Of the first level, the energy in store; those of the other ones are as before."""
+        first_steps, last_steps = xp.asarray(self.first_steps), xp.asarray(self.last_steps)
+        bottom, top = terms.low[:, 0], terms.high[:, 0]
+        low, high = [bottom], [top]
         for move in self.moves:
             # Within a block nothing flows, so that the limits of its first step hold on.
-            stock = self.stock if move[0] == MARKET else (-np.inf, np.inf)
-            possible = _possible(move, begins, ends)
-            low.append(xp.where(possible, stock[0], np.inf))
-            high.append(xp.where(possible, stock[1], -np.inf))
-        rest = xp.zeros((len(self.begins), 1 + len(self.moves), levels - 1))
-        both = (xp.stack(x, axis=1)[:, :, None] for x in (low, high))
-        return MoveLimits(
-            *(xp.concatenate([x, rest + y], axis=2) for x, y in zip(both, (-np.inf, np.inf)))
-        )
+            stock = self.stock if move[0] == MARKET else (bottom, top)
+            possible = _possible(move, first_steps, last_steps)
+            low.append(xp.where(possible, stock[0], top))
+            high.append(xp.where(possible, stock[1], bottom))
+        both = [xp.stack(x, axis=1)[:, :, None] for x in (low, high)]
+        rest = [xp.repeat(x[:, None, 1:], len(low), axis=1) for x in (terms.low, terms.high)]
+        return MoveLimits(*(xp.concatenate(x, axis=2) for x in zip(both, rest)))
 
 
-def _possible(move: tuple[int, int], begins: Any, ends: Any) -> Any:
+def _possible(move: tuple[int, int], first_steps: Any, last_steps: Any) -> Any:
     """[T] whether a move in reserve between two modes may be made on a step: it is a block of one
     step, the first step of another block, one within it, or its last one. The last one is possible
     outside of blocks in reserve too, so that every mode has a move."""
     return {
-        (MARKET, MARKET): begins & ends,
-        (MARKET, IN_RESERVE): begins & ~ends,
-        (IN_RESERVE, IN_RESERVE): ~begins & ~ends,
-        (IN_RESERVE, MARKET): begins | ends,
+        (MARKET, MARKET): first_steps & last_steps,
+        (MARKET, IN_RESERVE): first_steps & ~last_steps,
+        (IN_RESERVE, IN_RESERVE): ~first_steps & ~last_steps,
+        (IN_RESERVE, MARKET): first_steps | last_steps,
     }[move]
 
 
-def _moves(begins: np.ndarray, ends: np.ndarray) -> tuple[tuple[int, int], ...]:
+def _moves(first_steps: np.ndarray, last_steps: np.ndarray) -> tuple[tuple[int, int], ...]:
     """The moves in reserve that some step has."""
-    longer = bool(np.any(begins & ~ends))
+    longer = bool(np.any(first_steps & ~last_steps))
     modes = (MARKET, IN_RESERVE) if longer else (MARKET,)
     every = ((before, after) for before in modes for after in modes)
-    return tuple(move for move in every if _possible(move, begins, ends).any())
+    return tuple(move for move in every if _possible(move, first_steps, last_steps).any())
 
 
-def with_reserve(layout: ContractLayout, reserve: Reserve | None) -> ContractLayout:
+def with_reserve(layout: ContractLayout, reserve: SoldReserve | None) -> ContractLayout:
     """The layout with the moves and modes of reserve; the first move is without it."""
     if reserve is None:
         return layout
@@ -122,7 +119,7 @@ def with_reserve(layout: ContractLayout, reserve: Reserve | None) -> ContractLay
 
 def read_reserve(
     where: TableContext, raw: dict, hours: Hours, energy: float, currency: str
-) -> Reserve:
+) -> SoldReserve:
     """The table `reserve` of a store of `energy` MWh; blocks are those of the auctions, or hours.
 
     **Raises:** `CaseError` where the store cannot hold the least energy, or a price is missing.
@@ -130,21 +127,21 @@ def read_reserve(
     table = where.nested(ReserveTable, raw, RESERVE)
     low, high = (float(x) for x in table.stock)
     if high > energy:
-        raise where.error("reserve.stock", [low, high], f"it must be within energy, {energy:g}")
+        raise where.error("reserve.stock", [low, high], f"both must be at most energy, {energy:g}")
     price = table.price
     if isinstance(price, str):
         section = TableContext(where.file, f"{where.name}.{RESERVE}", where.notes)
         rows = rows_by_hour(FileReference(section, "price", price), hours)
         price = PRICE.from_rows(PRICE.name, rows, hours.local)
-    begins = np.ones(len(hours.days), bool)
+    first_steps = np.ones(len(hours.days), bool)
     if hours.notice is not None:
-        begins = np.array(hours.notice[: len(hours.days)]) == 0
-        begins[0] = True
-    ends = np.append(begins[1:], True)
-    return Reserve(  # pyright: ignore[reportCallIssue]
+        first_steps = np.array(hours.notice[: len(hours.days)]) == 0
+        first_steps[0] = True
+    last_steps = np.append(first_steps[1:], True)
+    return SoldReserve(  # pyright: ignore[reportCallIssue]
         replace(price, unit=f"{currency}/MW/h"),
         table.stock,
-        begins,
-        ends,
-        moves=_moves(begins, ends),  # pyright: ignore[reportCallIssue]
+        first_steps,
+        last_steps,
+        moves=_moves(first_steps, last_steps),  # pyright: ignore[reportCallIssue]
     )

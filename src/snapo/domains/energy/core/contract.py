@@ -202,8 +202,8 @@ def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
 
 
 class MoveLimits(NamedTuple):
-    """Limits of the levels after each move, besides those of the step; infinite for none. A move
-    whose `low` is above its `high` is closed on the step.
+    """Limits of the levels after each move, those of the step or within them. A move whose `low` is
+    above its `high` is closed on the step.
 
     They make the value jump between levels, so that methods need nodes on them and look at every
     volume from node to node.
@@ -211,11 +211,6 @@ class MoveLimits(NamedTuple):
 
     low: Float[Array, "T moves levels"]
     high: Float[Array, "T moves levels"]
-
-    def of_level(self, i: int) -> np.ndarray:
-        """[T, n] the limits of a level that are finite on some step."""
-        both = np.concatenate([self.low[:, :, i], self.high[:, :, i]], axis=1)
-        return both[:, np.isfinite(both).any(axis=0)]
 
 
 class Intraday(NamedTuple):

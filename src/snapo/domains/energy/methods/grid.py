@@ -20,7 +20,7 @@ from snapo.case.error import CaseError
 from ..core.contract import ContractLayout
 from .idle import at_rest, extremes, idle_levels, with_idle, without
 from .measure import banked_widths, measures_of, node_widths
-from .passages import Passage, passages_of
+from .passages import Passages, passages_of
 from .settling import Settling, ranges_of_balances, settling
 from .ways import StepWays
 
@@ -37,7 +37,7 @@ class StepGrid(NamedTuple):
     - `end`: its settling; `ways`: its passages for machine code, None for none.
     """
 
-    passages: tuple[tuple[Passage, ...], ...]
+    passages: Passages
     before: tuple[np.ndarray, ...]
     after: tuple[np.ndarray, ...]
     end: Settling
@@ -277,8 +277,7 @@ def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
             limits = np.append(limits, terms.owed[t, i])
         if terms.of_levels is not None:  # whose money bends at zero
             limits = np.append(limits, 0.0)
-        if terms.of_moves is not None:
-            limits = np.append(limits, terms.of_moves.of_level(i)[t])
+        limits = np.concatenate([limits, *(x[t, :, i] for x in terms.of_moves or ())])
         after.append(_within(limits, low[t + 1], high[t + 1], near))
     first = np.array([start[i]])
     for _ in range(3):

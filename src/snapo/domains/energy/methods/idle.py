@@ -25,8 +25,10 @@ def idle_levels(
 def _idle(layout: ContractLayout, terms: StepTerms, intervals: Any, start: float, i: int) -> bool:
     if np.any(terms.short[:, i]):
         return False
-    if terms.of_moves is not None and terms.of_moves.of_level(i).size:
-        return False
+    if terms.of_moves is not None:
+        low, high = (x[:, :, i] for x in terms.of_moves)
+        if np.any(low > terms.low[:, None, i]) or np.any(high < terms.high[:, None, i]):
+            return False
     near = NEAR * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))
     first = last = start
     for t in range(len(terms.low)):

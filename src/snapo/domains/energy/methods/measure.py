@@ -25,10 +25,9 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
         for i in group:
             volumes.add(float(start[i]))
             volumes |= {move.changes[i] for move in layout.every_move}
-            for numbers in (terms.low[:, i], terms.high[:, i], terms.owed[:, i]):
-                volumes |= set(np.unique(numbers[np.isfinite(numbers)]).tolist())
-            if terms.of_moves is not None:
-                numbers = terms.of_moves.of_level(i)
+            limits = [terms.low[:, i], terms.high[:, i], terms.owed[:, i]]
+            limits += [x[:, :, i] for x in terms.of_moves or ()]
+            for numbers in limits:
                 volumes |= set(np.unique(numbers[np.isfinite(numbers)]).tolist())
             for flow in range(len(layout.flows)):
                 effect = layout.flows[flow].effects[i]

@@ -25,10 +25,11 @@ class Passage(NamedTuple):
     weights: np.ndarray | None = None
 
 
-def passages_of(
-    layout: ContractLayout, terms, t: int, before, after, near: float
-) -> tuple[tuple[Passage, ...], ...]:
-    """[moves] the passages of step t between the nodes `before` and `after` it."""
+Passages = tuple[tuple[Passage, ...], ...]  # of a step, by move
+
+
+def passages_of(layout: ContractLayout, terms, t: int, before, after, near: float) -> Passages:
+    """The passages of step t between the nodes `before` and `after` it."""
     signs, result = layout.signs, []
     free = (np.full(len(before), -np.inf), np.full(len(before), np.inf))
     for m, move in enumerate(layout.every_move):

@@ -7,11 +7,12 @@ that their values stay in the fastest cache, and the best so far in registers.
 
 from collections.abc import Callable
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..core.contract import ContractLayout
+from .passages import Passages
 
 if TYPE_CHECKING:
     from snapo.lanes.machine.linked import Linked
@@ -51,7 +52,9 @@ class Ways(NamedTuple):
 class StepWays:
     """The ways of steps with the same passages, made when they are first needed."""
 
-    def __init__(self, layout: ContractLayout, passages: Any, before: list[int], after: list[int]):
+    def __init__(
+        self, layout: ContractLayout, passages: Passages, before: list[int], after: list[int]
+    ):
         self.parts = layout, passages, before, after
 
     @cached_property
@@ -66,7 +69,9 @@ class StepWays:
         return columns >= WIDTH and bool(self.parts[0].flows) and available()
 
 
-def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: list[int]) -> Ways:
+def ways_of(
+    layout: ContractLayout, passages: Passages, before: list[int], after: list[int]
+) -> Ways:
     """The ways of the passages of a step between numbers of nodes of each level."""
     source, target = (np.arange(np.prod(x, dtype=int)).reshape(x) for x in (before, after))
     starts, numbers, volumes, sizes, goals_of, weights_of = ([np.zeros(0, int)] for _ in range(6))
