@@ -12,7 +12,9 @@ from tests.domains.energy.energy_cases import HOME, battery, case_at, exact
 
 from snapo.case.error import CaseError
 from snapo.case.quantity import numbers_in
+from snapo.domains.energy.contracts.battery import BatteryContract
 from snapo.domains.energy.core.gains import FlowRows
+from snapo.domains.energy.core.policy import UnitValuePolicy
 from snapo.domains.energy.core.tables import LevelRows, UnitValues
 from snapo.domains.energy.methods.grid import check_nodes, grid_of
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
@@ -73,7 +75,7 @@ def best_plan(case, hours_of_block):
     result = milp(
         -gain,
         integrality=np.repeat([0, 0, 1], count),
-        bounds=Bounds(0, upper),
+        bounds=Bounds(np.zeros(len(upper)), upper),  # pyright: ignore
         constraints=[LinearConstraint(*row) for row in rows],
         options={"mip_rel_gap": 1e-9},
     )
@@ -184,6 +186,7 @@ def test_the_policy_is_near_the_lattice_and_below_the_bound(changes):
     problem = bare_problem(case)
     best = refined(case.contract.layout, problem.schedule, factors_of(problem)).value
     setup = make_setup(case, "native")
+    assert isinstance(setup.policy, UnitValuePolicy)
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     result = bound(problem, rule, relaxation=EnergyRelaxation(problem), engine=engine, paths=2048)
     lower, upper = result.lower, result.upper
@@ -222,7 +225,7 @@ def gains_of(values, begin, free, unit):
     )  # fmt: skip
     flow = FlowRows(table, 0, (1.0,), jnp.array([begin]), 0, (1,))
     result = flow.gains(jnp.zeros(()), jnp.asarray(free), jnp.ones(1), jnp.asarray(unit))
-    widths = free * np.diff([0.0, *result.positions, 1.0])
+    widths = free * np.diff(np.array([0.0, *result.positions, 1.0]))
     gains = np.array([np.mean(x) for x in result.units])
     return widths @ (gains > 0), widths @ np.maximum(gains, 0.0)
 
@@ -243,6 +246,7 @@ def test_a_volume_that_gains_most_is_among_all_rows(begin, free):
 def test_prices_of_reserve_are_inputs_by_the_hour(tmp_path):
     case = with_prices(tmp_path, PRICES, PRICES / 10, [1.0, 3.0])
     assert case.inputs()["reserve_price"].value.tolist() == (PRICES / 10).tolist()
+    assert isinstance(case.contract, BatteryContract) and case.contract.reserve is not None
     assert case.contract.reserve.price.labels[1] == "2026-05-04T01:00"
     assert case.contract.reserve.price.unit == "EUR/MW/h"
 
