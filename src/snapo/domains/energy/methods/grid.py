@@ -210,7 +210,8 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
         if exact and measure is not None:
             columns.append(_regular(low, high, measure / parts, restarts))
             continue
-        points = _breakpoints(layout, terms, start, i, low, high) if count == 1 else None
+        uneven = count == 1 and terms.of_moves is None  # jumps need rows on all nodes
+        points = _breakpoints(layout, terms, start, i, low, high) if uneven else None
         if points is None:
             points = _regular(low, high, widths[i] / parts, restarts, _origin(layout, terms, i))
         else:
@@ -277,7 +278,6 @@ def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
             limits = np.append(limits, terms.owed[t, i])
         if terms.of_levels is not None:  # whose money bends at zero
             limits = np.append(limits, 0.0)
-        limits = np.concatenate([limits, *(x[t, :, i] for x in terms.of_moves or ())])
         after.append(_within(limits, low[t + 1], high[t + 1], near))
     first = np.array([start[i]])
     for _ in range(3):
