@@ -7,10 +7,12 @@ import numpy as np
 
 from .program import Op, Program, ProgramValue, constant
 
+Replaced = dict[ProgramValue, ProgramValue]
 
-def optimize(program: Program) -> Program:
-    """Rewrites, shares, fuses and drops, in that order."""
-    return drop(fuse(share(rewrite(program))))
+
+def optimize(program: Program, equal: Replaced | None = None) -> Program:
+    """Rewrites, shares, fuses and drops, in that order; `equal`: inputs that equal other ones."""
+    return drop(fuse(share(rewrite(program), equal)))
 
 
 def rewrite(program: Program) -> Program:
@@ -57,9 +59,12 @@ def _inverse(value: ProgramValue) -> ProgramValue | None:
     return constant((1 / available).astype(available.dtype))
 
 
-def share(program: Program) -> Program:
-    """Common subexpressions: one computation of each operation on the same inputs."""
-    replaced: dict[ProgramValue, ProgramValue] = {}
+def share(program: Program, equal: Replaced | None = None) -> Program:
+    """Common subexpressions: one computation of each operation on the same inputs.
+
+    Whatever reads an input that is among the `equal` ones reads the other one in its place.
+    """
+    replaced: Replaced = dict(equal or {})
     available: dict[tuple, Op] = {}
     ops = []
     for op in program.ops:
