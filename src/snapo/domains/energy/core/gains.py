@@ -57,7 +57,7 @@ class FlowRows(NamedTuple):
                 return self._searched(self.table.units[self.pair], forced, free, read, unit)
             if self.table.between is not None:
                 return self._between_rows(self.table.between[self.pair], forced, free, read, unit)
-        positions = [forced + free * j / SEGMENTS for j in range(SEGMENTS + 1)]
+        positions = [forced + free * (j / SEGMENTS) for j in range(SEGMENTS + 1)]
         rows = [self._slope(x, x is positions[-1]) for x in positions]
         return VolumeGains.even([unit + jnp.sum(row * read) for row in rows])
 
@@ -217,4 +217,4 @@ def _between(position: Array, count: int) -> tuple[Array, Array]:
 def position_of(table: UnitValues, levels: Array) -> Array:
     """[levels] where levels are, in rows."""
     rows = table.rows
-    return (levels - rows.low) / jnp.where(rows.spacing > 0, rows.spacing, 1.0)
+    return (levels - rows.low) * (1 / jnp.where(rows.spacing > 0, rows.spacing, 1.0))
