@@ -37,7 +37,7 @@ from .parquet import query as query
 from .plan import BookPlan
 from .run import Shard, run_book
 from .stress import BookStress, StressMove
-from .work import OrderContract, valuation
+from .work import JobContract, valuation
 
 # Processor seconds of the gas storage template (AMD EPYC, AVX-512): `python -m benchmarks.book
 # shapes`. A new shape costs so much more than a further contract.
@@ -195,7 +195,7 @@ def _read_at(
 
 
 def check(path: Path) -> list[str]:
-    """A book in a few lines: contracts, orders, shapes, and expected processor time.
+    """A book in a few lines: contracts, jobs, shapes, and expected processor time.
 
     **Raises:** `CaseError` for every mistake in the book, in its contracts, and in its stresses of
     the first contract of each template and market.
@@ -219,7 +219,7 @@ def check(path: Path) -> list[str]:
     return [
         f"{book.title}: {len(book.contracts):,} contracts{same}, {stresses:,} stresses",
         *([f"markets: {', '.join(markets)}"] if markets else []),
-        f"{plan.size:,} orders of {1 + stresses:,} points for each contract",
+        f"{plan.size:,} jobs of {1 + stresses:,} points for each contract",
         f"shapes: about {shapes:,}; derivatives of {judged:,} contracts are tested by bumps",
         f"expected: {_duration(seconds)} of processor time on gas stores of a year",
     ]
@@ -231,11 +231,11 @@ MAX_MISTAKES = 10  # that are named in one message
 def _check_contracts(plan: BookPlan) -> None:
     """Reads every contract as a worker does."""
     mistakes, stressed = dict[tuple[str, str], CaseError](), set[Any]()
-    for contract, order in plan.distinct:
+    for contract, job in plan.distinct:
         with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
             origin = contract.origin
             try:
-                read = OrderContract(order, Path(folder))
+                read = JobContract(job, Path(folder))
                 if plan.book.stresses and (key := origin and (origin.case, origin.market)):
                     if key not in stressed:
                         _check_stresses(read, plan.book.stresses)
@@ -251,7 +251,7 @@ def _check_contracts(plan: BookPlan) -> None:
         raise CaseError(first.file, first.where, first.value, first.allowed, others)
 
 
-def _check_stresses(contract: OrderContract, stresses: Sequence[BookStress]) -> None:
+def _check_stresses(contract: JobContract, stresses: Sequence[BookStress]) -> None:
     inputs = valuation(contract).inputs
     for stress in stresses:
         try:
@@ -306,8 +306,8 @@ def report(path: Path) -> Path:
 
 def summary(result: Mapping[str, Any]) -> str:
     """The result for a reader."""
-    orders = result["orders"]
-    counts = f"{orders['computed']:,} orders computed, {orders['reused']:,} used again"
+    jobs = result["orders"]
+    counts = f"{jobs['computed']:,} jobs computed, {jobs['reused']:,} used again"
     lines = [f"book: {result['status']}; ± is half of a 95 % interval, simulation error only"]
     if result.get("points"):
         lines += _table_of_points(result)

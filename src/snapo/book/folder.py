@@ -1,7 +1,7 @@
-"""The folder of a book: answers, and the tables that are made from them.
+"""The folder of a book: results of jobs, and the tables that are made from them.
 
 book.json           the book: its contracts, stresses and tasks, and versions
-answers/            the answers by the hash of their orders, each written whole or not at all
+answers/            the results by the hash of their jobs, each written whole or not at all
 values/, deltas/, shares/, outputs/, exposure/   Parquet, a file for each contract, or for 32
 policies/           the trained policies, as `policy.save` writes them
 points.csv          the points of the axes with their values, where the book has axes
@@ -25,7 +25,7 @@ from snapo.report.record import EMPTY
 from snapo.solver.tables import write_text
 from snapo.study.run_folder import BOOK
 
-from .order import Cost, OrderAnswer, opened
+from .job import Cost, JobResult, opened
 
 RESULT, REPORT = "result.json", "report.html"
 ANSWERS, POLICIES = "answers", "policies"
@@ -200,7 +200,7 @@ class BookFolder:
         self.path = path
 
     def prepare(self, record: Mapping[str, Any], keep: bool) -> None:
-        """Makes the folder ready; `keep`: with the answers that it has.
+        """Makes the folder ready; `keep`: with the results that it has.
 
         **Raises:** `CaseError` where it cannot be written, or holds something else.
         """
@@ -277,7 +277,7 @@ class BookFolder:
         return self.path / ANSWERS / name[:2] / name
 
     def write(self, name: str, data: bytes) -> None:
-        """Writes the answer to the order of this name. **Raises:** `OSError`, on a full disk."""
+        """Writes the result of the job of this name. **Raises:** `OSError`, on a full disk."""
         file = self._answer(name)
         file.parent.mkdir(exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=".")
@@ -289,10 +289,10 @@ class BookFolder:
             Path(temporary).unlink(missing_ok=True)
             raise
 
-    def read(self, name: str) -> tuple[OrderAnswer, Cost] | None:
-        """The answer to the order of this name; None if there is no whole one."""
+    def read(self, name: str) -> tuple[JobResult, Cost] | None:
+        """The result of the job of this name; None if there is no complete one."""
         try:
             data, cost = opened(self._answer(name).read_bytes())
-            return OrderAnswer.unpack(data), cost
+            return JobResult.unpack(data), cost
         except (OSError, ValueError):
             return None

@@ -147,9 +147,9 @@ def _stresses(result: Mapping[str, Any]) -> Section:
     if any(row.explained is None for row in displayed):
         columns = columns[:3]
     text = Text(
-        "A policy that was trained once for its contract decides under the stress too; guide and "
-        "control variate are those of the stressed numbers. The derivatives are held ones at the "
-        "base: to first order.",
+        "A policy that was trained once for its contract decides under the stress too; its value "
+        "table and the control variate are computed again from the stressed numbers. The "
+        "derivatives are taken at the base, with decisions held fixed: to first order.",
         caveat=True,
     )
     blocks = [Chart(svg, caption + "."), table(displayed, columns), text]
@@ -388,11 +388,11 @@ def _failures(result: Mapping[str, Any]) -> Section:
 
 
 def _cost(result: Mapping[str, Any]) -> Section:
-    orders = result["orders"]
+    jobs = result["orders"]
     facts = [
-        ("orders computed", number(orders["computed"], 0), f"{orders['reused']:,} used again"),
+        ("jobs computed", number(jobs["computed"], 0), f"{jobs['reused']:,} used again"),
         ("wall time", seconds(result["seconds"]["total"]), f"{result['workers']:,} workers"),
-        ("processor time", seconds(result["cpu_seconds"]), "of all answers, whenever computed"),
+        ("processor time", seconds(result["cpu_seconds"]), "of all jobs, whenever computed"),
         ("largest worker", f"{result['peak_mb']:,.0f} MB", f"{result['shapes']:,} shapes"),
     ]
     return Section("cost", "Cost", "Cost", [Facts(facts)])

@@ -1,6 +1,6 @@
 """A number of a case, declared once.
 
-A `Quantity` has the metadata of a number: unit, range, meaning, and the size of a usual move.
+A `Quantity` has the metadata of a number: unit, range, meaning, and the size of a standard move.
 Called with a meaning it makes a field of a `Table`, and this one line yields the reading, the
 message of a mistake, the documentation, the input with its sensitivity, and the position in the
 files where another value can be written:

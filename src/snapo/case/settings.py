@@ -58,7 +58,7 @@ class FollowingTable(TrainingTable):
 
 @optional(
     "steps", "learning_rate",
-    note="; by default 20 and 0.001 where a fitted rule guides a mean, else 240 and 0.01",
+    note="; by default 20 and 0.001 if a mean is optimised from a fitted rule, else 240 and 0.01",
 )  # fmt: skip
 class FittedTable(TrainingTable):
     """`[training]` of an energy contract, whose policy begins from a fitted value.

@@ -1,8 +1,9 @@
 """The trained policy of a run, valued at other inputs, for the page.
 
 The value is that of `snapo solve` of the moved case with the same policy, seed and numbers of
-paths, to the bits: the same functions on the same scenarios, with guide and control variate of the
-new case. The derivatives are those of the run plus the change of the held ones.
+paths, to the bits: the same functions on the same scenarios, with the value table and control
+variate of the new case. Each derivative is the run's, plus the change of the one with decisions
+held fixed.
 """
 
 from collections.abc import Callable, Iterator, Mapping

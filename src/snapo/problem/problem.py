@@ -90,7 +90,7 @@ class Problem:
       where nothing is random (see `EqualPaths`).
     - `constraints`: limits on averages or probabilities: `[Mean("unserved") <= 0.05]`.
     - `rebuild`: the same problem with everything in its simulator that was computed from the inputs
-      (a guide, a hedge, scales of features) recomputed; None if there is nothing of that kind.
+      (a value table, a hedge, scales of features) recomputed; None if nothing was.
     """
 
     simulator: Simulator

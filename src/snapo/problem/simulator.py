@@ -77,7 +77,7 @@ class Simulator(eqx.Module):
         """A simulator that prepares a part of the schedule, and a function that adds the rest.
 
         The rest are arrays of this simulator that `prepare` passes on unchanged, such as a fitted
-        guide: the compiled `prepare` of the part serves both before and after the guide is fitted.
+        value table: the compiled `prepare` of the part serves before and after the table is fitted.
         """
         return self, lambda schedule: schedule
 

@@ -28,7 +28,7 @@ class DerivativePair(NamedTuple):
     - `standard_error`: of the difference, from sampling; `policy`: by how much the errors of both
       policies may move it.
     - `sources`: where either comes from (`Sensitivities.source`).
-    - `effect`: the difference of the effects of the input's usual move on the two values.
+    - `effect`: the difference of the effects of the input's standard move on the two values.
     """
 
     input: str

@@ -1,6 +1,6 @@
-"""The quantities of a pension case: unit, range, usual move and group, declared once.
+"""The quantities of a pension case: unit, range, standard move and group, declared once.
 
-The usual moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
+The standard moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
 ratios one percentage point, quantities (money, members, death probabilities) one per cent of
 themselves. Groups, which reports and readers ask for: "curve" (nodes of a curve), "volatility",
 "premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan".

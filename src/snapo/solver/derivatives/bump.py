@@ -3,8 +3,8 @@
 The bump B = [V(x + h) - V(x - h)] / 2h, with the policy reacting, and the held derivative C, with
 the decisions replayed, share all their noise. Their difference block by block, the reaction
 R = B - C, is therefore known far better than either: where the policy is optimal it is zero.
-Everything that a domain builds from the inputs (guide, hedge, tables of a rule) is built again for
-the moved input (`Problem.moved`); with the old table a good policy would look bad.
+Everything that a domain builds from the inputs (value table, hedge, tables of a rule) is built
+again for the moved input (`Problem.moved`); with the old table a good policy would look bad.
 """
 
 from collections.abc import Callable, Mapping

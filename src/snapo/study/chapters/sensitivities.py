@@ -1,4 +1,4 @@
-"""Sensitivities: the effect of a usual move of each input, and every derivative with its error."""
+"""Sensitivities: the effect of each input's standard move, and every derivative with its error."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ...gas_storage.bounds.basis import REACH, hinges, powers
-from ...gas_storage.policy.guide import Reading, functions
+from ...gas_storage.policy.value_table import Reading, functions
 
 
 class LevelRows(NamedTuple):

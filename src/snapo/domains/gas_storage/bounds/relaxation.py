@@ -118,7 +118,7 @@ class StoreRelaxation:
     """See `snapo.Relaxation`.
 
     `fitted_value` is the value function of the penalty, where the price process has Gaussian
-    factors; it is a finer one than that of the policy's guide.
+    factors; it is a finer one than that of the policy's value table.
     """
 
     def __init__(self, problem: Problem, inventories: int = INVENTORIES):

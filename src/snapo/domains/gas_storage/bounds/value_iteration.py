@@ -61,7 +61,7 @@ def _numbers(schedule) -> list[bytes]:
 
 
 INVENTORIES = 101
-FEWEST, A_DAY = 51, 2  # of a guide: inventories, and nodes that the largest flow of a day passes
+FEWEST, A_DAY = 51, 2  # in a value table: inventories, and nodes passed by a day's largest flow
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,9 @@ def fit_value(
     return _fitted(schedule, factors, days)
 
 
-def fit_guide(schedule, factors: GaussianFactors, interpolation: Interpolation) -> FittedValue:
+def fit_value_table(
+    schedule, factors: GaussianFactors, interpolation: Interpolation
+) -> FittedValue:
     """The same on half as many nodes, and none at bends: where slopes over many nodes are enough.
 
     A policy that reads it loses nothing (of the flagship store less than 1e-5 of its value), but a

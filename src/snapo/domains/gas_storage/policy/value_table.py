@@ -21,8 +21,8 @@ from ..references.marginal import MarginalValues
 
 
 class Knots(NamedTuple):
-    """One day of the guide: uniform inventories from `low` to `high`, with [rows, n] coefficients
-    in the fast factor's state `above` and `below` them, valid up to `reach`."""
+    """One day of the value table: uniform inventories from `low` to `high`, with [rows, n]
+    coefficients in the fast factor's state `above` and `below` them, valid up to `reach`."""
 
     low: Array
     high: Array
@@ -42,7 +42,7 @@ class Knots(NamedTuple):
 
 
 class ValueTable(eqx.Module):
-    """A guide: `knots` has leaves with a leading axis of days, and a method `values`."""
+    """A value table: `knots` has leaves with a leading axis of days, and a method `values`."""
 
     knots: Any
 
