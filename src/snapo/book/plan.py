@@ -87,7 +87,7 @@ class BookPlan:
 
     @cached_property
     def judged(self) -> set[str]:
-        """The names of the contracts whose derivatives are judged in any case."""
+        """The names of the contracts whose derivatives bumps test in any case."""
         share, names = self.book.tasks.judge, set[str]()
         for contracts in self.similar.values():
             count = max(math.ceil(share * len(contracts)), MIN_JUDGED) if share else 0
@@ -141,7 +141,7 @@ class BookPlan:
         """The first job of a contract; None while it waits for similar ones.
 
         Where a bump refuted a derivative of one, those of all similar contracts are judged: each
-        trains its own policy then, as a judged one does.
+        trains its own policy then, as one with tested derivatives does.
         """
         first = self.first_of_case[contract.name]
         kind = self.similarity_keys[first.name]

@@ -343,7 +343,7 @@ def _deltas(result: Mapping[str, Any]) -> Section:
     if not any(row.market for row in rows):
         columns = columns[1:]
     few = rows[:400]
-    caption = "Derivatives of the book's value with decisions held, summed over contracts"
+    caption = "Derivatives of the book's value with decisions held fixed, summed over contracts"
     folded = "" if len(few) <= MAX_ROWS else "all inputs"
     blocks: list[Block] = [table(few, columns, caption, by_row=True, folded=folded)]
     return Section("deltas", "Derivatives", "Derivatives", blocks)

@@ -2,7 +2,8 @@
 
 In this order: declarations, the schedule, the shapes and types of one step, slices, purity,
 indices, NumPy tables, a few rollouts, indices and jumps on their paths, both precisions, actions
-and normals without effect, and every input's adjoint against central bumps, decisions held.
+and normals without effect, and every input's adjoint against central bumps, with decisions held
+fixed.
 """
 
 from collections import OrderedDict

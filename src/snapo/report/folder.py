@@ -32,9 +32,9 @@ class Sensitivity:
     - `value`, `low`, `high`: the reported derivative and its 95 % interval, None if it is not
       known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
       policy", "range" or "not known".
-    - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
-      reaction; `moved`, `moved_error`: the change of the held one in the second half of training.
-      None if they were not asked for.
+    - `held`, `held_error`: with the decisions held fixed; `smooth`, `smooth_error`: through the
+      policy's reaction; `moved`, `moved_error`: the change of the held one in the second half of
+      training. None if they were not asked for.
     """
 
     input: str

@@ -24,7 +24,7 @@ from . import statistics
 from .adjoint import DROPPED, finite, float64
 from .tables import frame
 
-DECIDED = ("action",)  # recorded where decisions are held
+DECIDED = ("action",)  # recorded where decisions are held fixed
 MAX_BYTES = 2**28  # of decisions that are kept
 NOISE_BYTES = 2**27  # of the noise of one call
 

@@ -70,7 +70,7 @@ class SensitivityRow(NamedTuple):
 class Sensitivities(NamedTuple):
     """Derivatives of the objective with respect to every input, {input: Estimate}.
 
-    - `held`: exact simulator, decisions held.
+    - `held`: exact simulator, with decisions held fixed.
     - `smooth`: through the policy's reaction, or None if not requested.
     - `moved`: the change of `held` since an earlier policy, or None.
     - `policy_gradient`: norm of the policy's gradient with the noise subtracted, and the norm of

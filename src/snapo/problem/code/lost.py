@@ -45,7 +45,7 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     """The inputs that move an output, exact or smooth, and have no derivative, by name, each with
     the equations that cut it off.
 
-    Decisions are held: an input that only moves them rightly has derivative zero. Operands of
+    Decisions are held fixed: an input that only moves them rightly has derivative zero. Operands of
     `jax.lax.stop_gradient` are left out, since its author wants no derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]

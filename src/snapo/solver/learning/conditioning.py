@@ -41,7 +41,7 @@ from snapo.problem.smooth import Smooth
 
 from ..statistics import rounded
 
-FIRST = 20  # steps of training after which the norms are judged
+FIRST = 20  # steps of training after which the norms are tested
 ERRATIC = 0.3  # typical change of a norm's logarithm: below .15 on tame problems, above .4 in chaos
 GROWTH = 100.0  # times that the adjoint grows from the last step to where it is largest
 LEFT = 1 / 3  # of an adjoint after the steps in which it would grow so much

@@ -41,7 +41,7 @@ class Evaluation:
     """The settings for the evaluation of a policy. With zero paths a result is omitted.
 
     - `paths`: fresh scenarios for the value.
-    - `sensitivity_paths`: for the derivatives with decisions held; `smooth_paths`: for those
+    - `sensitivity_paths`: for the derivatives with decisions held fixed; `smooth_paths`: for those
       through the smooth policy, and 0 omits the change of held ones during training too.
     - `judge_paths`: maximum for bumps of every input, which test the held derivatives.
     - `search_paths`: maximum for the value around the policy, from which the part of every interval

@@ -36,14 +36,14 @@ SHARE = 0.01  # of every number of an input that does not specify its `move`
 LONGEST = 15  # bars of the tornado
 ROWS = 400  # derivatives in the table; sensitivities.csv has all of them
 CAVEAT = (
-    "To first order. The derivative is that of the best policy's value. Held: the exact simulator "
-    "with the decisions held, which is that derivative where decisions are optimal, see the full "
-    "state and cause no jump. Through the policy: a bump of the exact simulator by one percent, "
-    "or by the step of the input, with the policy reacting, where it refutes the held one (at a "
-    "level of 1 % for all inputs together). Range: at a kink, between the derivatives for less and "
-    "for more of the input. The 95 % interval adds two parts: the sampling error of finitely many "
-    "paths, and the error of the policy, which is near the best one. "
-    "Drift: by how much the held derivative changed in the second half of training."
+    "To first order; of the value of the best policy. Held: from the exact simulator with the "
+    "decisions held fixed; this is correct if decisions are optimal, depend on the full state and "
+    "cause no jump. Through the policy: from a bump of the exact simulator by one percent, or by "
+    "the step of the input, with the policy reacting; it is reported if it refutes the held "
+    "derivative (at a level of 1 % for all inputs together). Range: at a kink, between the "
+    "derivatives for a decrease and for an increase of the input. The 95 % interval adds the "
+    "sampling error of finitely many paths and the error of the policy, which is near the best "
+    "one. Drift: by how much the held derivative changed in the second half of training."
 )
 
 
@@ -69,10 +69,10 @@ class InputMove(ReportedInterval):
     - `effect`, `low`, `high`: the effect to first order, with the reported derivative and its 95 %
       interval, of whose half-width `sampling` is due to finitely many paths and `policy` to the
       policy's error; `source`: see `solver.derivatives.interval.Reported`.
-    - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
-      reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to the size of
-      this move, where it is along the same direction; `more`, `less`: of the move and of its
-      opposite separately, where they differ.
+    - `held`, `held_error`: with the decisions held fixed; `smooth`, `smooth_error`: through the
+      policy's reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to
+      the size of this move, where it is along the same direction; `more`, `less`: of the move and
+      of its opposite separately, where they differ.
     """
 
     input: str

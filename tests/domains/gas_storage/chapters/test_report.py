@@ -126,8 +126,8 @@ def test_the_sliders_hold_the_stored_sensitivities(full):
     assert slopes[0] == pytest.approx(sum(slopes[5:]), rel=1e-12)
     assert slopes[0] == pytest.approx(4201.0, rel=1e-12)
     assert 421.7 in [pytest.approx(slope) for slope in slopes]
-    assert "First order only, with the decisions held" in full
-    assert "What if: inputs moved, decisions held" in full
+    assert "First order only, with the decisions held fixed" in full
+    assert "What if: inputs moved, with decisions held fixed" in full
 
 
 def test_inputs_say_their_meaning_and_move_in_the_unit_of_their_trade(full):

@@ -1,7 +1,7 @@
 """Every input's derivative, entry by entry, against central differences on the same paths.
 
 In float64, to 1e-6 of the largest derivative of the input's family plus the round-off that
-`certificate.bump_check` states. Decisions held, exact; and through the policy, smooth. Round
+`certificate.bump_check` states. Decisions held fixed, exact; and through the policy, smooth. Round
 numbers are moved off their ties first; a kink that stays is compared with one side.
 """
 

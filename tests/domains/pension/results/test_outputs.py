@@ -18,7 +18,7 @@ from snapo.solver.sensitivity import sensitivities
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A constant mix, whose decisions are held of themselves."""
+    """A constant mix, whose decisions are held fixed of themselves."""
     setup = make_setup(fund(), "native")
     small = replace(setup.evaluation, paths=256, sensitivity_paths=256)
     setup = setup._replace(evaluation=small, policy=ConstantMix(fund()))

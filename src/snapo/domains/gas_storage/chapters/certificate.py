@@ -61,7 +61,8 @@ class StorageCertificate(Certificate):
 
 
 def homogeneity(setup: Setup, solution: Solution) -> Homogeneity | None:
-    """Sum of F x delta = value + present value of costs, decisions held, on the same paths.
+    """Sum of F x delta = value + present value of costs, with decisions held fixed, on the same
+    paths.
 
     It holds path by path for any policy, where prices are the forward curve times noise and all
     of the value is paid in gas and proportional costs.
@@ -160,7 +161,8 @@ def _glossary(run: StorageRun) -> Table:
         ("Value", money, "present value on the valuation date, contract as written"),
         ("Price", run.price, "forward and spot prices, trigger prices, undiscounted"),
         ("Volume", gas, "inventory, and volume per day for flows and rates"),
-        ("Delta", gas, "change of value for a rise of 1 in one forward price, decisions held"),
+        ("Delta", gas, "change of value for a rise of 1 in one forward price, with decisions held"
+         " fixed"),
         ("Discounted delta", gas, "delta of the present value; divided by the discount factor of"
          " the month's settlement it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),

@@ -46,7 +46,7 @@ class MonthVega:
 
     - `parameter`: the input; `factor`: its number where there are several, else 0.
     - `month`: "2021-04", or "" of all months; `volatility`: the mean over its days.
-    - `vega`, `standard_error`: with the decisions held, per `unit` of the volatility.
+    - `vega`, `standard_error`: with the decisions held fixed, per `unit` of the volatility.
     - `points`: volatility points, or other units of a report, in a `unit`; `point`: their name.
     """
 

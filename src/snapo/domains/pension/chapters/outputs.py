@@ -42,8 +42,8 @@ CAVEAT = (
     "each output, over the same paths. Points are percentage points of the funding ratio or of "
     "probability; money is that share of today's liability, and for contributions their present "
     "value itself. The probability is the exact share of paths; its effects are those of a "
-    "logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has no unit. "
-    "Every number: outputs.csv."
+    "logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has no "
+    "unit. Every number: outputs.csv."
 )
 OF_POTS = (
     ("points of the funding ratio", "points of today's pension"),
@@ -101,7 +101,8 @@ class OutputTable:
 
 
 class Derived(NamedTuple):
-    """An output; `held` {input: derivatives}, decisions held, to be multiplied by `scale`."""
+    """An output; `held` {input: derivatives}, with decisions held fixed, to be multiplied by
+    `scale`."""
 
     output: OutputValue
     held: dict[str, Estimate]

@@ -67,7 +67,7 @@ class MoveEffect(ReportedInterval):
 
     - `effect`, `low`, `high`, `sampling`, `policy`, `source`: of the reported derivative, as in
       `study.chapters.sensitivities.InputMove`.
-    - `held`, `standard_error`: with the decisions held; `reacting`: with the trained policy's
+    - `held`, `standard_error`: with the decisions held fixed; `reacting`: with the trained policy's
       reaction.
     """
 
