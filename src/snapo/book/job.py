@@ -137,7 +137,7 @@ class BookPoint(NamedTuple):
 
     - `status`: "ok" or "failed", with a `note`.
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
-    - `changes`: {input: [n] its numbers less those of the base}, of inputs that a stress moves.
+    - `changes`: {input: [n] its numbers minus those of the base}, of inputs that a stress moves.
     - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
     - `outputs`: the totals of the paths; `exposure`: the outputs by day.
     """

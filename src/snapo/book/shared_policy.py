@@ -28,7 +28,7 @@ ResultReader = Callable[[str], JobResult | None]
 class PolicyLoss(NamedTuple):
     """The loss of a tested contract with the policy of the first one.
 
-    - `value`: with its own policy; `loss`, `loss_error`: own less shared, on common paths.
+    - `value`: with its own policy; `loss`, `loss_error`: own minus shared, on common paths.
     """
 
     case: str

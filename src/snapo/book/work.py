@@ -349,7 +349,7 @@ class _Calculated:
 def _changes(
     base: Mapping[str, Input], moved: Mapping[str, Input]
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """(input, [n] its numbers less those of the base) of the inputs that a stress moves."""
+    """(input, [n] its numbers minus those of the base) of the inputs that a stress moves."""
     for name, entry in moved.items():
         if name in base and entry.value.shape == base[name].value.shape:
             change = (entry.value - base[name].value).ravel()

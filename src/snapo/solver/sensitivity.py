@@ -122,7 +122,7 @@ class Sensitivities(NamedTuple):
         """With intervals for a policy whose value is certified to be within `gap` of the best one.
 
         Use the upper end of a certified gap, `snapo.bound(problem, policy).gap.high`, or the exact
-        value less that of the policy if it is known.
+        value minus that of the policy if it is known.
         """
         if self.reported is None:
             return self

@@ -48,8 +48,8 @@ class Solution:
     """The result of `solve`.
 
     - `value`, `standard_error`: the objective of the EXACT simulator on fresh scenarios.
-    - `smoothing_gap`: exact less smooth value, on the first of the same paths, with its standard
-      error `smoothing_gap_error`; `smooth_value`: the value less the gap.
+    - `smoothing_gap`: exact minus smooth value, on the first of the same paths, with its standard
+      error `smoothing_gap_error`; `smooth_value`: the value minus the gap.
     - `policy`: the reported policy; `selected`: "start" (the rule that training began with),
       "newest", "highest" of the validation or "top of the surface"; `gain`: of the best of a
       training over its start, with the standard error, on separate paths.

@@ -48,7 +48,7 @@ class Comparison:
     """The differences of the second run from the first.
 
     - `values`, `errors`: of the two; None if a run has no value.
-    - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.
+    - `difference`, `standard_error`: second minus first; `paired`: on the same scenarios.
     - `why`: one clause on why the runs are paired or not.
     - `settings`: everything that affects the numbers and differs.
     - `sensitivities`: those of inputs that both have, the largest differences first.
@@ -169,7 +169,7 @@ class Comparisons(NamedTuple):
     def _values(self) -> Iterator[str]:
         first = self.pairs[0]
         yield f"{first.kind}: ± is half of a 95 % interval"
-        yield f"{'':<4}{'value':>16}{'':>12}{'less the first':>18}{'':>12}  run"
+        yield f"{'':<4}{'value':>16}{'':>12}{'minus the first':>18}{'':>12}  run"
         yield _line(1, (first.values[0], first.errors[0]), (None, None), f"{first.runs[0]}")
         for number, pair in enumerate(self.pairs, 2):
             change = pair.difference, pair.standard_error
@@ -225,7 +225,7 @@ def compare_all(runs: Sequence[Path]) -> Comparison | Comparisons:
 
 
 def difference(first: Path, second: Path) -> tuple[float | None, float | None, bool]:
-    """The value of the second run less that of the first, its standard error, and whether the two
+    """The value of the second run minus that of the first, its standard error, and whether the two
     have the same scenarios.
 
     **Raises:** `CaseError` where one of them has no result.

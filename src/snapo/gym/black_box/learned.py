@@ -17,7 +17,7 @@ class Compared(NamedTuple):
     """Episodes of one policy from the same initial observations, in environment and model.
 
     - `real`, `model`: mean sum of rewards of an episode, with standard errors.
-    - `gap`: real less model, paired by episode, with the error of the difference.
+    - `gap`: real minus model, paired by episode, with the error of the difference.
     """
 
     real: float
@@ -102,7 +102,7 @@ class Learned:
 
     @property
     def gap(self) -> float:
-        """The value in the real environment less that in the model."""
+        """The value in the real environment minus that in the model."""
         return self.comparison.gap
 
     def play(self, starts: int | Sequence[int] = 100) -> "Played":

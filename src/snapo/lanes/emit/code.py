@@ -335,7 +335,7 @@ class Code:
         self.block = exit
 
     def without_last(self, count: int, empty: Callable[[str], str]) -> str:
-        """`count` rounds less the last ones that are `empty`, by number; at least one is left."""
+        """`count` rounds minus the last ones that are `empty`, by number; at least one is left."""
         before, head, exit = self.block, self.fresh("head"), self.fresh("exit")
         self.do(f"br label %{head}")
         self.lines.append(f"{head}:")

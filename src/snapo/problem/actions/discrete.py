@@ -158,7 +158,7 @@ class Stop(Actions):
         u = jnp.where(hot, score, 0.0) / jnp.where(hot, width, 1.0)
         size = jnp.where(u < 0, -u, u)  # not abs, whose slope at 0 is 0
         root = jnp.sqrt(1 + u * u)
-        # The smaller one of both probabilities: one less the larger would lose its digits.
+        # The smaller one of both probabilities: one minus the larger would lose its digits.
         minimum = 0.5 / (root * (root + size))
         return jnp.where(hot, jnp.where(u < 0, minimum, 1 - minimum), exact)
 

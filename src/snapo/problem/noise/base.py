@@ -65,7 +65,7 @@ class Noise(eqx.Module):
 
 
 def uniform(normal: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The uniform number between 0 and 1 at a standard normal; 1 less it is that at -normal."""
+    """The uniform number between 0 and 1 at a standard normal; 1 minus it is that at -normal."""
     return ndtr(normal)
 
 

@@ -46,9 +46,9 @@ ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
 class Reaction(NamedTuple):
     """One input bumped: the change of the value along `by`, a move of one percent.
 
-    - `held`: [B] the held derivative along `by`, by block; `reaction`: [b] bump less held, of the
+    - `held`: [B] the held derivative along `by`, by block; `reaction`: [b] bump minus held, of the
       first b blocks, to first order; `extra`: the error of taking the curvature out of it.
-    - `up`, `down`: value after the bump less that before, and that before less that after the
+    - `up`, `down`: value after the bump minus that before, and that before minus that after the
       opposite one, with their standard error `side_error`.
     - `tested`: whether the bump differs from the held derivative at all, beyond round-off: an input
       that only affects costs changes no decision.

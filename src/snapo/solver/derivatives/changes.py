@@ -78,7 +78,7 @@ def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> BlockPl
 
 
 def _changes(objective: Objective, totals, weights: Weights, endpoints: np.ndarray) -> np.ndarray:
-    """[B, outputs, N]: weights without block b, less N / (N - n_b) times the old ones."""
+    """[B, outputs, N]: weights without block b, minus N / (N - n_b) times the old ones."""
     names, count = list(weights), int(endpoints[-1])
     change = np.zeros((len(endpoints), len(names), count))
     for b, (first, last) in enumerate(zip([0, *endpoints[:-1]], endpoints)):

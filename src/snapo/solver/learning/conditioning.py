@@ -213,14 +213,15 @@ class Growth(NamedTuple):
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
         if not self.large:
-            return f"Adjoints grow {rounded(times, 3)}-fold on their way back: no more than usual."
+            return f"Backward in time adjoints grow {rounded(times, 3)}-fold: no more than usual."
         half = _explodes(largest, position)
         state = max(self.leaves, key=lambda name: self.leaves[name][position], default="state")
         apart = largest[position] / max(self.usual[position], np.finfo(float).tiny)
         return (
-            f"Adjoints grow {rounded(times, 2)}-fold on their way back from the last step to step "
-            f"{position} of {largest.size}, a hundredfold before step {half}, most in the state "
-            f"{state!r}; there the largest of the paths is {rounded(apart, 2)} times the usual one."
+            f"Backward in time adjoints grow {rounded(times, 2)}-fold, from the last step to step "
+            f"{position} of {largest.size}, a hundredfold before step {half}, mainly in the state "
+            f"{state!r}. There the largest adjoint of a path is {rounded(apart, 2)} times the "
+            "typical one."
         )
 
     def table(self) -> list[tuple]:

@@ -64,8 +64,8 @@ def went_back(progress: Progress) -> str:
     if progress.window is not None:
         since = _before(record.window > 0 for record in history)
         return (
-            f"From step {since} of the training on it used windows of "
-            f"{progress.window} steps with a critic (Training(window=None) never does)."
+            f"From step {since} on, training used windows of {progress.window} steps with a "
+            "critic (Training(window=None) forbids this)."
         )
     ways = []
     clips = [record.clip > 0 for record in history]

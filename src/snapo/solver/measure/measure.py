@@ -257,8 +257,8 @@ def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Su
 
 
 def _spread(progress: Progress) -> float:
-    """The difference of the last two starts, less the gain of the better one since: the other would
-    have gained as much too, unless it is in another optimum."""
+    """The difference of the last two starts, minus the gain of the better one since: the other
+    would have gained as much too, unless it is in another optimum."""
     values = progress.last_two
     if not values or not np.isfinite([*values, progress.best_value]).all():
         return 0.0
@@ -273,7 +273,7 @@ def _smoothing_gap(
     smooth: Smooth,
     engine: Engine,
 ) -> tuple[float, float]:
-    """Exact less smooth with its standard error, on the first of the paths whose exact totals are
+    """Exact minus smooth with its standard error, on the first of the paths whose exact totals are
     known; `soft`: the smooth totals on as many, where the derivatives have them."""
     objective, source = problem.objective, problem.sources.evaluation
     maximum = fewer(GAP_PATHS, problem.simulator.horizon)

@@ -65,7 +65,7 @@ class StopRelaxation:
         with jax.enable_x64(True):
             ahead = self._end(rollout.state)
             for earned, innovation in zip(earnings[::-1], innovations[::-1]):
-                # `better` adds the continuation value to the earnings of a decision less its
+                # `better` adds the continuation value to the earnings of a decision minus its
                 # penalty.
                 ahead = self._better(earned - scale[0] * innovation, ahead)
             return np.asarray(ahead)[:, -1]

@@ -149,7 +149,7 @@ def ending(
             word = CONSTANT
         elif short := _short(progress, training, more, gradient):
             word = SHORT
-            notes.append(f"{TELLS_NOT}whether more steps would bring more: {short}.")
+            notes.append(f"{TELLS_NOT}whether more steps would help: {short}.")
         else:
             word = CONVERGED
     return Ending(word, tuple(notes))
@@ -196,8 +196,8 @@ def _further(
 def _improving(progress: Progress, training: TrainingPlan, more: Further) -> str:
     return (
         f"{STILL}the steps after {compared_step(progress, training)} of "
-        f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many steps again would "
-        f"bring about {statistics.rounded(more.more, 2)}; try steps={2 * progress.step}."
+        f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many more would gain "
+        f"about {statistics.rounded(more.more, 2)}; try steps={2 * progress.step}."
     )
 
 

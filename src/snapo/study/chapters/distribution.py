@@ -129,7 +129,7 @@ def show(run: RunFiles, result: OutputTotals) -> list[Block]:
 CLOSE = 0.1  # of the value: further apart, the total is another quantity, such as a sum over weeks
 PLAIN = (
     "The means here are plain means over the paths. The value on the first screen is of the same "
-    "paths, less control variates, which remove a part of the noise."
+    "paths, minus control variates, which remove a part of the noise."
 )
 
 

@@ -76,5 +76,5 @@ def _facts(run: RunFiles, value: float, digits: int) -> list[tuple[str, str, str
     gap = run.result.smoothing_gap
     if gap is not None:
         share = f"{part_of(gap / abs(value))} of the value; " if value else ""
-        facts.append(("Smoothing gap", number(gap), f"{share}exact less smooth simulator"))
+        facts.append(("Smoothing gap", number(gap), f"{share}exact minus smooth simulator"))
     return [*facts, *gradient(run)]

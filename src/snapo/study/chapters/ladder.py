@@ -174,7 +174,7 @@ def _estimated(value: np.ndarray | Estimated, groups: np.ndarray) -> Estimated:
 
 
 def _difference(one: Any, other: Any, groups: np.ndarray) -> Estimated:
-    """One value less the other, path by path where both have paths."""
+    """One value minus the other, path by path where both have paths."""
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
         return _estimated(one - other, groups)
     (a, error_a), (b, error_b) = (_estimated(x, groups) for x in (one, other))

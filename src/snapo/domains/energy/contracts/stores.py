@@ -35,7 +35,7 @@ from ..core.contract import (
 
 JOINT_FLOW = "joint flow"  # its level
 STORES = 2  # with their joint flow three volumes are counted
-# Joint limits, by transfers: of both inventories together, of the second one less the joint flow,
+# Joint limits, by transfers: of both inventories together, of the second one minus the joint flow,
 # each from both sides; without transfers from above, and of the second one alone.
 SUMS = {
     True: ((1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (0.0, 1.0, -1.0), (0.0, -1.0, 1.0)),

@@ -181,7 +181,7 @@ class Promises(NamedTuple):
 
 
 class LevelMoney(NamedTuple):
-    """Money of the levels: a step earns `after` of those after its move, less `before` of those at
+    """Money of the levels: a step earns `after` of those after its move, minus `before` of those at
     its start. The last axis has money for each unit below zero, and for each unit above it.
 
     Equal numbers in both are money for a change: of each unit by which a level moves away from

@@ -27,7 +27,7 @@ class UnitValues(NamedTuple):
     """One step: the value of one more unit of each volume after the step, and of each move.
 
     - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
-    - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, less those of
+    - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, minus those of
       the first move of its mode; None if there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow; the last row that gains is
       found in that number of searches. None if one row is enough, since no volume is longer.
@@ -118,7 +118,7 @@ class Surprises(eqx.Module):
 
 
 def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
-    """The value at the start of a step less its expectation for the start of the next one.
+    """The value at the start of a step minus its expectation for the start of the next one.
 
     Summed over the steps, and less `first`, it is the sum of the innovations. The value is 0 when
     the last step is over.

@@ -163,7 +163,7 @@ def best(
 
 
 def _completed(step: StepGrid, value: np.ndarray) -> np.ndarray:
-    """The value of the best move, less the money of the levels at the start of the step.
+    """The value of the best move, minus the money of the levels at the start of the step.
 
     With joint limits a node from which no move keeps the limits has the value of the worst node.
     """

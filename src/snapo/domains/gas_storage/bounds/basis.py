@@ -83,7 +83,7 @@ class PolynomialBasis:
         return self._assemble(ahead, self._level(states, days))
 
     def increments(self, states: np.ndarray) -> np.ndarray:
-        """[T + 1, K, paths] functions less their expectation a day before: of mean zero, given it.
+        """[T + 1, K, paths] functions minus their expectation a day before: of mean zero, given it.
 
         `states` [T + 1, F, paths]. The first row is against the valuation date.
         """

@@ -91,7 +91,7 @@ class Hindsight:
         return total
 
     def _surprises(self, states: np.ndarray, scale: PenaltyScale) -> np.ndarray | None:
-        """[T + 1, K, paths] functions of the prices less their expectation a day before."""
+        """[T + 1, K, paths] functions of the prices minus their expectation a day before."""
         if self.fitted_value is None:
             return None
         moved = self.fitted_value.basis.increments(states)

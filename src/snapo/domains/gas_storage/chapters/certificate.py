@@ -102,7 +102,7 @@ def _facts(run: StorageRun, result: StorageCertificate) -> list[tuple[str, str, 
     if (gap := finite(result.smoothing_gap)) is not None:
         value = run.result.value
         share = f" ({percent(gap / abs(value), 2)})" if value else ""
-        facts.append(("Smoothing gap", run.money(gap), f"exact less smooth{share}"))
+        facts.append(("Smoothing gap", run.money(gap), f"exact minus smooth{share}"))
     facts += evidence.gradient(run)
     if (sums := result.homogeneity) is not None:
         digits = decimals([sums.left, sums.right])

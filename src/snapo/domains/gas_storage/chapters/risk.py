@@ -37,8 +37,8 @@ CAVEAT = (
 )
 # Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
 BOUND = (
-    "For a move of the forward curve the change is that with the present decisions; with"
-    " re-optimised decisions the value is at least that, and the gap grows with the square of the"
+    "For a move of the forward curve the change assumes the present decisions; with re-optimised"
+    " decisions the value is at least as high, and the difference grows with the square of the"
     " move. "
 )
 

@@ -144,7 +144,7 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
         above = bounds.upper
         ladder.append(ContractValue("Upper bound", above.value, above.standard_error, note))
     if fees := run.get("fixed_costs"):
-        note = "less their present value"
+        note = "minus their present value"
         ladder.append(ContractValue("After fixed costs", solution.value - fees, error, note))
     return ladder
 

@@ -1,7 +1,7 @@
 """The effect of a move of the forward curve, to first and second order, by delivery period.
 
 With the decisions held fixed the cash of a day is linear in its forward price. So the cash of the
-new curve with the decisions of the old one, less that of the old curve, is delta times move: X.
+new curve with the decisions of the old one, minus that of the old curve, is delta times move: X.
 With the decisions of the new curve it is the delta of the new curve times the move: Y. Then
 
     first order X,   second order (Y - X) / 2,

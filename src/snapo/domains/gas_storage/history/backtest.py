@@ -291,7 +291,7 @@ def _mark(
 
 
 def _rolling(ledger: DatedRule, curves: StepCurves) -> float:
-    """Rolling intrinsic on the curves of the folder, less fixed costs.
+    """Rolling intrinsic on the curves of the folder, minus fixed costs.
 
     Forwards trade on the dates of a curve; on others only the day itself, at its spot price.
     """

@@ -105,7 +105,7 @@ def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[
 
 def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
     """Today's forward price relative to those ahead: mean of 30 and 120 days and of all,
-    highest and lowest, less today's, in units of half the mean price."""
+    highest and lowest, minus today's, in units of half the mean price."""
     t = forward.shape[0]
     first = np.minimum(np.arange(1, t + 1), t - 1)  # the last day has nothing ahead but itself
     # Running sums of a curve around zero, so that nothing is lost; memory grows with T only.

@@ -191,7 +191,7 @@ class Innovations(eqx.Module):
 
 
 def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
-    """The value at the start of a day less its expectation for the next date.
+    """The value at the start of a day minus its expectation for the next date.
 
     Summed over the days, with the end date's value and less `first`, it is the sum of the
     innovations. `before` and `after` are the inventories at the start and the end of the day.

@@ -102,8 +102,8 @@ def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
         Column("", share),
     )
     text = (
-        "Each rule has the best numbers that a search on other paths found; differences are "
-        "paired, path by path."
+        "The parameters of each rule are the best ones in a search on other paths; differences "
+        "are paired, path by path."
     )
     costs = table(rows, columns, "Costs of the rules", decimal_places=digits)
     return [replace(costs, texts=2, strong=frozenset([0])), Text(text, caveat=True)]

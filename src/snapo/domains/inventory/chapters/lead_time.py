@@ -1,4 +1,4 @@
-"""A period of lead time less, and one more: each trained again, on the same paths."""
+"""A lead time one period shorter, and one period longer: each trained again, on the same paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -122,6 +122,6 @@ def show(run: RunFiles, result: OtherLeadTimes) -> Sequence[Block]:
 
 
 LEAD_TIME = Chapter(
-    "lead time", "A period more or less of lead time", OtherLeadTimes, measure, show,
+    "lead time", "A lead time one period longer or shorter", OtherLeadTimes, measure, show,
     short="Lead time",
 )  # fmt: skip

@@ -96,7 +96,7 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     text = (
         "Stock is the average on hand at the end of a period. The level up to which a place orders "
         "is a mean over periods: all goods at the place, on their way to it and further down, "
-        "less demand that waits, plus the order."
+        "minus demand that waits, plus the order."
     )
     if any(place.sent for place in sites):
         columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]

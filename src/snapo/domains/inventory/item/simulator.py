@@ -137,7 +137,7 @@ class InventorySimulator(Simulator):
         return replace(self, horizon=None)
 
     def _stock(self, inputs, level, mean):
-        """Given, or the level less the orders on their way."""
+        """Given, or the level minus the orders on their way."""
         if "start_stock" in inputs:
             return jnp.asarray(inputs["start_stock"])[0]
         usual = jnp.maximum(level - jnp.sum(mean[1:]), 0.0)

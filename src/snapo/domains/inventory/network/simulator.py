@@ -208,7 +208,7 @@ class NetworkSimulator(Simulator):
     def start(self) -> tuple[jax.Array, jax.Array]:
         """Stock [n] and arrivals [n, longest lead time] at the start.
 
-        A place starts with its echelon's level less those of the places that it supplies.
+        A place starts with its echelon's level minus those of the places that it supplies.
         """
         network, result = self.network, self.levels(self.first, 1)
         level, lead_time = result.level[0], np.array([site.lead_time for site in network.sites])
@@ -244,7 +244,7 @@ class NetworkSimulator(Simulator):
         return jnp.concatenate(observed)
 
     def _echelon(self, state):
-        """[n] goods at a place, on their way there and further down, less demand that waits."""
+        """[n] goods at a place, on their way there and further down, minus demand that waits."""
         stock = state["stock"]
         local = stock + state["coming"].sum(1) if self.network.longest else stock
         return jnp.asarray(self.network.serves, stock.dtype) @ local

@@ -164,7 +164,7 @@ CONSISTENCY = Chapter(
 def show_certificate(run: PensionRun, result: Certificate) -> list[Block]:
     """The adjoint against bumps, and every limit."""
     gap = number(result.smoothing_gap)
-    facts = [("Smoothing gap", gap, "exact less smooth, in the objective")]
+    facts = [("Smoothing gap", gap, "exact minus smooth, in the objective")]
     return [
         Facts([*facts, *evidence.gradient(run)]),
         bump_table(result, "", name_of),

@@ -110,7 +110,7 @@ class Derived(NamedTuple):
 
 
 def requested(by: OutcomeMeasure) -> tuple[tuple[str, str, bool, Objective], ...]:
-    """Key, name, whether it is money, the objective; underfunding is reported as 1 less its
+    """Key, name, whether it is money, the objective; underfunding is reported as 1 minus its
     complement."""
     return (
         ("funding", by.mean, False, Mean(by.output)),

@@ -41,7 +41,7 @@ class YearlyFans:
     """Quantiles by year. `funding` ratio, the share of paths with one below 1 (`underfunded`), and
     the mean of min(F - 1, 0) over the worst 5 % (`shortfall`), at `years` from now.
 
-    Within each year: contributions, benefits, increases less cuts; and these `cumulated`.
+    Within each year: contributions, benefits, increases minus cuts; and these `cumulated`.
     """
 
     years: Floats

@@ -37,7 +37,7 @@ RATE = 0.05  # learning rate of rules of a few numbers each, which have far to g
 class PolicyWorth:
     """A policy on the evaluation's paths.
 
-    - `difference`: the learned policy's value less its own, paired path by path.
+    - `difference`: the learned policy's value minus its own, paired path by path.
     - `equivalent`: the certainty equivalent, and `lead`: the learned policy's in log ratio per
       year; NaN where the objective is no utility of a ratio.
     - `median`, `p05`, `underfunded`: of the final ratio, the last its share of paths below 1.

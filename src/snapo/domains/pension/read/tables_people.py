@@ -218,7 +218,7 @@ class PlanTable(CaseTable):
         Range(0.0, endpoints="()", noun="a number of years"), 60.0
     )
     accrual_rate: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING] = PLAN_RATE(
-        "the share of salary less offset that a year of service earns", 0.0, range=FRACTION
+        "the share of salary minus offset that a year of service earns", 0.0, range=FRACTION
     )
     offset: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING, ACCRUED] = PLAN_MONEY(
         "the part of a salary without a pension", 0.0

@@ -248,7 +248,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
         ("Trained policy", *_share(result.value, result.standard_error)),
         ("Best fixed recipe", *_share(result.baseline, result.baseline_error)),
         ("Original recipe", *_share(result.given, result.given_error)),
-        ("Policy less best recipe", *_share(result.gain, result.gain_error)),
+        ("Policy minus best recipe", *_share(result.gain, result.gain_error)),
     ]
     head = [("", ""), ("Probability of all limits", "%"), ("", "")]
     batches = number(result.paths.get("evaluate"), 0)
@@ -302,8 +302,8 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
         for x in rules
         for sensor, gain, time in zip(x.sensors, x.gains_own, x.times)
     ]
-    head = [("", ""), ("All limits", "%"), ("", ""), ("Policy less rule", "%"), ("", ""),
-            ("Recipe less rule", "%"), ("", "")]  # fmt: skip
+    head = [("", ""), ("All limits", "%"), ("", ""), ("Policy minus rule", "%"), ("", ""),
+            ("Recipe minus rule", "%"), ("", "")]  # fmt: skip
     local = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
     return [
         Table(head, shares, "Rules on the same batches, paired"),

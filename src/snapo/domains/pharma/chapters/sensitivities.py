@@ -208,8 +208,8 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
     names = ("Parameter", "Most critical for", "Share of the margin used", "Of its variance", "")
     caption = (
         "Criticality: the largest share of any limit's margin that half the normal range uses; "
-        "margin is the distance to the limit less two standard deviations of the batches. Last, "
-        "the share of that attribute's variance due to the parameter"
+        "margin is the distance to the limit minus two standard deviations of the batches. The "
+        "last number is the share of that attribute's variance due to the parameter"
     )
     return Table([(name, "") for name in names], rows, caption, frozenset({0, 1, 4}))
 

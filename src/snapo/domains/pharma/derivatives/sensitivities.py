@@ -66,7 +66,7 @@ class Rank:
 def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spread") -> list[Rank]:
     """Parameters by criticality, the most critical first.
 
-    Room is the distance to the nearest limit less `VARIATION` standard deviations of the batches
+    Room is the distance to the nearest limit minus `VARIATION` standard deviations of the batches
     about the set point. `outside`: the attribute is beyond its limit already, `spent`: its
     its variation takes all the room; a share has then no meaning.
     """

@@ -12,7 +12,7 @@ def smallest(measure: str) -> float:
     """The least value of a measure that is possible, in the domain's unit.
 
     Amounts, times, sizes and shares are not below 0; a supersaturation (c - c*)/c* not below -1.
-    New crystals are the crystals less the seed, of which some may have dissolved.
+    New crystals are the crystals minus the seed, of which some may have dissolved.
     """
     unit, _, name = measure.partition(".")
     if unit == "process":

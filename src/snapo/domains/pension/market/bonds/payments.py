@@ -80,7 +80,7 @@ def ratio(of: Payments, linked: bool, before: Prices, after: Prices) -> Float[Ar
 
 
 def curve_prices(case: PensionModel, inputs: dict[str, Any]) -> Prices:
-    """Today's, on the curve, and less break-evens; without `inputs` at the case's own numbers."""
+    """Today's, on the curve, and minus break-evens; without `inputs` at the case's own numbers."""
 
     def prices(steps: np.ndarray, linked: bool) -> Array:
         years = steps * case.step

@@ -108,7 +108,7 @@ class Mixture(TableRecord):
     melting: CaseInput = ABSOLUTE("melting point of the crystals", None, example="443.6 K")
     fusion: CaseInput = ENERGY("enthalpy of fusion", None, range=POSITIVE, example="27.1 kJ/mol")
     capacity: CaseInput = UnitQuantity("J/mol/K", example="0 J/mol/K")(
-        "heat capacity of the melt less that of the crystals",
+        "heat capacity of the melt minus that of the crystals",
         "0 J/mol/K",
         alias="heat_capacity_change",
     )
@@ -257,7 +257,7 @@ SolubilityKind = Literal["polynomial", "exponential", "van-t-hoff", "nrtl"]
 class Solubility(TableRecord):
     """c*(T, w) in kg/m3.
 
-    - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K less `zero`
+    - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K minus `zero`
       (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
     - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)).
     - "nrtl": of a `mixture` in equilibrium with the pure crystal.
