@@ -96,8 +96,8 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
 
 
 RISK = (
-    "Losses over the stresses as scenarios of equal weight; their intervals are those of "
-    "simulation, without that of having only these scenarios."
+    "Losses, with the stresses as scenarios of equal weight. The intervals contain the error of "
+    "simulation only, not the error of having only these scenarios."
 )
 
 

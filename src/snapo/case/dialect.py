@@ -117,6 +117,6 @@ def _first(cells: set[str]) -> Order | None:
         if int(match[3]) > 12:
             table["month"] = cell
     if len(table) == 2:
-        message = f"here the month comes first, and in {table['day']} the day; write YYYY-MM-DD"
+        message = f"here the month comes first, but in {table['day']} the day; write YYYY-MM-DD"
         raise AmbiguousFormat(table["month"], message)
     return next(iter(table), None)

@@ -306,7 +306,8 @@ def _keys(file: Path, sheet: Any) -> list[tuple[str, Any, str]]:
     head = [str(item or "").strip().lower() for item in (rows[0] if rows else ())]
     if head[:2] != list(HEAD[:2]):
         message = (
-            f"a sheet of keys must have the columns {', '.join(HEAD)}; that of a CSV ends in .csv"
+            f"a sheet of keys must have the columns {', '.join(HEAD)}; the name of a sheet with a "
+            "CSV ends in .csv"
         )
         raise CaseError(str(file), f"sheet {sheet.title}", None, message)
     keys = []

@@ -264,7 +264,7 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
                 k = int(np.argmax(np.abs(wide) / pair.size))
                 notes.warning(
                     where,
-                    f"Its derivative is exactly zero, but {factor * bump:.3g} more moves "
+                    f"Its derivative is exactly zero, but a rise by {factor * bump:.3g} moves "
                     f"{outputs[k]}.",
                     "A limit that does not bind yet is not a mistake; an integer cast, rounding "
                     "or a comparison is.",

@@ -90,7 +90,7 @@ _READABLE = [
     (
         jax.errors.ConcretizationTypeError,
         "Python needs the value here (float(), int(), a shape), and it is one that JAX is tracing.",
-        "Leave it an array: drop the float() or int(); shapes must not depend on numbers.",
+        "Keep it an array: drop the float() or int(); shapes must not depend on numbers.",
     ),
     (
         jax.errors.UnexpectedTracerError,

@@ -360,8 +360,8 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
         raise ValueError(
-            f"engine: the draws give `initial` the noise of {draws.before} steps, and "
-            f"initial_noise_size is {simulator.initial_noise_size}, no multiple of that."
+            f"engine: the draws give `initial` the noise of {draws.before} steps, but "
+            f"initial_noise_size, {simulator.initial_noise_size}, is not a multiple of that."
         )
     if isinstance(draws, Stored):
         shapes = {

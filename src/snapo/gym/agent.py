@@ -69,8 +69,8 @@ class Agent:
         memory = np.zeros((len(observed), size), np.float32) if self.memory is None else self.memory
         if size and len(memory) != len(observed):
             raise ValueError(
-                f"Agent: it has the memory of {len(memory)} episodes, and here are {len(observed)} "
-                "observations; call reset() where other episodes begin."
+                f"Agent: it has the memory of {len(memory)} episodes, but got {len(observed)} "
+                "observations; call reset() when other episodes begin."
             )
         values = np.concatenate([observed, memory], 1)
         with read_context(of_policy(self.policy, values)):

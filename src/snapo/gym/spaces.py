@@ -122,7 +122,7 @@ def _option(decided: np.ndarray, options: int) -> np.ndarray:
         return np.round(decided[:, 0]).astype(np.int64)
     if size != options:
         raise ValueError(
-            f"Agent: the policy decides {size} numbers, and there are {options} options."
+            f"Agent: the policy decides {size} numbers, but there are {options} options."
         )
     return np.argmax(decided, -1)
 

@@ -39,7 +39,7 @@ from .solution import Solution
 from .train import Callback, Progress, Training, initial_progress, train
 
 Settings = TypeVar("Settings")  # settings of one kind
-MEASURING = "interrupted: measuring the best policy so far (Ctrl-C again leaves it out)"
+MEASURING = "interrupted: measuring the best policy so far (press Ctrl-C again to skip this)"
 
 
 @reading_once()
@@ -242,5 +242,5 @@ def _refused(findings: Findings) -> tuple[str, ...]:
     """Raises an error for errors; returns the warnings, as notes."""
     if findings.errors:
         lines = "\n".join(map(str, findings.errors))
-        raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")
+        raise ValueError(f"solve: nothing was compiled (check=False skips this check).\n{lines}")
     return tuple(warning.sentence() for warning in findings.warnings)

@@ -222,7 +222,7 @@ def printed(run: Path) -> Path:
     result, file = browser(), run / run_folder.PDF
     if result is None:
         names = ", ".join(BROWSERS[:3])
-        message = f"no browser was found that prints it ({names}); {VARIABLE} may name one"
+        message = f"no browser was found that can print it ({names}); {VARIABLE} may name one"
         raise CaseError("--pdf", "", None, message)
     try:
         print_page(run / run_folder.REPORT, file, result)

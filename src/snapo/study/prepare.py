@@ -40,7 +40,7 @@ def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, A
     recorded = record["decides"]["case"]
     results = [load(file) for file in sorted((out / CASE).glob("*.toml"))]
     if not results:
-        message = "the copy of the case is gone: solve the case again"
+        message = "the copy of the case is missing: solve the case again"
         raise CaseError(str(out / CASE), "", None, message)
     file, data = min(results, key=lambda item: len(list(differences(_plain(item[1]), recorded))))
     return file, _as_recorded(data, recorded)

@@ -60,7 +60,7 @@ def test_the_better_half_goes_on_until_one_is_left():
     assert [each.step for each in rounds] == [20, 40, 60]
     assert rounds[1].values == ((1, 5.0), (2, 4.0), (0, 3.0))
     assert starts.describe(rounds) == (
-        "Of 5 starts, halved every 20 steps, number 2 continued: the others were 80 % lower to 20 % "
+        "Of 5 starts, halved every 20 steps, number 2 remained: the others were 80 % lower to 20 % "
         "lower at step 20; the others were 40 % lower to 20 % lower at step 40; the other was 20 % "
         "lower at step 60. The result depends on the initial weights: try more of them (starts=10)."
     )

@@ -144,5 +144,5 @@ def side_by_side(name: str, parts: Sequence[CaseInput], names: Sequence[str]) ->
     numbers = replace(stacked(name, parts), labels=tuple(labels))
     if len(set(numbers.positions)) == len(labels):
         return numbers
-    reason = "several of these numbers are one in the files of the case"
+    reason = "several of these numbers are a single number in the files of the case"
     return replace(numbers, positions=(NoPosition(reason),) * len(labels))

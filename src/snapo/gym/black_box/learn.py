@@ -68,7 +68,7 @@ def learn(
     if rounds < 1 or steps < minimum:
         raise ValueError(
             f"learn: an episode takes up to {real.limit} steps; got steps={steps} and "
-            f"rounds={rounds}, allowed are at least {minimum} steps for them, and one round."
+            f"rounds={rounds}; use at least one round, and {minimum} steps for these rounds."
         )
     horizon = horizon or min(LONGEST, max(1, real.decisions // 2))
     plan = LearningPlan(

@@ -53,7 +53,7 @@ def decide(observation):
     observation = np.atleast_2d(states)
     if observation.shape[1] != {features}:
         got = observation.shape[1]
-        raise ValueError(f"an observation has {features} numbers, and here are {{got}}")
+        raise ValueError(f"an observation has {features} numbers, but got {{got}}")
     with np.errstate(all="ignore"):
 {lines}
     return action[0] if states.ndim == 1 else action

@@ -188,7 +188,7 @@ def describe(rounds: tuple[Round, ...]) -> str:
         else ""
     )
     return (
-        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} continued: "
+        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} remained: "
         f"{metadata}.{more}"
     )
 

@@ -299,8 +299,8 @@ def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
     measures = problem.objective, *(limit.measure for limit in problem.constraints)
     return [
-        f"Few paths in the tail: the {item.describe()} is that of {item.tail * paths:.0f} of "
-        f"{paths:,} paths, and its error is rough below {TAIL}; take "
+        f"Few paths in the tail: the {item.describe()} uses {item.tail * paths:.0f} of {paths:,} "
+        f"paths, and its error is inaccurate with fewer than {TAIL}; take "
         f"{int(np.ceil(round(TAIL / item.tail, 6))):,} paths."
         for item in measures
         if item.tail < 1 and item.tail * paths < TAIL
@@ -313,12 +313,12 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
         return []
     notes = [
         f"Paths have more than {LONG:,} steps: derivatives were measured on {run.held_paths:,} of "
-        f"them, with no more steps together than the paths asked for would have with {LONG:,}."
+        f"them, which together have at most as many steps as the requested paths with {LONG:,}."
     ]
     if run.evaluation.judge_paths:
         notes.append(
             "The part of the intervals of derivatives that is due to the policy was measured on "
-            f"{run.effort.fewest} paths (of shorter ones {FEWEST})."
+            f"{run.effort.fewest} paths ({FEWEST} if they were shorter)."
         )
         if rebuilt_once(run.problem):
             notes.append(

@@ -31,7 +31,7 @@ FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every ste
 FITTING = 258  # stream of the paths of the regression
 SHIFTS = 259  # seed of the shifts of nested draws
 TOGETHER = 32  # paths whose nested draws are in memory at once
-NOT_DRAWN = "its scenarios are supplied: from a state nothing can be drawn"
+NOT_DRAWN = "its scenarios are supplied, so that nothing can be drawn from a state"
 
 
 class StopRelaxation:

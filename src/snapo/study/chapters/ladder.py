@@ -230,7 +230,7 @@ def show(run: RunFiles, result: MethodLadder) -> Sequence[Block]:
         "are 95 % intervals."
     )
     blocks: list[Block] = [ladder("methods-ladder", bars, caption), table(rows, columns)]
-    right = "Every method is in its order: no bound from below is above any from above."
+    right = "All methods are in the right order: no lower bound is above an upper bound."
     blocks += [Text(f"Warning: {x}.") for x in result.warnings] or [Text(right)]
     return blocks + [Text(f"{x.method}: no value, for {x.reason}.") for x in result.missing]
 

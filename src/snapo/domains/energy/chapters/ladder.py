@@ -182,7 +182,7 @@ class EnergyMethods(ContractMethods):
     def desk(self) -> DeskMethods:
         setup = self.run.setup
         if self.intraday:
-            raise ValueError("this method has no schedules with trades of the differences")
+            raise ValueError("this method does not trade differences from a schedule")
         case, schedule = case_of(setup), setup.problem.schedule
         contract, (spots, states) = FlatVolumes(self.layout, schedule), self.on_paths
         return DeskMethods(
@@ -233,7 +233,7 @@ class EnergyMethods(ContractMethods):
 
     def lattice(self) -> Estimated:
         if self.intraday:
-            raise ValueError("a schedule and the levels are too many for a lattice")
+            raise ValueError("a lattice cannot hold a schedule in addition to the levels")
         return super().lattice()
 
     def reference(self) -> ReferenceValue:

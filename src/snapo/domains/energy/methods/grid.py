@@ -123,9 +123,9 @@ def check_nodes(case: Any, schedule: Any) -> None:
     measure = measures_of(layout, schedule.steps.terms, schedule.constants.start)[0]
     divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
     message = (
-        "inventories, limits and rates need a common divisor with at most about "
-        f"{int(min(TOGETHER, 2 * LONG / len(case.days))):,} multiples together: of the inventories "
-        f"of both stores, times those of the joint flow; theirs is {divisor}"
+        "inventories, limits and rates need a larger common divisor: at most about "
+        f"{int(min(TOGETHER, 2 * LONG / len(case.days))):,} combinations of levels of both stores "
+        f"and of the joint flow, each in multiples of it; theirs is {divisor}"
     )
     raise CaseError(str(case.file), "contract", None, message)
 

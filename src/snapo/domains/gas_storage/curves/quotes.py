@@ -91,7 +91,7 @@ def read_quotes(
     if implied := [product.name for product in others]:
         section.notes.append(
             f"In {name} {', '.join(implied)} agree{'s' if len(implied) == 1 else ''} with the "
-            "other quotes of the same days, which determine the curve."
+            "other quotes for the same days, which determine the curve."
         )
     start = min(product.first for product in products)
     periods = [((x.first - start).days, (x.after - start).days) for x in products]
@@ -101,7 +101,7 @@ def read_quotes(
     try:
         matrix = prices_of_means(periods, scale, table.smoother, table.end == "flat")
     except Undetermined:
-        message = "more than one curve is as smooth; add a quote of other days"
+        message = "several curves are equally smooth; add a quote for other days"
         raise CaseError(name, "", None, message) from None
     matrix = matrix[[(day - start).days for day in days]]
     quotes, implied = (_numbers(x, declaration) for x in (products, others))
@@ -135,7 +135,7 @@ def _products(rows: Sequence[Row], declaration: Quantity) -> list[_Product]:
         product = _Product(row, price, first, last + datetime.timedelta(1))
         if products.setdefault((first, last), product) is not product:
             earlier = products[first, last].row.line
-            raise row.error("product", f"line {earlier} has a price of the same days already")
+            raise row.error("product", f"line {earlier} has a price for the same days already")
     return list(products.values())
 
 
@@ -190,7 +190,7 @@ def _independent(
             raise product.row.error(
                 "price",
                 f"{', '.join(names)} together give {price:.6g} for the days of {product.name}; "
-                f"quotes of the same days agree within {100 * AGREEMENT:g} %",
+                f"quotes for the same days agree within {100 * AGREEMENT:g} %",
             )
         implied.append(product)
         shares_of.append(dict(zip(selected, weights.tolist())))

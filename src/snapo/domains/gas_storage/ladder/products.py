@@ -282,9 +282,9 @@ def _check_nested(section: TableContext, products: TradedProducts) -> None:
             if name and (name in met or inside):
                 day = products.days[t] if t >= 0 else products.valuation
                 message = (
-                    f"on {day} it would trade as a whole although a part of it trades then or "
-                    "traded before; products follow one another, or shorter ones take the "
-                    "place of a longer one from its first day on"
+                    f"on {day} it would trade as a whole, although a part of it trades on that "
+                    "day or traded before; products must follow one another, or shorter ones "
+                    "must replace a longer one from its first day on"
                 )
                 raise CaseError(str(section.file), f"{section.name}: {name}", None, message)
             met.add(name)

@@ -239,6 +239,7 @@ def _check_bounds(
     if minimum > 1 + WHOLE or maximum < 1 - WHOLE:
         got = Unquoted(f"bounds between which the weights add up to {minimum:g} to {maximum:g}")
         message = (
-            "the weights must be able to add up to 1: lower bounds to no more, upper to no less"
+            "the weights must be able to add up to 1: the lower bounds add up to at most 1, the "
+            "upper ones to at least 1"
         )
         raise section.error("file", got, message)

@@ -38,7 +38,7 @@ ZERO = NODE.in_column(
     "KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
     f" a parallel shift. {HELD}",
 )
-SWAP = NODE.in_column("swap", f"KR01: the par swap rate of one tenor, the others held. {HELD}")
+SWAP = NODE.in_column("swap", f"KR01: the par swap rate of one tenor, the others fixed. {HELD}")
 FORWARD = NODE.in_column(
     "forward",
     f"KR01: the forward rate of one interval; the sum of all is a parallel shift. {HELD}",

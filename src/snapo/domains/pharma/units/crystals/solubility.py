@@ -123,7 +123,9 @@ class Mixture(TableRecord):
     more_keys: ClassVar = {
         "solute": (
             str | None,
-            Field(None, min_length=1, description='a name that chemicals knows, as "paracetamol"'),
+            Field(
+                None, min_length=1, description='a name that chemicals knows, such as "paracetamol"'
+            ),
         ),
         "molar_mass": (CaseInput | None, MOLAR_MASS.field("molar mass of the solute", None)),
         "solvents": (
