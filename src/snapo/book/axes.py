@@ -213,7 +213,7 @@ def _values(file: str, where: str, values: str | list[Any]) -> list[AxisValue]:
 def spaced(file: str, where: str, text: str) -> Iterator[AxisValue]:
     """The numbers of "5:35:7".
 
-    **Raises:** `CaseError` where the text is not like this.
+    **Raises:** `CaseError` if the text is not like this.
     """
     allowed = 'first, last and how many values, 2 or more: "5:35:7"'
     match = RANGE.fullmatch(text)

@@ -45,7 +45,7 @@ class BookPosition:
 
     @property
     def worst(self) -> BookPoint:
-        """A point that failed, where there is one."""
+        """A point that failed, if there is one."""
         return next((p for p, _, _ in self.points.values() if p.status != "ok"), self.base)
 
 

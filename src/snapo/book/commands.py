@@ -60,7 +60,7 @@ def solve(
 ) -> dict[str, Any]:
     """Values a book; see `run_book`. `on`: where, see `executors.worker_pools`.
 
-    **Raises:** `CaseError` for a mistake in the book, or where its workers cannot be reached.
+    **Raises:** `CaseError` for a mistake in the book, or if its workers cannot be reached.
     """
     book = read_book(path)  # a mistake in it is named before a cluster is joined
     made = worker_pools(on, workers, trust_network)
@@ -184,7 +184,7 @@ def _axes(assignments: Sequence[str], sobol: int | None) -> tuple[list[dict[str,
 def _read_at(
     domain: Domain, file: Path, tables: Mapping[str, Any], settings: Sequence[tuple[str, str]]
 ) -> None:
-    """**Raises:** `CaseError` where the case cannot be read at a point."""
+    """**Raises:** `CaseError` if the case cannot be read at a point."""
     data, _ = assigned(tables, [f"{key}={text}" for key, text in settings])
     try:
         domain.read(file, with_other_numbers(domain, data))
@@ -281,7 +281,7 @@ def _locate(error: CaseError, book: Book, contract: BookContract, folder: str) -
 
 
 def _column(row: Row, key: str) -> str:
-    """The column of a row that has a value for a key; "" where there is none."""
+    """The column of a row that has a value for a key; "" if there is none."""
     columns = (column for column, text in row.cells.items() if text)
     return next((column for column in columns if column.casefold() == key.casefold()), "")
 

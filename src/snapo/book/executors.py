@@ -26,7 +26,7 @@ def worker_pools(
 ) -> list[WorkerPool]:
     """The places of `--on WHERE`; "" is this machine, with one process for each core.
 
-    **Raises:** `CaseError` where there is no such place, or its network is open.
+    **Raises:** `CaseError` if there is no such place, or its network is open.
     """
     if not where:
         return _processes(workers)

@@ -40,7 +40,7 @@ class BookJob:
     - `tasks`: of the book; `seed`: of training and paths.
     - `base`: whether the unstressed point is computed too, before the stresses.
     - `judged`: whether the derivatives are tested by bumps.
-    - `policy`: the file of a trained one; None: the job trains its policy, for the base or, where
+    - `policy`: the file of a trained one; None: the job trains its policy, for the base or, if
       a policy is trained for each stress, for its only stress.
     - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
       takes, so that it needs no training.
@@ -138,7 +138,7 @@ class BookPoint(NamedTuple):
     - `status`: "ok" or "failed", with a `note`.
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
     - `changes`: {input: [n] its numbers minus those of the base}, of inputs that a stress moves.
-    - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
+    - `deltas`: held derivatives with respect to the inputs, if the book asks for them.
     - `outputs`: the totals of the paths; `exposure`: the outputs by day.
     """
 
@@ -232,7 +232,7 @@ class Delta(NamedTuple):
 class Exposure(NamedTuple):
     """The mean of an output of every step.
 
-    - `days`: [T] dates, or the numbers of steps from 1 where a case has no dates.
+    - `days`: [T] dates, or the numbers of steps from 1 if a case has no dates.
     - `blocks`: [32 or fewer, T] of independent blocks of paths.
     """
 

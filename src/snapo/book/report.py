@@ -69,7 +69,7 @@ def _policy(tasks: Mapping[str, Any]) -> str:
     if tasks["policy"] == "stress":
         return "trained again under every stress"
     if tasks["policy"] == "shape":
-        return "trained once for similar contracts where that costs at most 0.5 %"
+        return "trained once for similar contracts if that costs at most 0.5 %"
     return "trained once for each contract, and unchanged under stress"
 
 

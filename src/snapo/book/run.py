@@ -111,7 +111,7 @@ def run_book(
     - `resume`: results that the folder has are not computed again.
 
     Returns the content of result.json. Where interrupted, or on a full disk, results that have been
-    written are kept. **Raises:** `CaseError` where the folder cannot be written.
+    written are kept. **Raises:** `CaseError` if the folder cannot be written.
     """
     began = time.perf_counter()
     folder = BookFolder(book.file.parent / "run" if out is None else out)

@@ -214,7 +214,7 @@ def moved_numbers(
     """{input, or numbers from which one is made: its numbers under the moves}; `inputs`: of the
     unstressed case.
 
-    **Raises:** `CaseError` where a move fits no number.
+    **Raises:** `CaseError` if a move fits no number.
     """
     values, sources = dict[str, np.ndarray](), sources_of(case)
     for move in moves:

@@ -308,7 +308,7 @@ def _held_alone(setup: Setup) -> Setup:
 
 
 def check_held(policy: Any, at_point: Any) -> None:
-    """**Raises:** `ValueError` where policies of a contract, and of the contract at a point, differ
+    """**Raises:** `ValueError` if policies of a contract, and of the contract at a point, differ
     in more than their numbers, such as levels, moves or the order of modes: the first one would
     fail there, or decide by the wrong numbers."""
     if _text(form_of(policy)) != _text(form_of(at_point)):

@@ -85,7 +85,7 @@ def separator(header: str) -> str:
 def dialect(header: str, rows: Iterable[Sequence[str]]) -> Dialect:
     """The dialect of a file, from its header row and all cells below it.
 
-    **Raises:** `AmbiguousFormat` where the cells contradict each other, or could mean two things.
+    **Raises:** `AmbiguousFormat` if the cells contradict each other, or could mean two things.
     """
     mark, cells = separator(header), {cell for row in rows for cell in row}
     comma = mark != "," and _decimal_comma(cells)

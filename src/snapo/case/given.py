@@ -114,10 +114,10 @@ class CaseInput:
     - `labels`: [n] a date, a month, a ratchet row …; `("",)` for a single plain number.
     - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
     - `index`: integers of any shape into `values`; unused numbers are not referred to.
-    - `low`, `high`: the range of valid numbers; infinite where there is no limit.
+    - `low`, `high`: the range of valid numbers; infinite if there is no limit.
     - `bump`, `judge_bump`, `move`, `display_unit`, `display_factor`, `group`, `meaning`: as in
       `Input`.
-    - `positions`: [n] the position of each number in the files of the case; () where no reader
+    - `positions`: [n] the position of each number in the files of the case; () if no reader
       recorded it.
     - `starts`: [n] day numbers from which the numbers hold, where they change with time.
     - `quantity`: its declaration (`snapo.case.quantity`), if it has one.
@@ -167,7 +167,7 @@ class CaseInput:
     def on(self, days: Sequence[date], notes: list[str]) -> "CaseInput":
         """The numbers on rising dates: each applies from its date on; index [len(days)].
 
-        **Raises:** `CaseError` where the dates begin before the numbers do.
+        **Raises:** `CaseError` if the dates begin before the numbers do.
         """
         if self.starts is None:
             return replace(self, index=np.zeros(len(days), np.int64))

@@ -139,7 +139,7 @@ def read_objective(
 
 
 def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) -> float:
-    """`weight` of one of several objectives that are added up, 1 where it is left out.
+    """`weight` of one of several objectives that are added up, 1 if it is left out.
 
     A negative weight turns a risk measure into that of a cost (see `snapo.problem.objective`), but
     not a utility.

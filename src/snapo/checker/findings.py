@@ -33,7 +33,7 @@ def _sentence(error: BaseException) -> tuple[str, str]:
 
 
 def _guess(message: str, simulator: Any, method: str) -> str:
-    """The likely cause of an index that JAX refuses; empty where there is none."""
+    """The likely cause of an index that JAX refuses; empty if there is none."""
     size = {"initial": "initial_noise_size", "step": "noise_size"}.get(method, "")
     if "out of bounds for axis 0 with size 0" in message and getattr(simulator, size, None) == 0:
         return f"If this is the noise: {size} is 0; set it to the number of normals that are read."

@@ -43,7 +43,7 @@ class CodeSite(NamedTuple):
 
 class Observed(NamedTuple):
     """Numbers of one call: its results, the truth of every comparison, and of every read the
-    first index outside (0 where none is), its axis and whether there is one."""
+    first index outside (0 if none is), its axis and whether there is one."""
 
     results: list[Any]
     truths: list[Any]

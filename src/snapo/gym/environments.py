@@ -329,7 +329,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         return np.asarray(moved.observation), rewards, ended, late, info | counts
 
     def _moved(self, t, state, actions, noise, repeated):
-        """All paths moved; those to start `repeated` at their initial state, where nothing
+        """All paths moved; those to start `repeated` at their initial state, if nothing
         counts."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])

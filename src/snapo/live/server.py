@@ -38,7 +38,7 @@ Last = Callable[[str, int], Mapping[str, Any] | None]
 
 
 class Downloads:
-    """The addresses of downloads. `last`: the tables of a page's move, where it has them."""
+    """The addresses of downloads. `last`: the tables of a page's move, if it has them."""
 
     def __init__(self, run: Path, scenarios: SavedScenarios, workers: WorkerProcess, last: Last):
         self.run, self.scenarios, self.workers, self.last = run, scenarios, workers, last

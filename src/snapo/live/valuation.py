@@ -188,7 +188,7 @@ class Valuation(WhatIf):
     def bound_here(self, values: InputValues, selected: SelectedChoices = NONE) -> dict[str, Any]:
         """The value between two bounds at these inputs: how much the best policy could gain.
 
-        **Raises:** `CaseError` where the domain has no bound here, with the reason.
+        **Raises:** `CaseError` if the domain has no bound here, with the reason.
         """
         policy, (_, setup) = self.policy, self._at(values, selected)
         relaxation = self.rebuild(self.case_at(values, selected).case).relaxation
@@ -228,7 +228,7 @@ class Valuation(WhatIf):
     def _variant(self, selected: SelectedChoices) -> tuple[Study, Setup]:
         """The study of other choices: made and compiled once for each.
 
-        **Raises:** `CaseError` where the run's policy does not fit it.
+        **Raises:** `CaseError` if the run's policy does not fit it.
         """
         key = repr(sorted(selected.items()))
         if key not in self._variants:

@@ -46,7 +46,7 @@ def open_run(
 ) -> WhatIf:
     """The run in a folder; `domain`: that of a problem in Python, by default that of its kind.
 
-    **Raises:** `CaseError` where there is no such run, or nothing to move.
+    **Raises:** `CaseError` if there is no such run, or nothing to move.
     """
     record = read(run)
     domain = domain or domain_of_run(run, record, simulator)

@@ -69,7 +69,7 @@ class Converted(Generic[_In, _Out]):
     def __get__(self, instance: Any, user: type | None = None) -> _Out:
         if instance is not None:
             return instance.__dict__[self.name]
-        if self.default is NONE:  # of the class: the default, where there is one
+        if self.default is NONE:  # of the class: the default, if there is one
             raise AttributeError(self.name)
         return self.default
 

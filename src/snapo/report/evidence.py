@@ -180,7 +180,7 @@ def history(run: RunFiles) -> Section:
 
 
 def _adjoints(run: RunFiles) -> list[Block]:
-    """The norms of adjoints by step and part of the state, where training measured them."""
+    """The norms of adjoints by step and part of the state, if training measured them."""
     steps = run.column("adjoints", "step")
     if steps is None or steps.size < 2:
         return []

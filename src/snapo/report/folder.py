@@ -160,7 +160,7 @@ class RunFiles:
 
     @property
     def step_times(self) -> StepTimes:
-        """The times of the steps, where the run has any."""
+        """The times of the steps, if the run has any."""
         return entries_of(StepTimes, self.details)
 
     def get(self, path: str, default: Any = None) -> Any:

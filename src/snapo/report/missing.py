@@ -27,7 +27,7 @@ def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
 
 
 def unless_left_out(section: SectionFunction, *parts: str) -> SectionFunction:
-    """The section; nothing where none of its parts was requested."""
+    """The section; nothing if none of its parts was requested."""
 
     @wraps(section)
     def with_reason(run) -> Section:

@@ -62,7 +62,7 @@ class RunOrigin(NamedTuple):
 
 class StepTimes(NamedTuple):
     """The times of the steps in `about`: `local_times` as of `local_times_of`, and the `step`,
-    "day" or "hour"; empty where steps have only numbers."""
+    "day" or "hour"; empty if steps have only numbers."""
 
     local_times: Sequence[tuple[int, str]] = ()
     step: str = ""

@@ -187,7 +187,7 @@ def finite_totals(objective: Objective, totals: Totals) -> dict[str, np.ndarray]
 
 
 def value_of(objective: Objective, totals: Totals) -> float:
-    """The objective over the paths that are finite; NaN where too many are not."""
+    """The objective over the paths that are finite; NaN if too many are not."""
     left = finite_totals(objective, totals)
     return objective.value(left) if len(left[objective.outputs[0]]) else np.nan
 
@@ -247,7 +247,7 @@ class Simulation(NamedTuple):
     def frame(self, backend: str = "pandas") -> Any:
         """A data frame, a row for every path and step: "path", "step", states, actions, outputs.
 
-        **Raises:** `ModuleNotFoundError` where the package of `backend` is missing.
+        **Raises:** `ModuleNotFoundError` if the package of `backend` is missing.
         """
         steps, paths = next(iter((self.outputs or self.actions).values())).shape
         columns: dict[str, Any] = {

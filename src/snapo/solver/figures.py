@@ -121,7 +121,7 @@ class Figures:
         All numbers of an input are moved by its `move`, by default 1 %. To first order, with the
         reported derivative.
 
-        **Raises:** `ValueError` where the solution has no sensitivities.
+        **Raises:** `ValueError` if the solution has no sensitivities.
         """
         sensitivities = self._sensitivities
         if sensitivities is None:
@@ -232,7 +232,7 @@ class Figures:
         return figure
 
     def _played(self, subject: str, problem: Problem | None) -> tuple[Problem, Policy]:
-        """The problem and the policy, where there are both."""
+        """The problem and the policy, if there are both."""
         problem = problem or self._problem
         if problem is None:
             raise ValueError(

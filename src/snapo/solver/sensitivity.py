@@ -355,7 +355,7 @@ def second_order(
     """The change of held derivatives along directions of the inputs (forward over reverse).
 
     The decisions respond through the smooth policy: with only held decisions, a value that is
-    linear in prices has no second derivative. A direction is {input: array}, zero where not named.
+    linear in prices has no second derivative. A direction is {input: array}, zero if not named.
     `smooth`: `Smooth(0.005)` by default. Each result is {input: array}: d (held derivative) / d
     direction. XLA only; on Mean-like objectives the weights are constant, on others they are held.
     """

@@ -158,7 +158,7 @@ def _over(engines: Engines, executor: Executor | Sequence[Executor]) -> Engines:
 def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Settings:
     """The settings given, or the usual ones.
 
-    **Raises:** `ValueError` where they are of another kind, such as a dictionary.
+    **Raises:** `ValueError` if they are of another kind, such as a dictionary.
     """
     settings = kind() if values is None else values
     if not isinstance(settings, kind):
@@ -230,7 +230,7 @@ def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManag
 
 
 def _of_simulator(problem: Problem | Simulator, inputs: PyTree) -> Findings:
-    """What the cheap part of the checker finds in a simulator, where there is one."""
+    """What the cheap part of the checker finds in a simulator, if there is one."""
     if isinstance(problem, Problem):
         return simulator_mistakes(problem.simulator, problem.inputs)
     if isinstance(problem, Simulator):

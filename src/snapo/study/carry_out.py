@@ -70,7 +70,7 @@ def page_of(domain: Domain, folder: Path) -> str:
 
 
 def _logo(folder: Path, name: str | None) -> str:
-    """The picture that the case names, from its copy; nothing where it is gone."""
+    """The picture that the case names, from its copy; nothing if it is gone."""
     try:
         return logo(folder / run_folder.CASE, name) if name else ""
     except (OSError, ValueError):
@@ -154,7 +154,7 @@ def certify(
     """The bounds of a run that was carried out, saved with it; returns the new content of its
     result.json.
 
-    **Raises:** `CaseError` where the study has no bound, or the run no policy.
+    **Raises:** `CaseError` if the study has no bound, or the run no policy.
     """
     if isinstance(study.relaxation, str):
         raise CaseError(str(out), "", None, f"this run cannot be certified: {study.relaxation}")

@@ -114,7 +114,7 @@ class Comparison:
 def compare(first: Path, second: Path) -> Comparison:
     """The second run against the first.
 
-    **Raises:** `CaseError` where one is no run of this version, or they are of different kinds.
+    **Raises:** `CaseError` if one is no run of this version, or they are of different kinds.
     """
     records = [run_folder.read(run) for run in (first, second)]
     kinds = [record["kind"] for record in records]
@@ -228,7 +228,7 @@ def difference(first: Path, second: Path) -> tuple[float | None, float | None, b
     """The value of the second run minus that of the first, its standard error, and whether the two
     have the same scenarios.
 
-    **Raises:** `CaseError` where one of them has no result.
+    **Raises:** `CaseError` if one of them has no result.
     """
     results = [_result(run) for run in (first, second)]
     groups, _ = _groups(first, second)
@@ -290,7 +290,7 @@ def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePa
 def _of_input(
     inputs, name: str, first: Reported, second: Reported, paired: bool
 ) -> list[DerivativePair]:
-    """One input, entry by entry; nothing where it has another shape in the other run."""
+    """One input, entry by entry; nothing if it has another shape in the other run."""
     one, other = first.estimate, second.estimate
     if first.value.shape != second.value.shape:
         return []

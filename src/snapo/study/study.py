@@ -32,7 +32,7 @@ class Setup(NamedTuple):
 
     `recipe`: of `policy`, where it is a general one, so that training begins as `snapo.solve` does;
     None: training begins from `policy` itself.
-    `case`: the prepared one, where the problem's simulator does not hold it.
+    `case`: the prepared one, if the problem's simulator does not hold it.
     """
 
     problem: Problem
@@ -46,7 +46,7 @@ class Setup(NamedTuple):
     def solve(self, **options: Any) -> Solution:
         """`snapo.solve` with these arguments; `options`: its others.
 
-        **Raises:** `Interrupted` with the solution where Ctrl-C has ended the training.
+        **Raises:** `Interrupted` with the solution if Ctrl-C has ended the training.
         """
         solution = solve(
             self.problem,

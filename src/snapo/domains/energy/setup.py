@@ -112,7 +112,7 @@ class FactorFit(NamedTuple):
 
 
 def fitted_value(problem: Problem) -> FactorFit | None:
-    """The fitted value, where prices have at most three Gaussian factors that matter."""
+    """The fitted value, if prices have at most three Gaussian factors that matter."""
     values = _value_functions(problem)
     if values is None:
         return None

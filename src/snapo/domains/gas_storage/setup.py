@@ -96,7 +96,7 @@ def _with_value_table(problem: Problem, fit: FittedValue | None) -> Problem:
 
 
 def _innovations(problem: Problem, fit: FittedValue | None) -> Innovations | None:
-    """The innovations of the fitted value, where prices have no other risks than its factors'."""
+    """The innovations of the fitted value, if prices have no other risks than its factors'."""
     result = factors(problem)
     if fit is None or result is None or not result.exact or len(fit.basis.selected) > MAX_FACTORS:
         return None
@@ -104,7 +104,7 @@ def _innovations(problem: Problem, fit: FittedValue | None) -> Innovations | Non
 
 
 def _hedged(setup: Setup) -> Setup:
-    """The setup with a hedge as its control variate, where it has no better one."""
+    """The setup with a hedge as its control variate, if it has no better one."""
     problem, simulator = setup.problem, simulator_of(setup.problem)
     if simulator.innovations is not None or not simulator.process.martingale:
         return setup
@@ -145,7 +145,7 @@ def factors(problem: Problem) -> GaussianFactors | None:
 
 
 def on_independent_paths(setup: Setup) -> Problem:
-    """The same problem on other scenarios than those of the value, where there are any."""
+    """The same problem on other scenarios than those of the value, if there are any."""
     seed = setup.training.seed
     if case_of(setup).model.sources(seed):
         return setup.problem

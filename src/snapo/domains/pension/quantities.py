@@ -41,7 +41,7 @@ class FundQuantity(Quantity):
     """A number of a fund; by "from_year" each row of its CSV holds from its time on, and by
     "sex,age" from its age on, which its reader resolves.
 
-    - `blank`: the number of an empty cell, where a cell may be empty.
+    - `blank`: the number of an empty cell, if a cell may be empty.
     - `by_factor`: whether a list has one for each factor of a model; then several are read.
     """
 

@@ -53,7 +53,7 @@ class Distributed:
 
     @property
     def note(self) -> str:
-        """Why workers computed nothing; empty where they did."""
+        """Why workers computed nothing; empty if they did."""
         if self.lost:
             return f"Workers were not used after one job returned no result: {self.lost}."
         if self.runs or not self.longest:
@@ -196,7 +196,7 @@ def compute(job: bytes) -> bytes:
 
 
 def _learn(table: Mapping[str, Any], lasting: bytes) -> bool:
-    """Keeps a kernel and the numbers of its steps; False where its bits would be others here."""
+    """Keeps a kernel and the numbers of its steps; False if its bits would be others here."""
     content, rows, _ = _unpacked(lasting)
     del content["rows"]
     code = KernelCode(**content)

@@ -34,7 +34,7 @@ class Native(Engine):
 
     Results depend on neither.
 
-    Results are NumPy arrays. Raises `Unsupported` where a simulator or policy uses something that
+    Results are NumPy arrays. Raises `Unsupported` if a simulator or policy uses something that
     cannot be compiled, or where nothing can be compiled (`unavailable`).
     """
 

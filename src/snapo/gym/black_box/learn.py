@@ -52,7 +52,7 @@ def learn(
     - `members`, `hidden`: networks of the ensemble, and their layers.
     - `training`: of the policy in the first and the last round; others take half its steps.
     - `reward`: `reward(observation, action, after)` in `jax.numpy`, if it is known; else it is
-      learned. `over`: `over(after)`, a number of order one that is above 0 where the episode ends;
+      learned. `over`: `over(after)`, a number of order one that is above 0 if the episode ends;
       else the end is learned.
     - `progress`: called with every `LearningRound`.
 

@@ -138,7 +138,7 @@ class Stop(Actions):
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         """(1 + u / (1 + u^2)^.5) / 2 of the score u: raw, shifted by that of the untrained hazard,
-        over temperature * scale; exact: 1 where it is above 0.
+        over temperature * scale; exact: 1 if it is above 0.
 
         Not the logistic curve: its slope vanishes like the hazard itself, so that a training whose
         first steps all lower the hazard never recovers.

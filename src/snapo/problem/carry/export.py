@@ -99,7 +99,7 @@ MOVES = {
 def translated(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
     """The outputs of one such operation.
 
-    **Raises:** `ValueError` where an index depends on the observation, or leaves its array.
+    **Raises:** `ValueError` if an index depends on the observation, or leaves its array.
     """
     data = MOVES[equation.primitive.name]
     operands, first, start = [], [], 0
@@ -161,7 +161,7 @@ def to_onnx(
       it becomes part of the graph, and `features` counts the raw numbers.
     - `dtype`: of the graph. The policy's weights are float32 in both.
 
-    **Returns:** the `onnx.ModelProto`, checked by onnx. **Raises:** `ValueError` where the policy
+    **Returns:** the `onnx.ModelProto`, checked by onnx. **Raises:** `ValueError` if the policy
     uses an operation without a counterpart, which is named, or the number of features is unknown.
     """
     try:

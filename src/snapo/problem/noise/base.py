@@ -131,7 +131,7 @@ def concrete(value: Any) -> np.ndarray | None:
 
 
 def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> None:
-    """Refuses a parameter outside low < x < high, where it is known."""
+    """Refuses a parameter outside low < x < high, if it is known."""
     value = concrete(getattr(noise, name))
     if value is None or (np.all(value > low) and np.all(value < high)):
         return

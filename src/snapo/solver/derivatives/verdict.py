@@ -136,7 +136,7 @@ def reported(
 
 
 def held_alone(problem: Problem, held: Mapping[str, Estimate]) -> dict[str, Reported]:
-    """{input: the held derivative}, where nothing was bumped."""
+    """{input: the held derivative}, if nothing was bumped."""
     return {name: plain(held[name], one_percent(x)) for name, x in problem.inputs_by_name.items()}
 
 

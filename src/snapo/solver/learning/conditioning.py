@@ -95,7 +95,7 @@ def grows(norms: np.ndarray) -> bool:
 
 def share_kept(norms: np.ndarray) -> float:
     """The share of an adjoint that is passed on at each backward step (`Clip.keep`), from norms [T,
-    N]: a third is left after the steps in which they grow a hundredfold; 1 where they do not.
+    N]: a third is left after the steps in which they grow a hundredfold; 1 if they do not.
 
     A third, not 0.01: a cart that swings its pole up ends at -63 to -66 with a third and at
     -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and -39.7 (-37.7).

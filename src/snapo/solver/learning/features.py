@@ -46,7 +46,7 @@ MOVED = (-0.7, 0.3, 1.9)  # where numbers that a decision moves are set to see w
 
 
 class FeatureScale(NamedTuple):
-    """Mean and deviation of every feature; 0 and 1 where a decision moves it.
+    """Mean and deviation of every feature; 0 and 1 if a decision moves it.
 
     A network's first layer has weights for unscaled features. Training moves those for scaled
     features, which are equivalent: `scaled` and `plain` are inverse to each other. So do all first

@@ -36,7 +36,7 @@ def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Pr
 
 
 def start_notes(progress: Progress) -> tuple[str, ...]:
-    """Which start went on, and where training restarted; by how much adjoints grow, where they do,
+    """Which start went on, and where training restarted; by how much adjoints grow, if they do,
     and how training went back; the steps that broke."""
     raced = (describe(progress.raced),) if progress.raced else ()
     if progress.redrawn:

@@ -42,7 +42,7 @@ from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
 Auto = Literal["auto"]
-RATE = 0.01  # of Adam, where nothing else is chosen
+RATE = 0.01  # of Adam, if nothing else is chosen
 FOLLOWING = (  # settings that may be "auto"
     "steps", "paths", "learning_rate", "decay", "exploration", "validation_every", "starts",
 )  # fmt: skip
@@ -222,7 +222,7 @@ WIDTH = 32  # of hidden layers at which it is
 MANY = 8  # numbers decided in one step, above which weights decay and decisions explore
 LEFT = 1 / 4  # of a weight that nothing holds, after all steps
 EXPLORED = 0.1  # share of a decision
-SEVERAL = 4  # initial weights, where decisions are of few values
+SEVERAL = 4  # initial weights, if decisions are of few values
 LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
 RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
@@ -275,7 +275,7 @@ def _explores(action: Actions, training: Training) -> bool:
 
 
 def _width(policy: Policy) -> int:
-    """The number of units in the widest layer of all networks; 1 where there is none."""
+    """The number of units in the widest layer of all networks; 1 if there is none."""
     nodes = jax.tree.leaves(policy, is_leaf=lambda node: isinstance(node, Network))
     networks = [node for node in nodes if isinstance(node, Network)]
     return max((bias.size for network in networks for bias in network.biases[:-1]), default=1)

@@ -108,7 +108,7 @@ def imitate(
 
 
 def _ranges(problem: Problem) -> tuple[float, ...]:
-    """The range of every component of a decision; 1 where it is not bounded."""
+    """The range of every component of a decision; 1 if it is not bounded."""
     action = problem.action
     if not isinstance(action, Box):
         return (1.0,) * action.size

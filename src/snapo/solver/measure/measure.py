@@ -161,7 +161,7 @@ def measure(run: MeasuredRun) -> dict[str, Any]:
 
 
 def _compiled_meanwhile(run: MeasuredRun) -> AbstractContextManager:
-    """Compiles the smooth derivatives during the work of the block, where the engine's programs
+    """Compiles the smooth derivatives during the work of the block, if the engine's programs
     serve any number of paths and the objective is known already.
 
     Of long paths later: their tables need much memory, and other threads are busy.
@@ -219,7 +219,7 @@ def _sensitivities(
     decisions: np.ndarray | None,
 ) -> tuple[Sensitivities | None, Totals | None]:
     """The table of the reported policy, whose totals are `exact` and whose first decisions are
-    known, unless they are many, and the totals of the smooth simulator, where they are known.
+    known, unless they are many, and the totals of the smooth simulator, if they are known.
 
     None if no paths are given to it.
     """
@@ -274,7 +274,7 @@ def _smoothing_gap(
     engine: Engine,
 ) -> tuple[float, float]:
     """Exact minus smooth with its standard error, on the first of the paths whose exact totals are
-    known; `soft`: the smooth totals on as many, where the derivatives have them."""
+    known; `soft`: the smooth totals on as many, if the derivatives have them."""
     objective, source = problem.objective, problem.sources.evaluation
     maximum = fewer(GAP_PATHS, problem.simulator.horizon)
     paths = min(maximum, len(exact[objective.outputs[0]]))

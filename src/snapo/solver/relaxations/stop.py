@@ -38,7 +38,7 @@ class StopRelaxation:
     """See `snapo.Relaxation`. `paths` are those of the regression, `inner` the
     nested draws of every path and step.
 
-    **Raises:** `NotStopping` where the problem has no such bound, with the reason.
+    **Raises:** `NotStopping` if the problem has no such bound, with the reason.
     """
 
     terms = 1
@@ -188,7 +188,7 @@ def bounded(problem: Problem) -> bool:
 def relaxation_of(problem: Problem) -> Relaxation:
     """The relaxation of a simulator that has one, or of a problem whose only action is a `Stop`.
 
-    **Raises:** `ValueError` where there is none, with the reason.
+    **Raises:** `ValueError` if there is none, with the reason.
     """
     if isinstance(problem.simulator, Relaxable):
         return problem.simulator.relaxation(problem)

@@ -105,7 +105,7 @@ def ending(
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
     - `held_paths`: of the held derivatives; 0 leaves out the checks that need decisions.
     - `decisions` [T, held_paths, A] of that policy on these paths, where they were recorded before.
-    - `gradient`: the norm of the policy's gradient and that of its noise, where they are known.
+    - `gradient`: the norm of the policy's gradient and that of its noise, if they are known.
     """
     if not np.isfinite(value_of(problem.objective, exact)):
         return Ending("")
@@ -207,7 +207,7 @@ def _short(
     more: Further,
     gradient: tuple[float, float] | None,
 ) -> str:
-    """Why it is unknown whether a training has converged; empty where it has."""
+    """Why it is unknown whether a training has converged; empty if it has."""
     if too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
     if not more.is_small:

@@ -53,7 +53,7 @@ class ValueBounds:
 def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> ValueBounds:
     """The bounds of the run's value: upper is never below the value that the run reports.
 
-    **Raises:** `ValueError` where the study has no bound, with the reason.
+    **Raises:** `ValueError` if the study has no bound, with the reason.
     """
     relaxation, setup = run.study.relaxation, run.setup
     if isinstance(relaxation, str):
@@ -85,7 +85,7 @@ def value_bounds(run: RunFiles) -> Section:
 
 
 def optimum(run: RunFiles, cost: bool = False) -> str:
-    """The bound as a sentence for the first screen; empty where there is none, or it is too wide.
+    """The bound as a sentence for the first screen; empty if there is none, or it is too wide.
 
     `cost`: whether the value is minus a cost, of which the bound is the least possible one.
     """

@@ -35,7 +35,7 @@ COLUMNS = (
 class OutputTotal:
     """The total of an output over a path: moments, quantiles and a histogram, in its `unit`.
 
-    - `paths`: those with a finite total; the other numbers are NaN or empty where there is none.
+    - `paths`: those with a finite total; the other numbers are NaN or empty if there is none.
     - `tail_mean`: of the smallest 5 % of the totals.
     - `quantiles`, `quantile_errors`: {"p05": number}; errors are standard errors.
     - `edges` [B + 1], `counts` [B]: the outermost bins have the paths outside of the edges too.

@@ -157,7 +157,7 @@ def leaves(tree: Any) -> dict[str, Any]:
 
 
 def bands(values: np.ndarray) -> dict[str, np.ndarray]:
-    """Mean and quantiles over the finite paths of numbers [T, paths]; NaN where there is none."""
+    """Mean and quantiles over the finite paths of numbers [T, paths]; NaN if there is none."""
     if values.size and np.isfinite(values).all():  # at once, and not row by row
         return {"mean": values.mean(1), **dict(zip(QUANTILES, _quantiles(values)))}
     masked = np.where(np.isfinite(values), values, np.nan)

@@ -55,7 +55,7 @@ class ReportedInterval:
 
     @property
     def half_width(self) -> float:
-        """Half the width of the interval; 0 where it has none."""
+        """Half the width of the interval; 0 if it has none."""
         return 0.0 if self.low is None or self.high is None else (self.high - self.low) / 2
 
 
@@ -65,7 +65,7 @@ class InputMove(ReportedInterval):
 
     - `words`, `group`: of the input; `numbers`: how many it has.
     - `amount`, `unit`: by how much every number moves, in the unit of the trade; `amount` is None
-      where each moves by `share` of itself.
+      if each moves by `share` of itself.
     - `effect`, `low`, `high`: the effect to first order, with the reported derivative and its 95 %
       interval, of whose half-width `sampling` is due to finitely many paths and `policy` to the
       policy's error; `source`: see `solver.derivatives.interval.Reported`.
@@ -170,7 +170,7 @@ def _move(name: str, entry: Input, table: Sensitivities) -> InputMove:
 def _bump(
     entry: Input, verdicts: Mapping[str, Verdict] | None, name: str, along: np.ndarray
 ) -> Verdict | None:
-    """The bump scaled to this move, where it has the same or the opposite direction."""
+    """The bump scaled to this move, if it has the same or the opposite direction."""
     verdict = (verdicts or {}).get(name)
     if verdict is None:
         return None
@@ -203,7 +203,7 @@ def sensitivities(run: RunFiles) -> Section:
 
 
 def show(run: RunFiles, result: InputMoves) -> Sequence[Block]:
-    """The tornado and the table of moves; nothing where no effect is known."""
+    """The tornado and the table of moves; nothing if no effect is known."""
     moves = [move for move in result.moves if move.effect is not None]
     return [_tornado(run, moves), _moves(run, moves)] if moves else []
 

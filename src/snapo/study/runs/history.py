@@ -49,7 +49,7 @@ class RunRow(NamedTuple):
 def listed(path: Path) -> list[RunRow]:
     """The runs of the case that `path` names, the oldest first.
 
-    **Raises:** `CaseError` where there is no such folder.
+    **Raises:** `CaseError` if there is no such folder.
     """
     home = _home(path)
     latest, rows = target(home / LATEST), []
@@ -139,7 +139,7 @@ def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> l
     A name may be its last four letters. Those that are running, and the one to which `run` points,
     are kept in any case. Where the latest is removed, `run` points to the one before it.
 
-    **Raises:** `CaseError` where there is no such run, or it is running; then nothing is removed.
+    **Raises:** `CaseError` if there is no such run, or it is running; then nothing is removed.
     """
     home = _home(path)
     adopt(home)

@@ -35,7 +35,7 @@ from .reference import measure as measure_reference
 
 
 def no_flat_volumes(layout: ContractLayout) -> str:
-    """Why the volumes of a contract have no flat ones over products; "" where they do."""
+    """Why the volumes of a contract have no flat ones over products; "" if they do."""
     if layout.indexed:
         return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()

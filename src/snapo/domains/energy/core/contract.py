@@ -147,7 +147,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def flow_of(self) -> np.ndarray:
-        """[flows, moves] 1 where the flow is the one of the move, else 0."""
+        """[flows, moves] 1 if the flow is the one of the move, else 0."""
         flows = range(len(self.flows))
         return np.array([[float(flow in move.flows) for move in self.every_move] for flow in flows])
 
@@ -222,7 +222,7 @@ class StepTerms(NamedTuple):
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
     - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
-      none. `fixed_volume`: that of the flow of a move, None where policies decide the volumes.
+      none. `fixed_volume`: that of the flow of a move, None if policies decide the volumes.
     - `promises`, `bank`, `of_levels`, `intraday`: None without any.
     """
 
@@ -297,7 +297,7 @@ class EnergyContract(TreeRecord):
         """{key of `[contract]`: value} of a case that begins with these levels, by name, in this
         mode; "a.b" is a key of a table. `index`: of the first step, where it was fixed before.
 
-        **Raises:** `ValueError` where no case begins so.
+        **Raises:** `ValueError` if no case begins so.
         """
 
     @property
@@ -309,6 +309,6 @@ class EnergyContract(TreeRecord):
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         """The prices that its cash depends on, from those of the case: here the same.
 
-        **Raises:** `CaseError` where it cannot be priced so; `where`: the table `[contract]`.
+        **Raises:** `CaseError` if it cannot be priced so; `where`: the table `[contract]`.
         """
         return prices

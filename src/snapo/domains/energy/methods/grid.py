@@ -115,7 +115,7 @@ def grid_of(
 def check_nodes(case: Any, schedule: Any) -> None:
     """Refuses joint limits between coarse nodes; `schedule`: with NumPy leaves.
 
-    **Raises:** `CaseError` where volumes have no common divisor with few enough nodes.
+    **Raises:** `CaseError` if volumes have no common divisor with few enough nodes.
     """
     layout = case.contract.layout
     if not layout.sums or grid_of(layout, schedule).exact:

@@ -168,7 +168,7 @@ class PairGrid:
         return PairTransition(self.both.after(t))
 
     def start(self) -> PairTransition:
-        """From the valuation date, where both factors are 0, to the first date."""
+        """From the valuation date, if both factors are 0, to the first date."""
         return PairTransition(self.both.start())
 
 

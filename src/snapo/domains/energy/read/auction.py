@@ -31,7 +31,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
     """The hours, each decided at its auction; the same without `auction` in the table `[contract]`,
     here `table`.
 
-    **Raises:** `CaseError` where the times of the auctions are not allowed.
+    **Raises:** `CaseError` if the times of the auctions are not allowed.
     """
     if table.auction is None:
         if table.intraday is not None:
@@ -79,7 +79,7 @@ def auction_of(instant: datetime.datetime, zone: ZoneInfo, at: int, step: int) -
 
 
 def check_auction(where: TableContext, table: Any, objective: str) -> None:
-    """Raises `CaseError` where the objective needs the spot prices of the hours."""
+    """Raises `CaseError` if the objective needs the spot prices of the hours."""
     if table.auction is not None and table.intraday is None and objective != "mean":
         message = (
             "the cash flow of an hour is counted at the forward price of its auction, so that "

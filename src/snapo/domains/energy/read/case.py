@@ -227,7 +227,7 @@ class EnergyCase:
 def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     """The case in the TOML file `file`, whose tables were read already: `data`.
 
-    **Raises:** `CaseError` where a table, a file or a number is wrong.
+    **Raises:** `CaseError` if a table, a file or a number is wrong.
     """
     name, notes = str(file), []
     top = parse(EnergyTable, data, name, "")

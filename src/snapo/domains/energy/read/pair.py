@@ -46,7 +46,7 @@ class PairMarketTable(CaseTable):
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     power: dict = Field(description="the table [market.power]")
     gas: dict = Field(description="the table [market.gas]")
-    co2: dict | None = Field(None, description="the table [market.co2], where emissions need it")
+    co2: dict | None = Field(None, description="the table [market.co2], if emissions need it")
 
 
 class PairModelTable(CaseTable):
@@ -54,7 +54,7 @@ class PairModelTable(CaseTable):
 
     power: dict = Field(description="the table [model.power]")
     gas: dict = Field(description="the table [model.gas]")
-    co2: dict | None = Field(None, description="the table [model.co2], where emissions need it")
+    co2: dict | None = Field(None, description="the table [model.co2], if emissions need it")
     correlation: list[Any] = Field([], description=CORRELATIONS)
 
 

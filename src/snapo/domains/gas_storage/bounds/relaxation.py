@@ -117,7 +117,7 @@ PARTS = 3  # of the penalty: polynomials, hinges, the constant
 class StoreRelaxation:
     """See `snapo.Relaxation`.
 
-    `fitted_value` is the value function of the penalty, where the price process has Gaussian
+    `fitted_value` is the value function of the penalty, if the price process has Gaussian
     factors; it is a finer one than that of the policy's value table.
     """
 

@@ -149,9 +149,9 @@ class FittedMarginal(NamedTuple):
 
     - `low`, `high`: [T] of the table, see `SlopeTable`.
     - `above`, `below`: [T, rows, n] on either side: of the polynomials of the basis times its
-      exponential and, where there is one, of the constant.
+      exponential and, if there is one, of the constant.
     - `whiten`: [T, kept, F], `common` [T, F], `shift` [T]: y = whiten f, ln g = common f - shift.
-    - `exponents`, `exponents_ahead`: of functions of spikes, where there are any, see `SpikeBasis`.
+    - `exponents`, `exponents_ahead`: of functions of spikes, if there are any, see `SpikeBasis`.
     """
 
     low: np.ndarray

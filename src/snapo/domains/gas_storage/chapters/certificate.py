@@ -25,7 +25,7 @@ TRIES = 16  # at finding inputs nearby that still can be met
 
 
 def off_ties(problem: Problem) -> Problem:
-    """The problem at slightly moved inputs, where the contract can still be met.
+    """The problem at slightly moved inputs, if the contract can still be met.
 
     With round numbers a store fills or empties on the very day that its rates allow, and a full
     one without losses stays exactly full: kinks on every path.
@@ -64,7 +64,7 @@ def homogeneity(setup: Setup, solution: Solution) -> Homogeneity | None:
     """Sum of F x delta = value + present value of costs, with decisions held fixed, on the same
     paths.
 
-    It holds path by path for any policy, where prices are the forward curve times noise and all
+    It holds path by path for any policy, if prices are the forward curve times noise and all
     of the value is paid in gas and proportional costs.
     """
     table, case = solution.sensitivities, case_of(setup)

@@ -51,7 +51,7 @@ class ContractMethods(abc.ABC):
 
     @property
     def traded(self) -> DeskMethods:
-        """The methods that trade the products; `ValueError` where a contract has none."""
+        """The methods that trade the products; `ValueError` if a contract has none."""
         return self.desk
 
     @abc.abstractmethod

@@ -1,4 +1,4 @@
-"""Deltas by traded product, where a case has a table [products]."""
+"""Deltas by traded product, if a case has a table [products]."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

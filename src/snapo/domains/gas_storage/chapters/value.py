@@ -60,7 +60,7 @@ def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicP
 
 
 def measure_reference(run: StudyRun) -> Reference:
-    """By dynamic programming, where the price process has a lattice."""
+    """By dynamic programming, if the price process has a lattice."""
     setup = run.setup
     lattice = factors(setup.problem)
     if lattice is None or not lattice.exact:

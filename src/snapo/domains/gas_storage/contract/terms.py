@@ -131,7 +131,7 @@ def per_day(
 
 
 def discount(market: GasMarket, days: np.ndarray) -> np.ndarray:
-    """exp(-r(d) d / 365) for payments on integer days since the valuation date; 1 where d <= 0."""
+    """exp(-r(d) d / 365) for payments on integer days since the valuation date; 1 if d <= 0."""
     later = np.maximum(np.asarray(days, np.float64), 0)
     rates = np.interp(later, market.zero_rate_day, market.zero_rate.used())
     return np.exp(-rates * later / 365)

@@ -79,8 +79,8 @@ def read_quotes(
 
     `declaration`: of a price. Quotes that others imply are compared with them and left out.
 
-    **Raises:** `CaseError` where a product is unknown or quoted twice, where quotes of the same
-    days disagree, where a day is in no product, and where more than one curve is as smooth.
+    **Raises:** `CaseError` if a product is unknown or quoted twice, if quotes of the same
+    days disagree, if a day is in no product, and if more than one curve is as smooth.
     """
     reference = FileReference(section, "quotes", name)
     from .smooth import Undetermined, prices_of_means  # SciPy: most cases are read without it
@@ -162,7 +162,7 @@ def _independent(
 
     Short products count first: a quarter is implied by its months.
 
-    **Raises:** `CaseError` where an implied price is not the quoted one.
+    **Raises:** `CaseError` if an implied price is not the quoted one.
     """
     limits = sorted({limit for product in products for limit in (product.first, product.after)})
     intervals = list(pairwise(limits))

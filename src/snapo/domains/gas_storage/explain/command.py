@@ -46,7 +46,7 @@ def explain(
       date,volume,price. `cash`: of other contracts, the cash flow of the days between as it was.
     - `out`: folder of the results, by default `explain` in that of the second run.
 
-    **Raises:** `CaseError` where a run has no value, or the second one cannot follow the first;
+    **Raises:** `CaseError` if a run has no value, or the second one cannot follow the first;
     nothing is written.
     """
     use_every_core()

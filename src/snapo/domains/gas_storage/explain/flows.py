@@ -69,7 +69,7 @@ class TakenFlow(NamedTuple):
 def read_flows(file: Path) -> dict[datetime.date, TakenFlow]:
     """The flows of a CSV file with columns date,volume,price.
 
-    **Raises:** `CaseError` where a date or a number is wrong, with its line.
+    **Raises:** `CaseError` if a date or a number is wrong, with its line.
     """
     reference = FileReference(TableContext(file, "flows", []), "flows", file.name)
     rows = read_rows(reference, ("date", "volume", "price"), ())
@@ -94,7 +94,7 @@ def passed_days(
     - `elapsed`: days from the valuation date of the case to the second one.
     - `flows`: as they were, on all of these days.
 
-    **Raises:** `CaseError` where a day has no flow, or the flows do not lead to the inventory.
+    **Raises:** `CaseError` if a day has no flow, or the flows do not lead to the inventory.
     """
     rule = DatedRule(case, problem, policy, spot_filter(problem))
     level = np.full(1, float(problem.schedule.constants.inventory))

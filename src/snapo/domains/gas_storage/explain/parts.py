@@ -30,7 +30,7 @@ def explained_change(
 ) -> ExplainedChange:
     """The parts of the change of value; `flows`: of the days between, as they were.
 
-    **Raises:** `CaseError` where the second run cannot follow the first one.
+    **Raises:** `CaseError` if the second run cannot follow the first one.
     """
     if cash is not None:
         raise CaseError("--cash", "", cash, "the cash of a gas store follows from --flows")

@@ -190,7 +190,7 @@ def products_of(
 ) -> TradedProducts | None:
     """The products of the table [products], None of a case without one.
 
-    **Raises:** `CaseError` where one trades as a whole while its parts trade, or after them.
+    **Raises:** `CaseError` if one trades as a whole while its parts trade, or after them.
     """
     if data is None:
         return None
@@ -222,7 +222,7 @@ def products_of(
 
 
 def usual_products(days: Sequence[datetime.date], valuation: datetime.date) -> TradedProducts:
-    """Day-ahead, balance of month and months, without a spread: where a case has no others."""
+    """Day-ahead, balance of month and months, without a spread: if a case has no others."""
     family = FamilyTable()  # pyright: ignore[reportCallIssue]
     return TradedProducts(tuple(days), valuation, tuple(_family("months", family, days)))
 

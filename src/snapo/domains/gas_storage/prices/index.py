@@ -72,7 +72,7 @@ class IndexMonths(TreeRecord):
     - `days` [T + 1, D]: dates of the month, by number; `weight` of each, 0 for none.
     - `ahead` [T + 1, D]: years from the day before the month; `fixing_time` [T + 1]: years to it.
     - `renewed` [T + 1]: whether a month begins with the date, the first date not among them.
-    - `fixed` [T + 1]: 1 where the index was fixed before today, else 0.
+    - `fixed` [T + 1]: 1 if the index was fixed before today, else 0.
     """
 
     days: Int[np.ndarray, "T+1 D"]

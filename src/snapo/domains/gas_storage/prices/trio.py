@@ -49,7 +49,7 @@ class FuelWithCertificates(NamedTuple):
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
         """[n] the cost on date t where the factor of fuel has these values [n].
 
-        **Raises:** `ValueError` where it depends on the factor of certificates too.
+        **Raises:** `ValueError` if it depends on the factor of certificates too.
         """
         if not self.one_factor:
             raise ValueError("a lattice holds one or two price factors, and 3 move prices")

@@ -46,7 +46,7 @@ def nominated_on(
 
 
 def check_nomination(where: TableContext, table: Any, objective: str, products: Any) -> None:
-    """Raises `CaseError` where a key of the case needs the spot price of the date of a flow."""
+    """Raises `CaseError` if a key of the case needs the spot price of the date of a flow."""
     if table.nomination is None:
         return
     if objective != "mean":

@@ -23,9 +23,9 @@ class PlaceService:
     """A place: averages of a period, each with its standard error.
 
     - `level`: up to which it orders, with a cost of an order over its orders only.
-    - `supplier`: empty where goods come from outside.
+    - `supplier`: empty if goods come from outside.
     - `orders`, `order_size`: in a period, where an order has a cost; `sent`, `received`: in a pool.
-    - `demand`, `fill_rate`: where it has customers.
+    - `demand`, `fill_rate`: if it has customers.
     """
 
     name: str

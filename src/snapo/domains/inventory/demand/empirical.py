@@ -113,7 +113,7 @@ class EmpiricalDemand(Demand):
 
 
 def _moment(section: TableContext, key: str, value: float) -> CaseInput:
-    """A moment of the history, where the case has no other: written, it would be under `key`."""
+    """A moment of the history, if the case has no other: written, it would be under `key`."""
     quantity = quantity_of(EmpiricalTable.model_fields[key])
     assert quantity is not None
     return quantity.input(quantity.name, [value], positions=((*section.keys, key),))

@@ -79,7 +79,7 @@ class NetworkSimulator(Simulator):
     and "order_NAME", whether a place with a fixed cost orders.
 
     Outputs: "result", minus all costs; "holding", "shortage"; averages of a period that counts:
-    "demand", "sold" (met at once), "stock" and "short" (1 where any place falls short), and
+    "demand", "sold" (met at once), "stock" and "short" (1 if any place falls short), and
     "stock_NAME", "sold_NAME", "demand_NAME" by place, "level_NAME" up to which it orders. With
     pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME". With
     costs of an order "ordering", and on average "orders", "orders_NAME", "ordered_NAME", a number

@@ -60,7 +60,7 @@ class PolicyMap:
 
     - `years` [Y]: starts of years; `ratios` [R + 1]: edges of the columns.
     - `growth` [Y, R]: of the classes with a separate shock; `hedge` [Y, R]: of the mean place
-      of the swap notionals in their ranges, empty without swaps; NaN where fewer than FEW paths
+      of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW paths
       are.
     """
 
@@ -98,7 +98,7 @@ class FirstAllocation:
 
 @dataclass(frozen=True)
 class PathTables:
-    """The results of the recorded paths; `recovery`: before the regulator, where the case has
+    """The results of the recorded paths; `recovery`: before the regulator, if the case has
     one."""
 
     by_year: YearlyFans
@@ -318,7 +318,7 @@ def _map(name: str, text: str, table: PolicyMap, values: np.ndarray) -> Chart:
     )
     caption = (
         f"{text[:1].upper()}{text[1:]}, in per cent: means over the paths that are at that"
-        " funding ratio in that year; empty where there are almost none."
+        " funding ratio in that year; empty if there are almost none."
     )
     return Chart(svg, caption)
 

@@ -30,7 +30,7 @@ LIFE = (
 )
 HELD = (
     "Held: every path keeps its trades; at an optimum this is to first order also the effect with a"
-    " re-optimised policy. Through the policy: a bump of the exact fund, where it contradicts that."
+    " re-optimised policy. Through the policy: a bump of the exact fund, if it contradicts that."
     " The 95 % interval adds the sampling error and the error of the policy."
     " Reacting: the trained policy observes the moved fund and decides again, without new "
     "training; the two differ only by the error of training and smoothing. Prices of risk, excess "

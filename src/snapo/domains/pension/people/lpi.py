@@ -40,7 +40,7 @@ class Lpi(NamedTuple):
 
     - `mean`, `load`, `deviation` [T+1]: of the growth of prices up to the first date: its mean,
       that mean's rise with the factor, and its deviation.
-    - `started` [T+1, J]: 1 where a node's payments have an increase ahead.
+    - `started` [T+1, J]: 1 if a node's payments have an increase ahead.
     - `later`, `joint` [T+1, J, DEGREE+1]: Chebyshev coefficients, in factor over `width` [T+1]: of
       the later dates' part, and of the part that goes with d_1.
     """

@@ -204,7 +204,7 @@ def bands(reference: FileReference, name: str, ages: range, quantity: FundQuanti
 def read_lee_carter(
     section: TableContext, table: LeeCarterTable | None, mortality: Mortality
 ) -> LeeCarter | None:
-    """The stochastic factor of mortality, where the case has one."""
+    """The stochastic factor of mortality, if the case has one."""
     if table is None:
         return None
     ages = range(mortality.first_age, mortality.first_age + mortality.ages)

@@ -48,7 +48,7 @@ class Frontier:
 
 
 class Scales(NamedTuple):
-    """Standard deviations after ten years, 1 where nothing moves: of the `factors` [g], of ln(s /
+    """Standard deviations after ten years, 1 if nothing moves: of the `factors` [g], of ln(s /
     mean) of a `spread` [R], and of Lee-Carter's k."""
 
     factors: np.ndarray

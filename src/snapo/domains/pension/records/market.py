@@ -102,7 +102,7 @@ class Correlation(eqx.Module):
       ratings, currencies, and classes with a separate shock. Others, and mortality, are
       independent of all the rest.
     - `lower`: strict lower triangle, row by row, index [k (k - 1) / 2]; labels "equity, rate".
-    - `repaired`: the largest change of an entry, 0 where nothing was repaired.
+    - `repaired`: the largest change of an entry, 0 if nothing was repaired.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)

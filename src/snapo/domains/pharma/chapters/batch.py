@@ -193,7 +193,7 @@ def _over_time(charts: Charts, unit: str) -> Callable[[RunFiles, BatchResult], l
 
 
 def _reaction(unit: str, trajectory: Course, curve: Course | None) -> list[Chart]:
-    """Concentrations over time, where the unit records them."""
+    """Concentrations over time, if the unit records them."""
     names = [name for name in trajectory if name.startswith("concentration.")]
     lines = [(name.partition(".")[2], trajectory[name]) for name in names]
     if not lines:

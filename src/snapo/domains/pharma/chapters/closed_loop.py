@@ -38,7 +38,7 @@ class KeptShares:
     """Shares of batches that keep all limits, with standard errors, on the same batches.
 
     - `value`: of the policy; `baseline`: of the best fixed recipe; `gain`: their difference;
-      `given`: of the recipe of the case. `better`: "policy", "recipe", or "" where the difference
+      `given`: of the recipe of the case. `better`: "policy", "recipe", or "" if the difference
       is not significant.
     """
 
@@ -276,7 +276,7 @@ def _share(value: float, error: float) -> tuple[str, str]:
 
 
 def _goal(result: ClosedLoopResult) -> Table:
-    """The objective, where it is not the probability itself."""
+    """The objective, if it is not the probability itself."""
     digits = decimals([result.objective, result.baseline_objective], 4)
     rows = [
         ("Trained policy", *measured(result.objective, result.objective_error, digits)),

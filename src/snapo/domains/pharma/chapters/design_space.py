@@ -208,7 +208,7 @@ def boundary(result: SpaceMap, names: list[str]) -> list[Block]:
     text = (
         f"Where the probability falls below {required} along the lines of the map next to the set "
         f"point, with the 95 % interval of that position for the {number(result.samples, 0)} "
-        "batches per point (Wilson's interval of the share, inverted); “beyond” where the batches "
+        "batches per point (Wilson's interval of the share, inverted); “beyond” if the batches "
         f"do not determine an end, or the line ends. {ENDS} has all lines."
     )
     table = Table([(name, "") for name in head], rows, "Where the design space ends", 4)

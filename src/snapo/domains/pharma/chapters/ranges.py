@@ -66,7 +66,7 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
         f"({number(result[0].samples, 0)} batches per point). An edge names the attribute "
-        "that fails outside it; “studied range” where none does. Certain and possible: as far as "
+        "that fails outside it; “studied range” if none does. Certain and possible: as far as "
         "the lower, or the upper, end of the 95 % interval of the probability is above the "
         "required one."
     )

@@ -41,7 +41,7 @@ class ControlLoop(NamedTuple):
     - `inputs`: {name: Input}. `baseline`: the recipe of the case as a policy that sees nothing;
       trained, it is the best fixed recipe. `policy`: the same recipe with feedback.
     - `stages`: in order. `outputs`: names of the attributes' totals. Beside them "success" is 1
-      where all limits hold, and "violation" adds up the distances beyond them in margins.
+      if all limits hold, and "violation" adds up the distances beyond them in margins.
     """
 
     simulator: Simulator

@@ -1,5 +1,5 @@
 """One batch of the process as stages of decisions: each unit on which something is decided or
-measured over time, and at the end, where there is something to decide there, the others.
+measured over time, and at the end, if there is something to decide there, the others.
 
 All other units run between the stages, in one go. A stage's state holds the whole batch: its
 drawn numbers, the streams made so far, the last value of every control and the last reading of

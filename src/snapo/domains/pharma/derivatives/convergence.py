@@ -21,7 +21,7 @@ SMALL = 0.02  # of its value that an attribute without limits may move
 class Cells:
     """One attribute in its unit: `value` by the case's cells, `finer` by twice as many, and the
     change between them in margins of the attribute (`margins`), without limits in 2 % of its value;
-    infinite where there is no number; `passed`: whether that is at most one."""
+    infinite if there is no number; `passed`: whether that is at most one."""
 
     attribute: str
     value: Number
@@ -42,7 +42,7 @@ def finer_cells(process: Process) -> Process | None:
 
 
 def on_finer_cells(process: Process, inputs=None) -> tuple[Cells, ...]:
-    """Every attribute; () where no unit has cells."""
+    """Every attribute; () if no unit has cells."""
     finer = finer_cells(process)
     if finer is None:
         return ()
@@ -87,7 +87,7 @@ class ConvergenceRow:
 @dataclass(frozen=True)
 class Convergence:
     """`passed`: whether values agree to 1e-6 and derivatives to 1e-5; `cells`: attributes on twice
-    as many cells along lengths and over sizes, where there are any."""
+    as many cells along lengths and over sizes, if there are any."""
 
     rows: tuple[ConvergenceRow, ...]
     passed: bool

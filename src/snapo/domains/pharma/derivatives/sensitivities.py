@@ -25,8 +25,8 @@ class MatrixForms(NamedTuple):
 
     - `raw`: attribute's unit per case's unit of the parameter.
     - `scaled`: change of the attribute over half the normal operating range.
-    - `share`: `scaled` over the distance to the nearest limit; NaN where the attribute has no
-      limit, infinite where it is on or beyond it.
+    - `share`: `scaled` over the distance to the nearest limit; NaN if the attribute has no
+      limit, infinite if it is on or beyond it.
     - `zero`: whether an entry is zero because nothing connects the two: exactly 0.0.
     """
 
@@ -102,7 +102,7 @@ def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spr
 
 
 def _of_variance(varied: "Spread", shares: np.ndarray, name: str) -> float:
-    """The share of an attribute's variance that one source causes, 0 where it does not vary."""
+    """The share of an attribute's variance that one source causes, 0 if it does not vary."""
     return float(shares[varied.sources.index(name)]) if name in varied.sources else 0.0
 
 

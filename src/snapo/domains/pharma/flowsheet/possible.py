@@ -21,7 +21,7 @@ def smallest(measure: str) -> float:
 
 
 def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
-    """The first measure with a value that cannot be, as text; "" where there is none."""
+    """The first measure with a value that cannot be, as text; "" if there is none."""
     units = {
         f"{unit.name}.{name}": measured
         for unit in case.units

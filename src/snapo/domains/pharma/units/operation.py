@@ -144,7 +144,7 @@ class Unit(ABC):
 
     def unsound(self, track: dict[str, np.ndarray], inputs: dict[str, Any]) -> str:
         """Where a run, by its states over time, went beyond the assumptions of the unit's model, in
-        words; "" where it did not."""
+        words; "" if it did not."""
         return ""
 
     @property
@@ -176,7 +176,7 @@ class Timed(Unit):
 
     def fastest(self, network: FlowNetwork, feeds: tuple[Feed, ...]) -> float:
         """1/s: a bound on the rates at which its states answer, from the numbers of the case only,
-        where `feeds` are all that enters; infinite where there is none."""
+        where `feeds` are all that enters; infinite if there is none."""
         return inf
 
     @abstractmethod

@@ -22,7 +22,7 @@ class Payments(NamedTuple):
 
     - `steps` [J]: when they are due, in steps from the purchase, rising.
     - `coupon` [k]: the rate per year, or `AT_PAR`. `period` [k, J]: the years for which a coupon is
-      due. `principal` [k, J]: 1 where the principal is due.
+      due. `principal` [k, J]: 1 if the principal is due.
     """
 
     steps: np.ndarray

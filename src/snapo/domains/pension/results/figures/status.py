@@ -48,7 +48,7 @@ class Pace(NamedTuple):
     - `benefits`, `expenses`: paid. `payroll`: salaries.
     - `increase`: net of cuts, of a year in which prices grow as the one-year break-even: a share;
       the fixed one where increases are fixed. `raised`: its part of a year's benefits;
-      `liability_raised`: its part of the liability, 0 where the payments contain it.
+      `liability_raised`: its part of the liability, 0 if the payments contain it.
     """
 
     accrual: float
