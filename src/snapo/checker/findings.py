@@ -104,8 +104,8 @@ Severity = Literal["error", "warning"]
 
 
 class Finding(NamedTuple):
-    """One mistake: `where` it is (a method, a leaf or an input, with file:line if known), its
-    `subject`, and how to `fix` it."""
+    """One mistake. `where`: its position (a method, a leaf or an input, with file:line if known);
+    `subject`: what is wrong; `fix`: how to correct it."""
 
     severity: Severity
     where: str

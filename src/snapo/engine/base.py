@@ -250,7 +250,7 @@ class Engine(abc.ABC):
         actions=None,
         wrt: tuple[str, ...] = ("policy", "schedule", "start"),
     ) -> Adjoint:
-        """`adjoint` of each part of the paths: the first parts[0], the next parts[1] …
+        """`adjoint` for each part of the paths: the first parts[0] paths, the next parts[1] paths …
 
         Derivatives have a leading axis of parts; those with respect to initial states are omitted.
         """

@@ -87,7 +87,7 @@ class Problem:
     - `objective`: of the path totals; maximised. The name of an output means its
       mean: "cash" is `Mean("cash")`.
     - `sources`: the scenarios of training, validation and evaluation; the last two have few paths
-      where nothing is random (see `EqualPaths`).
+      if nothing is random (see `EqualPaths`).
     - `constraints`: limits on averages or probabilities: `[Mean("unserved") <= 0.05]`.
     - `rebuild`: the same problem with everything in its simulator that was computed from the inputs
       (a value table, a hedge, scales of features) recomputed; None if nothing was.
@@ -133,7 +133,7 @@ class Problem:
 
     @property
     def form(self) -> Hashable:
-        """All on which the compiled code for its paths depends: problems of the same form share
+        """All that the compiled code for its paths depends on: problems of the same form share
         that code; numbers, labels and units may differ."""
         return form_of((self.simulator, inputs_.unnamed(self.inputs)))
 
@@ -190,7 +190,7 @@ class Problem:
         return other.prepared(self.schedule)
 
     def prepared(self, schedule: Schedule) -> "Problem":
-        """The same problem with a known schedule, that which its simulator would prepare."""
+        """The same problem with a known schedule: the one that its simulator would prepare."""
         other = replace(self)
         version = of_preparation(self.simulator, self.inputs)
         other.__dict__["schedule"] = version, schedule

@@ -47,9 +47,9 @@ class Simulator(eqx.Module):
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
     - `first_step`: the number of its first step in the calendar by which scenarios count, 0 by
-      default. `initial_steps`: the noise that `initial` receives is that of the calendar's first so
-      many steps, one after another, of which it uses those before `first_step`. Where they are
-      fewer, it is drawn by itself, and steps are counted from the simulator's own start.
+      default. `initial_steps`: `initial` receives the noise of this number of first steps of the
+      calendar, one after another, and uses those before `first_step`. If there are fewer, its
+      noise is drawn separately, and steps are counted from the simulator's own start.
       `calendar`: path p is the same world only in simulators for which it is equal.
     - `fully_observed`: declared by an author who knows that the observation has all of the state
       that matters to a decision; it is then not examined (`problem.unseen`).

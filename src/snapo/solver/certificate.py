@@ -174,13 +174,13 @@ def bump_check(
 ) -> list[Bump]:
     """The adjoint against finite differences in float64, on the same paths.
 
-    On the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the policy
-    reacts; without, the exact simulator replays its recorded decisions.
+    It uses the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the
+    policy reacts; without, the exact simulator replays its recorded decisions.
     Every input, or those named by `only`, is bumped along one random direction of signs, or with
     `every` entry by entry.
-    Path weights are held, as in the adjoint. At a kink an adjoint equals one of the one-sided
-    differences; along a direction in which paths differ in the side, it equals neither, and only
-    the paths without a kink within the step are compared (see `Bump.crossing`).
+    Path weights are held fixed, as in the adjoint. At a kink an adjoint equals one of the one-sided
+    differences. If paths lie on different sides of their kinks, it equals neither; then only the
+    paths without a kink within the step are compared (see `Bump.crossing`).
     """
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)

@@ -271,8 +271,8 @@ def simulate(
     smooth: Smooth | Exact = EXACT,
     engine: Engine | None = None,
 ) -> Simulation:
-    """The trajectories of the first `paths` paths of the problem's evaluation, on which its value
-    is.
+    """The trajectories of the first `paths` paths of the problem's evaluation, which
+    also give its value.
 
         paths = snapo.simulate(solution.problem, solution.policy, paths=256)
         paths.states["water"].mean(1)

@@ -119,7 +119,7 @@ class Sensitivities(NamedTuple):
         return self.of(name).along(direction)
 
     def capped(self, gap: float) -> "Sensitivities":
-        """With intervals for a policy whose value is certified to be within `gap` of the best one.
+        """The same table, with intervals for a policy whose value is within `gap` of the best one.
 
         Use the upper end of a certified gap, `snapo.bound(problem, policy).gap.high`, or the exact
         value minus that of the policy if it is known.
@@ -245,13 +245,14 @@ def sensitivities(
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
-    """Held derivatives on `paths`; with `Smooth(temperature)` smooth ones too, on `smooth_paths`.
+    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` also those of
+    the smooth policy, on `smooth_paths`.
 
-    On the problem's evaluation scenarios. Standard errors come from 32 to 64 independent blocks of
-    paths. `earlier` is a policy from the middle of training: its held derivatives on the first of
-    the same paths show how much they still changed. `actions` [T, paths, A] are the policy's
-    decisions on these paths, and `totals` {output: [paths]} their totals, if they were recorded
-    before.
+    The scenarios are those of the problem's evaluation. Standard errors come from 32 to 64
+    independent blocks of paths. `earlier` is a policy from the middle of training: its held
+    derivatives on the first of the same paths show how much they still changed. `actions` [T,
+    paths, A] are the policy's decisions on these paths, and `totals` {output: [paths]} their
+    totals, if they were recorded before.
     """
     return sensitivities_and_totals(
         problem, policy, paths, smooth, smooth_paths, earlier, engine, actions, totals
@@ -352,12 +353,13 @@ def second_order(
     paths: int = 4096,
     smooth: Smooth | Exact | None = None,
 ) -> list[dict[str, np.ndarray]]:
-    """The change of held derivatives along directions of the inputs (forward over reverse).
+    """The change of derivatives along directions of the inputs (forward over reverse).
 
-    The decisions respond through the smooth policy: with only held decisions, a value that is
-    linear in prices has no second derivative. A direction is {input: array}, zero if not named.
-    `smooth`: `Smooth(0.005)` by default. Each result is {input: array}: d (held derivative) / d
-    direction. XLA only; on Mean-like objectives the weights are constant, on others they are held.
+    The derivatives are those with decisions held fixed, but along a direction the decisions respond
+    through the smooth policy: otherwise a value that is linear in prices has no second derivative.
+    A direction is {input: array}, zero if not named. `smooth`: `Smooth(0.005)` by default. Each
+    result is {input: array}: d (held derivative) / d direction. XLA only; on Mean-like objectives
+    the weights are constant, on others they are held fixed.
     """
     engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs
     smooth = smooth or Smooth(TEMPERATURE)

@@ -30,12 +30,12 @@ class Compared(NamedTuple):
 
     @property
     def episodes(self) -> int:
-        """The number of episodes; `rewards` [episodes] are the sums of each in the real one."""
+        """The number of episodes; `rewards` [episodes]: the sum of each, in the environment."""
         return len(self.rewards)
 
     @staticmethod
     def of(real: Sequence[float] | np.ndarray, model: np.ndarray) -> "Compared":
-        """From the sums of rewards of every episode."""
+        """The comparison, from the sums of rewards of every episode."""
         both = np.asarray(real, np.float64), np.asarray(model, np.float64)
         averages = [statistics.mean(item) for item in (*both, both[0] - both[1])]
         (a, da, _), (b, db, _), (c, dc, _) = averages
@@ -97,7 +97,7 @@ class Learned:
 
     @property
     def model_value(self) -> float:
-        """The same in the model, from the same starts."""
+        """The mean sum of rewards in the model, from the same initial observations."""
         return self.comparison.model
 
     @property

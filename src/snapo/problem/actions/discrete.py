@@ -137,8 +137,8 @@ class Stop(Actions):
         return self.rights
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """(1 + u / (1 + u^2)^.5) / 2 of the score u: raw, shifted by that of the untrained hazard,
-        over temperature * scale; exact: 1 if it is above 0.
+        """(1 + u / (1 + u^2)^.5) / 2, where the score u is raw, shifted by the untrained hazard's
+        score, over temperature * scale; exact: 1 if it is above 0.
 
         Not the logistic curve: its slope vanishes like the hazard itself, so that a training whose
         first steps all lower the hazard never recovers.
@@ -172,7 +172,7 @@ class Stop(Actions):
     def use(self, right: Float[Array, " rights"], action: Float[Array, " size"]):
         """(right, used): the weights after this step's decision, and the expected rights used.
 
-        `right` [rights] and `action` [rights] are for one right left up to all of them.
+        `right` [rights] and `action` [rights] have a number for one right left, two … up to all.
         """
         moved = right * action
         used = moved.sum()

@@ -150,8 +150,8 @@ def to_onnx(
 ) -> Any:
     """The policy as an ONNX model: `observation` [states, features] to `action` [states, size].
 
-    The decision is that of the exact simulator: rounded, stopped, on one option. The graph follows
-    the JAX trace of the policy, so that user-defined classes can be exported too.
+    The decision is that of the exact simulator: whole numbers, stop or continue, one option. The
+    graph follows the JAX trace of the policy, so that user-defined classes can be exported too.
 
     **Arguments:**
 

@@ -65,7 +65,7 @@ class Noise(eqx.Module):
 
 
 def uniform(normal: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The uniform number between 0 and 1 at a standard normal; 1 minus it is that at -normal."""
+    """The uniform number u between 0 and 1 at a standard normal; at -normal it is 1 - u."""
     return ndtr(normal)
 
 
@@ -89,7 +89,7 @@ def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTre
     """The values of one step, shaped like the tree: a dictionary of noises gives one of values.
 
     `states` are those of noises with memory, by name: `draw(noises, normals, regime=regime)`. The
-    normals are dealt out in the order of the tree, a dictionary's in that of its sorted keys.
+    noises take the normals in the order of the tree; a dictionary has the order of its sorted keys.
     """
     result, structure = jax.tree_util.tree_flatten_with_path(noises, is_leaf=_is_noise)
     requested = size(noises)

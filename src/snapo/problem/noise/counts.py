@@ -82,7 +82,7 @@ class Counts(Noise):
 
     `draw` gives a number whose derivative with respect to the parameters is exact if outcomes are
     quadratic without corners, and nearly so if the positions of corners differ between paths;
-    `weigh` gives a number and its likelihood, which is right always. `maximum` is static, and
+    `weigh` gives a number and its likelihood, which is always right. `maximum` is static, and
     follows from the parameters where these are known.
     """
 

@@ -184,7 +184,7 @@ TAME = 100.0  # times: less growth than this needs no word
 
 
 class Growth(NamedTuple):
-    """Norms of the adjoint before every step, of a few paths of training, at one policy.
+    """Norms of the adjoint before every step, on a few paths of training, for one policy.
 
     - `step`: of training, at which they were measured.
     - `usual`, `largest`: [T] the median over the paths, and the largest of them.
@@ -241,7 +241,7 @@ class Growth(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Growth | None":
-        """From plain data, as read from JSON."""
+        """The record, from plain data as JSON has it."""
         if stored is None:
             return None
         step, usual, largest, leaves = stored

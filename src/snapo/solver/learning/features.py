@@ -71,7 +71,7 @@ class FeatureScale(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "FeatureScale | None":
-        """From plain data, as read from JSON."""
+        """The record, from plain data as JSON has it."""
         return None if stored is None else cls(*map(tuple, stored))
 
     def _applied(self, policy: Policy, work: Callable[..., tuple[Any, Any]]) -> Policy:

@@ -71,7 +71,7 @@ class Round(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Round":
-        """From plain data, as read from JSON."""
+        """The record, from plain data as JSON has it."""
         step, values = stored
         return cls(step, tuple((number, value) for number, value in values))
 
