@@ -105,7 +105,7 @@ Severity = Literal["error", "warning"]
 
 class Finding(NamedTuple):
     """One mistake. `where`: its position (a method, a leaf or an input, with file:line if known);
-    `subject`: what is wrong; `fix`: how to correct it."""
+    `subject`: the mistake itself; `fix`: how to correct it."""
 
     severity: Severity
     where: str
