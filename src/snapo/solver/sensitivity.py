@@ -245,13 +245,12 @@ def sensitivities(
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
-    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` also those of
-    the smooth policy, on `smooth_paths`.
+    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` smooth ones too.
 
-    The scenarios are those of the problem's evaluation. Standard errors come from 32 to 64
-    independent blocks of paths. `earlier` is a policy from the middle of training: its held
-    derivatives on the first of the same paths show how much they still changed. `actions` [T,
-    paths, A] are the policy's decisions on these paths, and `totals` {output: [paths]} their
+    The latter use `smooth_paths`; all are paths of the problem's evaluation. Standard errors come
+    from 32 to 64 independent blocks of paths. `earlier` is a policy from the middle of training:
+    its held derivatives on the first of the same paths show how much they still changed. `actions`
+    [T, paths, A] are the policy's decisions on these paths, and `totals` {output: [paths]} their
     totals, if they were recorded before.
     """
     return sensitivities_and_totals(
@@ -357,9 +356,8 @@ def second_order(
 
     The derivatives are those with decisions held fixed, but along a direction the decisions respond
     through the smooth policy: otherwise a value that is linear in prices has no second derivative.
-    A direction is {input: array}, zero if not named. `smooth`: `Smooth(0.005)` by default. Each
-    result is {input: array}: d (held derivative) / d direction. XLA only; on Mean-like objectives
-    the weights are constant, on others they are held fixed.
+    Directions and results are {input: array}; a direction is zero if not named. `smooth`:
+    `Smooth(0.005)` by default. XLA only; weights are held fixed if the objective is not linear.
     """
     engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs
     smooth = smooth or Smooth(TEMPERATURE)

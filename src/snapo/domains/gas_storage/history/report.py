@@ -164,8 +164,8 @@ def _hedges(result: StoreBacktest, case: StorageCase) -> Block:
         Column("Cost", "cost", case.currency),
     ]
     caption = (
-        "With each hedge, after its costs; the deviation is that of the change from one solution "
-        "to the next, marked to the curve"
+        "With each hedge, after its costs. The deviation is that of the change from one solution "
+        "to the next, with the position marked to the curve"
     )
     return table(rows, columns, caption)
 

@@ -40,15 +40,15 @@ OBJECTIVE = "Objective"  # its name where it is a utility, which has no unit
 CAVEAT = (
     "First-order effects of the standard moves, with decisions held fixed; one adjoint pass for "
     "each output, over the same paths. Points are percentage points of the funding ratio or of "
-    "probability; money is that share of today's liability, and for contributions their present "
-    "value itself. The probability is the exact share of paths; its effects are those of a "
+    "probability. Money is this share times today's liability; for contributions it is their "
+    "present value. The probability is the exact share of paths; its effects are those of a "
     "logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has no "
     "unit. Every number: outputs.csv."
 )
 OF_POTS = (
     ("points of the funding ratio", "points of today's pension"),
-    ("money is that share of today's liability, and for contributions their present value itself",
-     "for contributions money is their present value"),
+    ("Money is this share times today's liability; for contributions it is their present value.",
+     "For contributions money is their present value."),
     ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P is the pension over today's"),
 )  # fmt: skip
 

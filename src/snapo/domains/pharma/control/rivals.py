@@ -93,7 +93,7 @@ def connected(
         stage = next(s for s in stages if item.of in s.decided)
         unit = next((unit for unit in timed(case.units) if unit.name == stage.name), None)
         if unit is None:
-            raise ValueError(f"rule {rule.name!r}: what is decided once has no loop")
+            raise ValueError(f"rule {rule.name!r}: a number decided once cannot have a loop")
         seconds = float(unit.duration.used()) / stage.horizon
         position = stage.decided.index(item.of)
         applied = 2 + len(control.measurements) + item.of
