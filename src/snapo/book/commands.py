@@ -83,7 +83,8 @@ def sweep(
 
     - `assignments`: as of `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
       `sobol` points.
-    - `train`: whether each point trains its policy; else that of the case decides at all of them.
+    - `train`: whether each point trains its policy; else the policy of the case decides at all
+      points.
 
     **Raises:** `CaseError` for a mistake in the case, its axes, or a point of them.
     """

@@ -140,8 +140,8 @@ class BookPlan:
     def base(self, contract: BookContract, read: ResultReader) -> BookJob | None:
         """The first job of a contract; None while it waits for similar ones.
 
-        Where a bump refuted a derivative of one, those of all similar contracts are judged: each
-        trains its own policy then, as one with tested derivatives does.
+        If a bump refuted a derivative of one of them, bumps test all similar contracts, and each
+        trains its own policy.
         """
         first = self.first_of_case[contract.name]
         kind = self.similarity_keys[first.name]

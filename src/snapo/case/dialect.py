@@ -1,8 +1,8 @@
 """The dialect of a CSV: separator, decimal mark, and order of day and month.
 
 Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Each is read
-where the file is unambiguous, and the case gets a note of it; where one file could mean two things
-it is refused. `1.234` next to `1,5` is a thousand and more; `1,234` by itself could be either.
+if the file is unambiguous, and the case gets a note; a file that could mean two things is refused.
+`1.234` next to `1,5` is a thousand and more; `1,234` by itself could be either.
 """
 
 import re

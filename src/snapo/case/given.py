@@ -44,7 +44,7 @@ class QuantityKey(NamedTuple):
 
 
 class KeyedUnit(NamedTuple):
-    """The position of a number whose unit is under keys of its own.
+    """The position of a number whose unit has separate keys.
 
     - `path`: the keys that lead to it. `units`: the paths of the keys of its unit, and their
       values for a number in the unit of the input. They apply to all of its numbers.

@@ -37,8 +37,8 @@ class Quantity:
     """The declaration of a number.
 
     - `unit`: a key of the same table in braces is replaced by its value.
-    - `range`: the numbers allowed; `limits`: the possible ones, outside of which a number is
-      refused as a mistake; `plausible`: those outside of which a note asks for the unit.
+    - `range`: the numbers allowed; `limits`: the possible numbers, any other is refused as a
+      mistake; `plausible`: the usual numbers, for any other a note asks for the unit.
     - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
       words.
     - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the

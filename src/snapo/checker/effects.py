@@ -109,8 +109,8 @@ def reached(
 
 
 def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
-    """Whether a `Stop` is used up: if all steps stop, only as many of them count as there are
-    rights, so that among one more group of steps at least one has no effect."""
+    """Whether a `Stop` is used up: if all steps stop, only as many count as there are rights, so
+    that at least one of one more group of steps has no effect."""
     action = simulator.action
     if not isinstance(action, Stop) or action.rights > min(RIGHTS, len(run.actions) - 1):
         return

@@ -23,8 +23,8 @@ class Agent:
 
     - `features`: from the environment's observations [N, k] to those that the policy was trained
       on; by default the same.
-    - `action`: from decisions [N, size] to N actions of the environment; or its `action_space`, or
-      the set of the problem whose environment it is. By default the set of the policy: the number
+    - `action`: a function from decisions [N, size] to N actions of the environment; or its
+      `action_space`, or the action set of the problem. By default the set of the policy: the number
       of an option of a `Choice`, a dictionary for a `Product`, else the numbers.
 
     An agent whose policy remembers keeps the memory of every episode, [N, m] in `memory`; call

@@ -81,7 +81,7 @@ def formed(record: T) -> T:
 
 
 def without_uses(tree: PyTree) -> PyTree:
-    """The tree without its `Use`s, whose shapes are often those of dates: steps read none."""
+    """The tree without its `Use`s, whose shapes often depend on dates: steps read none of them."""
 
     def uses(leaf: Any) -> bool:
         return isinstance(leaf, Use)

@@ -225,7 +225,7 @@ class Problem:
     @property
     def lost(self) -> tuple[str, ...]:
         """The inputs that affect the outputs only through rounding or comparisons in a user's code:
-        their derivative is 0 on every path, and that of the value is unknown."""
+        their derivative is 0 on every path, and the derivative of the value is unknown."""
         version = of_preparation(self.simulator, self.inputs), self.version
         if version == (None, None):
             return ()

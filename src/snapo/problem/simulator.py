@@ -1,8 +1,8 @@
 """The simulator, written by the user: ONE path of a decision problem, in plain ``jax.numpy``.
 
-No batch dimension, no random keys and no loop over time: the engines add those. A
-simulator has the way from the inputs to a schedule (`prepare`), the start of a path
-(`initial`), the policy's observation (`observe`) and the effect of one decision (`step`).
+No batch dimension, no random keys and no loop over time: the engines add those. A simulator defines
+the way from the inputs to a schedule (`prepare`), the start of a path (`initial`), the policy's
+observation (`observe`) and the effect of one decision (`step`).
 """
 
 import abc
@@ -122,8 +122,8 @@ class Simulator(eqx.Module):
         return ()
 
     def in_mean(self) -> tuple[str, ...]:
-        """Names of inputs whose derivative is not that of a single path, but correct in the mean of
-        many, such as parameters of draws in whole units. A certificate compares the mean.
+        """Names of inputs whose derivative is not correct on a single path, but in the mean of many
+        paths, such as parameters of draws in whole units. A certificate compares the mean.
         Parameters of `snapo.noise` need not be named."""
         return ()
 

@@ -135,8 +135,8 @@ def certify_derivatives(
 
 
 def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
-    """Rows as those of `Bump`, of the inputs of `Problem.in_mean`: the reported derivative against
-    a move of all their numbers by 1 %, in four standard errors of the difference.
+    """Rows like those of `Bump`, for the inputs of `Problem.in_mean`: the reported derivative
+    against a move of all their numbers by 1 %, in four standard errors of the difference.
 
     A bump that is reported itself, where it refutes the held derivative, has no difference."""
     results = []

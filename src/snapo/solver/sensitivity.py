@@ -1,11 +1,11 @@
 """Sensitivities: the effect of one unit more of every input, with an interval.
 
-Two derivatives of one value come from adjoint passes. HELD: the exact simulator with the
-recorded decisions replayed; where the decisions are optimal, see the whole state and cause no
-jump, it is the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator
-through the policy's reaction, as used in training. The reported one is the held one, unless
-a bump of the exact simulator refutes it (`derivatives.verdict`); its interval has room for the
-error of the policy (`derivatives.margin`).
+Two derivatives of one value come from adjoint passes. HELD: the exact simulator with the recorded
+decisions replayed; if the decisions are optimal, depend on the whole state and cause no jump, it is
+the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator through the
+policy's reaction, as used in training. The reported one is the held one, unless a bump of the exact
+simulator refutes it (`derivatives.verdict`); its interval has room for the error of the policy
+(`derivatives.margin`).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -245,7 +245,7 @@ def sensitivities(
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
-    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` smooth ones too.
+    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` smooth ones.
 
     The latter use `smooth_paths`; all are paths of the problem's evaluation. Standard errors come
     from 32 to 64 independent blocks of paths. `earlier` is a policy from the middle of training:

@@ -18,7 +18,7 @@ CASE, RUN = "case", "run"
 
 
 class Miniature(NamedTuple):
-    """A case small enough to be solved in seconds: a template with less of it.
+    """A case small enough to be solved in seconds: a template with smaller numbers and fewer parts.
 
     - `kind`: of the domain, which must be installed.
     - `size`: of its template; the default one where it is None.

@@ -1,6 +1,6 @@
 """The report and the live page of a solution in Python.
 
-Its problem is a kind of case whose file has the inputs; a folder of its own is the run.
+Its problem becomes a kind of case whose file has the inputs; a separate folder is the run.
 """
 
 import atexit

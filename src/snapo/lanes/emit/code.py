@@ -151,7 +151,8 @@ class Code:
         return Ref(self.raw(text), x.dtype, lanes)
 
     def shuffle(self, a: Ref, b: Ref, mask: str) -> Ref:
-        """Lanes of two vectors, as many as each has; those of the second count on."""
+        """Lanes of two vectors, in the number of lanes of each; the second vector continues the
+        count."""
         text = f"shufflevector {a.type} {a.text}, {b.type} {b.text}, <{a.lanes} x i32> <{mask}>"
         return Ref(self.raw(text), a.dtype, a.lanes)
 

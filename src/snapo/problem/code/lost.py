@@ -1,8 +1,8 @@
 """Inputs whose derivative is lost: outputs depend on them, but only by operations of slope zero.
 
 Rounding and comparisons have a derivative of zero: the derivative of `floor(size * uniform)` with
-respect to `size` is 0 on every path, but that of its mean is not. Where the input has another way
-to the output, as in `x - floor(x)`, nothing is reported here.
+respect to `size` is 0 on every path, but the derivative of its mean is not. Where the input has
+another way to the output, as in `x - floor(x)`, nothing is reported here.
 """
 
 from collections.abc import Sequence

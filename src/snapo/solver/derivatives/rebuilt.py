@@ -21,8 +21,8 @@ FEWEST = 512  # paths, for all that is measured next to the value
 
 
 def fewer(paths: int, horizon: int) -> int:
-    """As many of a number of paths as make no more steps than all would with `LONG` of them; at
-    least 512, if there are so many.
+    """The number of paths that together make no more steps than all paths with `LONG` steps each;
+    at least 512, if there are so many.
 
     A path of a year by the hour has as many days as four of three months: what is a mean over days
     is known as well from a quarter of the paths.

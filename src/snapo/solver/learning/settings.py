@@ -19,7 +19,7 @@ to 97.7 % with both; of the first five with exploration only, one earned 94.4 %.
 known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with both; .45 and .48 %
 with a decay of .2, seven times as large.
 
-A `Choice`, `Integers` or a `Stop` decides between few values, so that the initial weights matter
+A `Choice`, `Integers` or `Stop` decides between few values, so that the initial weights matter
 more: training begins from several of them and continues with the better half (`starts`).
 
 A rule fitted to the best mean is at the optimum up to the error of its fit, and the smooth problem

@@ -109,7 +109,8 @@ def new_folder(home: Path) -> Path:
 
 
 def home_of(folder: Path) -> Path | None:
-    """The folder of the case of which `folder` is one of the runs in `runs`; None of any other."""
+    """The folder of the case, if `folder` is one of the runs in its `runs`; None for any other
+    folder."""
     is_run = folder.parent.name == RUNS and NAME.fullmatch(folder.name)
     return folder.parent.parent if is_run else None
 

@@ -47,8 +47,8 @@ def no_flat_volumes(layout: ContractLayout) -> str:
 class FlatVolumes:
     """See `FlatContract`; of a schedule with NumPy leaves.
 
-    A volume above zero is one of the flow that raises the level, or of the only flow; one below
-    zero is one of the other.
+    A volume above zero belongs to the flow that raises the level, or to the only flow; a volume
+    below zero to the other flow.
     """
 
     every = False  # the value is concave in the level

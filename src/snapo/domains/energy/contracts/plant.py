@@ -5,9 +5,9 @@
 
 S is the price of power, G that of the fuel, c that of emissions, e of which a unit of fuel needs,
 which may move as the others do (`gas_storage/prices/trio.py`); q is the power of an hour on,
-between two limits. A start is of the last class whose hours off have passed. Modes are the hours
-off so far, up to those of the last class, and the hours on so far, up to `min_up`; with a ramp the
-latter are combined with the power of the hour, see `ramp.py`.
+between two limits. A start belongs to the last class whose hours off have passed. Modes are the
+hours off so far, up to those of the last class, and the hours on so far, up to `min_up`; with a
+ramp the latter are combined with the power of the hour, see `ramp.py`.
 """
 
 from collections.abc import Mapping

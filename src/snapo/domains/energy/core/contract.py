@@ -110,8 +110,8 @@ class ContractLayout(NamedTuple):
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """(move, flow) of every volume that a policy decides; that of a flow without effect on the
-        levels is the same in all moves, and is with the first of them."""
+        """(move, flow) of every volume that a policy decides; a flow without effect on the levels
+        has the same volume in all moves, listed with the first of them."""
         result: list[tuple[int, int]] = []
         for m, move in enumerate(self.every_move):
             decided = [flow for _, flow in result if not any(self.flows[flow].effects)]
@@ -171,8 +171,8 @@ class Promises(NamedTuple):
     The minimum that they serve is `owed` where a level restarts, and is met on every path. Methods
     that compare values charge a missed unit more than any unit costs.
 
-    With `missed` the sums are those of the layout, joint limits: a flow that lowers one is limited
-    by it, and methods charge each unit missed after a step, `missed` times more than any costs.
+    With `missed` the sums of the layout are joint limits: they limit the flows that lower them, and
+    methods charge each unit missed after a step, `missed` times more than any cost.
     """
 
     weights: Float[Array, "T promises levels"]

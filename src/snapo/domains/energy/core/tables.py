@@ -27,8 +27,8 @@ class UnitValues(NamedTuple):
     """One step: the value of one more unit of each volume after the step, and of each move.
 
     - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
-    - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, minus those of
-      the first move of its mode; None if there is no choice.
+    - `moves` [moves, rows …, n]: for the mode and the levels to which a move leads, relative to the
+      first move of its mode; None if there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow; the last row that gains is
       found in that number of searches. None if one row is enough, since no volume is longer.
     - `between`: the same for levels between rows: the number of searches for the last piece between

@@ -139,7 +139,7 @@ class PairTransition(NamedTuple):
 class PairGrid:
     """Nodes of two correlated factors, that of the spot price and that of a second commodity.
 
-    Columns run over those of the second x those of the spot price.
+    Columns run over the nodes of the second x the nodes of the spot price.
     """
 
     of: GaussianFactors

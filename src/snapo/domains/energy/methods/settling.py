@@ -20,7 +20,7 @@ class Settling(NamedTuple):
       money that settling takes there.
     - `corners`: such nodes and their weights, where balances are between nodes.
     - `held`: money of the nodes before and after a step, which earns the second minus the first:
-      that of the levels, and of the units made up so far; None without either.
+      money of the levels, and of the units made up so far; None without either.
     - `missed` [modes, nodes after]: the charge for joint limits that are not kept; None without.
     """
 

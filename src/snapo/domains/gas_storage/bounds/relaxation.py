@@ -117,8 +117,8 @@ PARTS = 3  # of the penalty: polynomials, hinges, the constant
 class StoreRelaxation:
     """See `snapo.Relaxation`.
 
-    `fitted_value` is the value function of the penalty, if the price process has Gaussian
-    factors; it is a finer one than that of the policy's value table.
+    `fitted_value` is the value function of the penalty, if the price process has Gaussian factors;
+    it is finer than the one behind the policy's value table.
     """
 
     def __init__(self, problem: Problem, inventories: int = INVENTORIES):

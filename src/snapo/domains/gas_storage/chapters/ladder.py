@@ -97,7 +97,7 @@ class ContractMethods(abc.ABC):
         return self.paths.joined(lambda draws, rollout: self.relaxation.best(rollout, draws, scale))
 
     def measured(self) -> MethodLadder:
-        """All of them; the bound first, whose penalty the others share."""
+        """All methods; the bound comes first, and its penalty is shared by the others."""
         methods = [
             ValuationMethod(ladder.UPPER, "foresight minus a penalty", lambda: self.best(1.0)),
             ValuationMethod(

@@ -92,7 +92,7 @@ def of_prices(schedule: Schedule) -> Schedule:
 
 
 class PricedSimulator(Simulator):
-    """A simulator whose only noise is that of the prices of its `process`."""
+    """A simulator whose only noise is the noise of its price `process`."""
 
     process: eqx.AbstractVar[PriceProcess]
 

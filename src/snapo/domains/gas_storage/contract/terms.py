@@ -177,8 +177,8 @@ def known_schedule(case: StorageCase) -> KnownSchedule:
 def value_without_decisions(case: StorageCase) -> float:
     """The value, before fixed costs, of a case with no decision days.
 
-    Zero after the end date; else that of the inventory on the end date, discounted from it: its
-    level is met (or the case would have been refused), and its price is the forward price.
+    Zero after the end date; else the value of the inventory on the end date, discounted from it:
+    its level is met (or the case would have been refused), and its price is the forward price.
     """
     if case.days:
         raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")

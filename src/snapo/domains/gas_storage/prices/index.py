@@ -2,8 +2,8 @@
 
     I(m) = mean over the days d of month m of F(d, s),   s the last day before the month
 
-with F(d, s) the forward price of d on day s. With one Gaussian factor f it is a function of
-f(s), so that spot and index are a function of two factors: f, and g, which is f(s) all month long.
+with F(d, s) the forward price of d on day s. With one Gaussian factor f it is a function of f(s),
+so that spot and index are a function of two factors: f, and g, which is f(s) for the whole month.
 For prices of kind "one-factor", of volatility v and mean reversion a,
 
     F(d, s) = F(d, 0) exp(v e g - v^2 e^2 var f(s) / 2),   e = exp(-a (d - s)).

@@ -197,9 +197,10 @@ class PriceProcess(Process):
 
     **Class attributes:** `kind`, the name in `[model]`; `table`, its keys.
 
-    **Attributes:** `proportional`: whether every price is the forward price times noise, so that
-    it scales with the curve (which must then be positive). `initial_steps`: the noise of so many
-    days after the valuation date gives the initial state; 0: that is drawn by itself.
+    **Attributes:** `proportional`: whether every price is the forward price times noise, so that it
+    scales with the curve (which must then be positive). `initial_steps`: the noise of this number
+    of days after the valuation date gives the initial state; 0: the initial state is drawn
+    separately.
     """
 
     initial_steps: ClassVar[int] = 0

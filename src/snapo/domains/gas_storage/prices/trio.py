@@ -1,8 +1,8 @@
 """Spot prices of power, a fuel and a certificate of emissions, of which a unit of fuel needs e.
 
 The two prices of `pair.py` and a third one of the same kind. A contract's cash depends on power and
-on the cost of fuel with its certificates, G + e c; the certificate moves with a factor of its own,
-and the shocks of all three are correlated. Transitions are exact over any step.
+on the cost of fuel with its certificates, G + e c; the certificate has a separate factor, and the
+shocks of all three are correlated. Transitions are exact over any step.
 """
 
 from typing import Any, NamedTuple

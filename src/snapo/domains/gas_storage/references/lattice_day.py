@@ -80,8 +80,8 @@ def decide(
     """The best decision at each start-of-day inventory [n] and column, and the value [n, columns].
 
     `after` [m, columns] is the value at the end of the day on `nodes` [m]. Free volumes: the node
-    where value minus price is greatest is a target wherever it lies within reach, which is all
-    there is to try where `after` is concave in the inventory.
+    where value minus price is greatest is a target wherever it is within reach; if `after` is
+    concave in the inventory, no other target is needed.
     """
     today = moves(schedule, day_rates, t, inventory)
     best = np.full((len(inventory), after.shape[1]), -np.inf)

@@ -38,7 +38,7 @@ class OtherLeadTime:
 
 @dataclass(frozen=True)
 class OtherLeadTimes:
-    """Each other lead time by itself; of a network, of every place by itself."""
+    """Each other lead time separately; in a network, each place separately."""
 
     lead_time_change: tuple[OtherLeadTime, ...]
 

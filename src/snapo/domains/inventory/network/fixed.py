@@ -90,6 +90,6 @@ class LikelihoodWeights:
         return self.all * amount if self.drawn else amount
 
     def innovation(self, costs):
-        """0, with the derivative of `of(costs) - costs` [n] summed; costs count only as far as they
-        are not the usual ones, for the less is multiplied, the less noise there is."""
+        """0, with the derivative of `of(costs) - costs` [n] summed; costs count only in their
+        deviation from the average, since a smaller factor adds less noise."""
         return jnp.sum((self.place_weights - 1) * (costs - self.usual)) if self.drawn else 0.0

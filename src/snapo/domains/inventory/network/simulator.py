@@ -13,7 +13,7 @@ A period:
    fixed cost is paid per order placed, even if less is sent, or nothing.
 
 A place has to cover `lead_time + 1` periods of demand before its next order can arrive, and a place
-supplied by it as many more: the line of Clark and Scarf (1960) with lead times longer by one.
+that it supplies covers them too: the line of Clark and Scarf (1960), lead times longer by one.
 """
 
 from dataclasses import replace

@@ -2,8 +2,8 @@
 
 Decisions are recorded once, and one adjoint pass with a cotangent for each output runs over the
 same paths. A share (of the funding ratio, of probability) is reported in points and basis points,
-and in money as that share of today's liability; money also as a share of it. A fund of personal
-pots is reported by its pensions over those of today, which have no such value in money.
+and in money as this share of today's liability; money also as a share of the liability. A fund of
+personal pots is reported by its pensions over those of today, which have no such value in money.
 """
 
 from collections.abc import Iterator, Sequence

@@ -31,7 +31,7 @@ class Cells:
 
 
 def finer_cells(process: Process) -> Process | None:
-    """The process on twice as many cells, with as many time steps more; None without any cells."""
+    """The process with twice the number of cells and of time steps; None without any cells."""
     case = process.case
     units = tuple(unit.finer() for unit in case.units)
     if all(new is old for new, old in zip(units, case.units)):

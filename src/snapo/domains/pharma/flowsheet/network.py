@@ -48,7 +48,7 @@ class FlowNetwork:
 
     @property
     def runs_out(self) -> np.ndarray:
-        """[R, S] where a reaction uses a species of which its rate would not become less."""
+        """[R, S] where a reaction uses a species on which its rate does not depend."""
         return (self.stoichiometry < 0) & (self.order == 0)
 
 

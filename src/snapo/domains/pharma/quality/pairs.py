@@ -7,8 +7,8 @@ used together.
 
 The interaction of x and y in an attribute f is (f(+, +) - f(+, -) - f(-, +) + f(-, -)) / 4 at the
 corners of the normal operating ranges: half of the difference that one makes to the effect of the
-other, as in a factorial design at two levels. Of f = c x y it is c times half of either range, of a
-sum of functions of x and of y it is zero.
+other, as in a factorial design at two levels. For f = c x y it is c times half of either range, for
+a sum of functions of x and of y it is zero.
 """
 
 from collections.abc import Mapping, Sequence
