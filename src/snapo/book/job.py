@@ -37,7 +37,7 @@ class BookJob:
 
     - `case`: the text of case.toml; `files`: {name: content} of the files that it names.
     - `stresses`: the moves of each.
-    - `tasks`: of the book; `seed`: of training and paths.
+    - `tasks`: the tasks of the book; `seed`: the seed of training and paths.
     - `base`: whether the unstressed point is computed too, before the stresses.
     - `judged`: whether the derivatives are tested by bumps.
     - `policy`: the file of a trained one; None: the job trains its policy, for the base or, if
@@ -45,7 +45,7 @@ class BookJob:
     - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
       takes, so that it needs no training.
     - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
-      of the processors that give the same bits.
+      the fingerprint of the processors that give the same bits.
     """
 
     case: str
@@ -310,7 +310,8 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
 class Cost(NamedTuple):
     """The cost of a result, which is not part of it.
 
-    - `cpu_seconds`: of all threads of the worker; `peak_mb`: its memory so far at most.
+    - `cpu_seconds`: the processor seconds of all threads of the worker; `peak_mb`: its memory so
+      far at most.
     - `worker`: its process and machine.
     """
 

@@ -211,8 +211,8 @@ def _day(text: str, end: bool) -> datetime.date:
 def moved_numbers(
     case: Any, inputs: Mapping[str, Input], moves: Sequence[StressMove]
 ) -> dict[str, np.ndarray]:
-    """{input, or numbers from which one is made: its numbers under the moves}; `inputs`: of the
-    unstressed case.
+    """{input, or numbers from which one is made: its numbers under the moves}; `inputs`: the inputs
+    of the unstressed case.
 
     **Raises:** `CaseError` if a move fits no number.
     """

@@ -132,7 +132,7 @@ class JobContract:
         self.study: Study = self.domain.study(self.case, Options())
 
     def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
-        """The case under a stress; `inputs`: of the unstressed one."""
+        """The case under a stress; `inputs`: those of the unstressed case."""
         check_tables(moves, self.tables)
         settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
         tables, case = self.tables, self.case

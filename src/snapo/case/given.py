@@ -36,7 +36,8 @@ class Copies(NamedTuple):
 class QuantityKey(NamedTuple):
     """The position of a number that is written with its unit in a text, "313.15 K".
 
-    - `path`: the keys that lead to it. `unit`: of the input, in which another number is written.
+    - `path`: the keys that lead to it. `unit`: the unit of the input, in which another number is
+      written.
     """
 
     path: tuple[str | int, ...]

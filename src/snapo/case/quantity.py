@@ -44,7 +44,7 @@ class Quantity:
     - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the
       numbers; `before`: the number that applies before the first row.
     - `text`: the allowed values, if the range is not sufficient.
-    - `name`: of the input, if it is not the key.
+    - `name`: the name of the input, if it is not the key.
     """
 
     unit: str = "1"

@@ -74,10 +74,10 @@ AnyTraining = TypeVar("AnyTraining", bound=TrainingTable)
 class EvaluationTable(CaseTable):
     """`[evaluation]`: the fresh scenarios on which the exact value is measured.
 
-    `judge_paths`: of the bumps that the derivatives are tested by; `search_paths`: of the search
-    around the policy, which gives every interval the policy's part; `selection_paths`: of the final
-    choice between the trained policies and the starting rule. Each is a maximum; 0 omits the
-    measurement.
+    `judge_paths`: the paths of the bumps that the derivatives are tested by; `search_paths`: the
+    paths of the search around the policy, which gives every interval the policy's part;
+    `selection_paths`: the paths of the final choice between the trained policies and the starting
+    rule. Each is a maximum; 0 omits the measurement.
     """
 
     paths: PathCount = 65536
@@ -91,9 +91,9 @@ class EvaluationTable(CaseTable):
 class ObjectiveTable(CaseTable):
     """`[objective]`: the figure to maximise; `kind` determines which of the other keys apply.
 
-    `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
-    "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,
-    added to each path's total under "crra". `target`: currency, the aim of "target".
+    `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: the risk
+    aversion of "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`:
+    currency, added to each path's total under "crra". `target`: currency, the aim of "target".
     """
 
     kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = "mean"

@@ -37,8 +37,8 @@ class NextState(NamedTuple):
 
     - `ended`: the problem has ended: by the simulator (`over`) or at the horizon.
     - `late`: a time limit truncates the episode, and the problem would continue.
-    - `outputs`: of the step, and at an end those of the terminal state as well; a name that only
-      the terminal state has is 0 before.
+    - `outputs`: the outputs of the step, and at an end those of the terminal state as well; a name
+      that only the terminal state has is 0 before.
     """
 
     state: PyTree

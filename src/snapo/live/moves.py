@@ -175,7 +175,7 @@ NONE: SelectedChoices = {}
 class WhatIf:
     """A run whose inputs can be moved.
 
-    - `study`: of the run; `rebuild`: makes that of another case.
+    - `study`: the study of the run; `rebuild`: makes that of another case.
     - `slopes`: {input: d value / d number, flat}; empty if none are known.
     """
 

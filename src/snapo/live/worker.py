@@ -155,8 +155,8 @@ def serve(
     module: str | None = None,
     shown: HeadlineTables | None = None,
 ) -> None:
-    """Answers until there are no more lines; `module`: of the user's simulator; `shown`: as the
-    page shows tables."""
+    """Answers until there are no more lines; `module`: the module of the user's simulator; `shown`:
+    as the page shows tables."""
     shown = shown or HeadlineTables(valuation)
     while (order := desk.orders.get()) is not None:
         try:

@@ -19,8 +19,8 @@ T = TypeVar("T")
 class Use(TreeRecord):
     """Where the numbers of an input are used.
 
-    - `name`: of the input; `size`: how many numbers it has.
-    - `shape`: of the numbers where they are used.
+    - `name`: the name of the input; `size`: how many numbers it has.
+    - `shape`: the shape of the numbers where they are used.
     - `index`: integers of that shape into the input's numbers; None if they are used one by one in
       order, if one number is used everywhere, and if there is none.
     """

@@ -84,7 +84,7 @@ class Problem:
     The schedule is prepared once, on first use, in float64 NumPy.
 
     - `simulator`, `inputs`: one path, and a tree of `Input`s.
-    - `objective`: of the path totals; maximised. The name of an output means its
+    - `objective`: the objective of the path totals; maximised. The name of an output means its
       mean: "cash" is `Mean("cash")`.
     - `sources`: the scenarios of training, validation and evaluation; the last two have few paths
       if nothing is random (see `EqualPaths`).

@@ -152,8 +152,8 @@ class FactorPrice(Process):
 
     **Arguments:**
 
-    - `times`: of the T steps, rising, counted from today in any unit (years, hours). At time 0
-      the price is the forward price.
+    - `times`: the times of the T steps, rising, counted from today in any unit (years, hours). At
+      time 0 the price is the forward price.
     - `time_scale`: the time after which a factor's standard deviation counts as its typical size.
     """
 

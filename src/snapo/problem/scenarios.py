@@ -189,7 +189,7 @@ class Supplied(Scenarios):
 
     - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are assumed to
       be independent.
-    - `seed`: of the choice of paths at every training step.
+    - `seed`: the seed of the choice of paths at every training step.
     - `first`: the index of the first path of this part among the supplied ones.
     """
 

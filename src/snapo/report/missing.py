@@ -12,7 +12,8 @@ SectionFunction = Callable[[AnyFolder], Section]
 
 
 def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
-    """Why the numbers of a part are not in this run; `table`: of a case that asks for the part."""
+    """Why the numbers of a part are not in this run; `table`: the table of a case that asks for the
+    part."""
     state = run.parts.get(part)
     if state is None and run.left_out(part):
         return Missing(f"The part “{part}” is not among the `[report] parts`.")

@@ -46,7 +46,7 @@ class RunOrigin(NamedTuple):
     """Where a run comes from.
 
     - `run`: its name; `began`, `began_utc`: when it did, ISO 8601.
-    - `case`: folder and file; `sha256`: of the file; `assignments`: of `--set`.
+    - `case`: folder and file; `sha256`: of the file; `assignments`: the assignments of `--set`.
     - `previous`: the run before, read with `PreviousRun`; None without one.
     """
 

@@ -74,7 +74,7 @@ class Bound:
 
     - `lower`: the policy's value; `upper`: a bound of every policy's value.
     - `gap`: upper minus lower, paired path by path.
-    - `penalty`, `words`: kind and meaning of the penalty; `scale`: of its parts.
+    - `penalty`, `words`: kind and meaning of the penalty; `scale`: the scale of its parts.
     - `sure`: the certainty equivalents of lower and upper, if the objective is a utility.
     - `few`: whether a few paths that gain much by foresight dominate the gap; its interval is wider
       then.

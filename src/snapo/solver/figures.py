@@ -181,7 +181,7 @@ class Figures:
         """A state, an action or an output over time: the mean, and bands with 50 % and 90 % of
         1,024 paths of the evaluation.
 
-        - `problem`: of the solution; required for a loaded one.
+        - `problem`: the problem of the solution; required for a loaded one.
 
         **Raises:** `KeyError` for an unknown name, `ValueError` without a problem or a policy.
         """

@@ -105,10 +105,10 @@ def carry_out(
     """Does the parts of a study one after another; returns the content of result.json.
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
-    other work for this run, by name; `origin`: of a new run, for its report. A part that fails
-    leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts and
-    the best policy so far are reported, and `Interrupted`, a `KeyboardInterrupt`, has the content
-    of result.json.
+    other work for this run, by name; `origin`: the origin of a new run, for its report. A part that
+    fails leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts
+    and the best policy so far are reported, and `Interrupted`, a `KeyboardInterrupt`, has the
+    content of result.json.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))

@@ -25,8 +25,8 @@ SHARE = 0.01  # of an input: by so much it is moved where it does not say its `m
 class DerivativePair(NamedTuple):
     """The reported derivative in both runs, per one `unit` of the input.
 
-    - `standard_error`: of the difference, from sampling; `policy`: by how much the errors of both
-      policies may move it.
+    - `standard_error`: the standard error of the difference, from sampling; `policy`: by how much
+      the errors of both policies may move it.
     - `sources`: where either comes from (`Sensitivities.source`).
     - `effect`: the difference of the effects of the input's standard move on the two values.
     """

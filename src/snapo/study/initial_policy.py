@@ -92,8 +92,8 @@ class SuppliedPolicy:
 def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     """The policy of a run folder or of a file.
 
-    - `kind`: of the case; `out`: the folder of the new run. If both folders are the same, the
-      policy is read before the new run removes it, and a resumed run reads its copy.
+    - `kind`: the kind of the case; `out`: the folder of the new run. If both folders are the same,
+      the policy is read before the new run removes it, and a resumed run reads its copy.
 
     **Raises:** `CaseError` if there is none, or it is damaged, or of a run of another kind.
     """

@@ -50,7 +50,7 @@ def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Pat
 
     - `read`: a domain's reader, `read(file, data) -> case`.
     - `folder`: a correct case, `case.toml` and the files next to it; it is not changed.
-    - `mistakes`: of `spoilt_keys` or `spoilt_files`.
+    - `mistakes`: the mistakes of `spoilt_keys` or `spoilt_files`.
     - `scratch`: a folder for the spoilt copies.
     """
     scratch.mkdir(parents=True, exist_ok=True)

@@ -46,9 +46,10 @@ class LearningRound(NamedTuple):
     """One round: a fit, a training, and episodes of the new policy in the real environment.
 
     - `steps`: real steps up to its end, `rows`: transitions to which the model was fitted.
-    - `error`: of the model on held-out rows, over the spread of each number (see `Fit.error`).
+    - `error`: the error of the model on held-out rows, over the spread of each number (see
+      `Fit.error`).
     - `comparison`: the new policy without noise, from initial observations common to all rounds.
-    - `seconds`: of processor time.
+    - `seconds`: the seconds of processor time.
     """
 
     steps: int

@@ -119,7 +119,8 @@ class Stop(Actions):
     Size: one hazard for each number of rights left, since the decision depends on it.
 
     - `rights`: the number of times it can be used, at most once per step.
-    - `hazard`: of an untrained network, 0 to 1; small enough that paths reach later steps.
+    - `hazard`: the hazard of an untrained network, 0 to 1; small enough that paths reach later
+      steps.
     - `scale`: scores count in units of temperature times `scale`.
     """
 

@@ -42,7 +42,7 @@ def decision_table(
     - `file`: a CSV to write, a row for each pair; None: the table is only returned.
     - `x`, `y`: the index of the varied number, from 0, and its values.
     - `at`: all numbers of one observation; those of `x` and `y` are replaced.
-    - `names`: of the columns: the two numbers, then those of the action.
+    - `names`: the names of the columns: the two numbers, then those of the action.
     - `observe`: from raw numbers to one observation; `at`, `x` and `y` are then raw.
 
     >>> rule = snapo.Linear([[1.0, 10.0]])
@@ -159,7 +159,7 @@ def to_onnx(
     - `features`: the length of an observation; by default that of the policy's network.
     - `observe`: from one vector of raw numbers to one observation, `lambda raw: (raw - 50) / 20`;
       it becomes part of the graph, and `features` counts the raw numbers.
-    - `dtype`: of the graph. The policy's weights are float32 in both.
+    - `dtype`: the dtype of the graph. The policy's weights are float32 in both.
 
     **Returns:** the `onnx.ModelProto`, checked by onnx. **Raises:** `ValueError` if the policy
     uses an operation without a counterpart, which is named, or the number of features is unknown.

@@ -43,7 +43,8 @@ class BlockPlan(NamedTuple):
     def estimate(self, sums: np.ndarray, further: np.ndarray) -> np.ndarray:
         """[B, *shape]: numbers whose mean is the derivative and whose spread is its error.
 
-        `sums`: of w_i dX_i by block [B, *shape]; `further`: those of the pieces [K, *shape].
+        `sums`: the sums of w_i dX_i by block [B, *shape]; `further`: those of the pieces [K,
+        *shape].
         """
         blocks, shape = len(sums), (len(sums), *(1,) * (sums.ndim - 1))
         value = sums.sum(0)

@@ -29,7 +29,7 @@ COLUMNS = (
 class Verdict(NamedTuple):
     """One input bumped by one percent: the change of the value, and the derivatives along it.
 
-    - `source`: of the reported derivative, see `Reported`.
+    - `source`: the source of the reported derivative, see `Reported`.
     - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump minus held, paired.
     - `up`, `down`: the change of the value for an increase and a decrease of the input;
       `side_error` of their difference.

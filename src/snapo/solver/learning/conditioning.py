@@ -186,7 +186,7 @@ TAME = 100.0  # times: less growth than this needs no word
 class Growth(NamedTuple):
     """Norms of the adjoint before every step, on a few paths of training, for one policy.
 
-    - `step`: of training, at which they were measured.
+    - `step`: the step of training, at which they were measured.
     - `usual`, `largest`: [T] the median over the paths, and the largest of them.
     - `leaves`: {name: [T]} the root mean square over the paths, by part of the state.
     """

@@ -88,8 +88,8 @@ class Progress:
     problem's limits. `raced`: the rounds in which starts were dropped, if there were several.
     `slowed`: the steps that failed, after each of which the rate is lower (see `train`). `redrawn`:
     the steps at which it restarted from other initial weights (see `verdict.constant`);
-    `unchanged`: the validations in a row in which every path earned the same. `scale`: of the
-    features that no decision affects, for which the first layer is trained.
+    `unchanged`: the validations in a row in which every path earned the same. `scale`: the scale of
+    the features that no decision affects, for which the first layer is trained.
     """
 
     step: int

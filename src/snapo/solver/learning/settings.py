@@ -60,8 +60,8 @@ class Training:
       horizon and the size of the policy.
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
-    - `decay`: of weights, per step and times the rate (AdamW). "auto": 0, or if the steps are
-      "auto" too, above 0 for more than eight decisions in one step.
+    - `decay`: the decay of weights, per step and times the rate (AdamW). "auto": 0, or if the steps
+      are "auto" too, above 0 for more than eight decisions in one step.
     - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
     - `average`: the policy is averaged over about this share of the steps.
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every
@@ -81,7 +81,7 @@ class Training:
       after every tenth of the steps it continues with the better half (`solver.learning.starts`).
       "auto": four where `solve` draws them, `steps` is "auto" too and the action is a `Choice`,
       `Integers` or `Stop`; else one.
-    - `seed`: of the network's initial weights and of all scenarios.
+    - `seed`: the seed of the network's initial weights and of all scenarios.
     """
 
     steps: int | Auto = "auto"

@@ -145,7 +145,8 @@ def race(
     """The start that is left, and the rounds in which the others fell out.
 
     - `started`: the starts before their first step.
-    - `steps`: of a whole run; `run(progress, until)` trains up to step `until` and validates.
+    - `steps`: the steps of a whole run; `run(progress, until)` trains up to step `until` and
+      validates.
     """
     every = max(1, round(ROUND * steps))
     left, rounds = dict(enumerate(started)), []

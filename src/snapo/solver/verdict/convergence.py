@@ -103,7 +103,7 @@ def ending(
 
     - `progress`: its `best` is the reported policy; `training`: with "auto" settings resolved.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
-    - `held_paths`: of the held derivatives; 0 leaves out the checks that need decisions.
+    - `held_paths`: the paths of the held derivatives; 0 leaves out the checks that need decisions.
     - `decisions` [T, held_paths, A] of that policy on these paths, where they were recorded before.
     - `gradient`: the norm of the policy's gradient and that of its noise, if they are known.
     """

@@ -97,7 +97,7 @@ def certificate(
 
     **Arguments:**
 
-    - `bump_paths`: of the differences.
+    - `bump_paths`: the paths of the differences.
     - `tolerance`: by how much a limit may be missed; `near`: the problem at a small distance from
       kinks.
     - `problem_of`: the problem to certify.

@@ -30,7 +30,8 @@ HEADINGS = {"state": "state", "action": "decision", "outputs": "output of one st
 class BandSeries:
     """Bands of one number over time: of states [T + 1], of decisions and outputs [T].
 
-    - `name`: "water", "stock.0"; `kind`: "state", "action" or "outputs"; `unit`: of its numbers.
+    - `name`: "water", "stock.0"; `kind`: "state", "action" or "outputs"; `unit`: the unit of its
+      numbers.
     - `mean`, `p01` …: mean and quantiles over the paths, NaN at steps where no path is finite.
     """
 

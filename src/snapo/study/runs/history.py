@@ -25,7 +25,7 @@ class RunRow(NamedTuple):
 
     - `run`: its name; `folder`; `latest`: whether `run` points to it; `began`: the date and time.
     - `value`, `low`, `high`: with its 95 % interval, None if there is none.
-    - `status`: of result.json; or "running", or the reason why there is none.
+    - `status`: the status of result.json; or "running", or the reason why there is none.
     - `changes`: the settings that differ from the run before.
     """
 

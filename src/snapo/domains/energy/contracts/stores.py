@@ -49,7 +49,7 @@ class Store(TreeRecord):
     - `inventory`: index []; `limits`: least and most in store, index [T + 1]; `end`: owed at the
       end, index [], None if any inventory is allowed and worthless.
     - `rates`: most injected and most withdrawn, before `factors` [T, 2]; `costs`, `fuel`: of both;
-      `holding`: of a unit in store, None if it is free; each index [T].
+      `holding`: the cost of a unit in store, None if it is free; each index [T].
     """
 
     inventory: CaseInput

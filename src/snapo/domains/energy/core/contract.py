@@ -55,7 +55,7 @@ class ContractMove(NamedTuple):
     - `name`: in reports; `before`, `after`: modes.
     - `flows`: indices of those that may flow, at most one of them on a step of a method that
       compares volumes; the others are zero.
-    - `changes`: of each level, for all flows.
+    - `changes`: the changes of each level, for all flows.
     """
 
     name: str
@@ -204,7 +204,7 @@ def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
 class Intraday(NamedTuple):
     """Trades of differences from a schedule, see `intraday.py`; in units of a market.
 
-    - `half_spread`: money for each unit of the difference; `discount`: of it.
+    - `half_spread`: money for each unit of the difference; `discount`: its discount factor.
     - `sold`: units sold for each unit of a flow, negative where they are bought.
     """
 
@@ -295,7 +295,8 @@ class EnergyContract(TreeRecord):
     @abc.abstractmethod
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         """{key of `[contract]`: value} of a case that begins with these levels, by name, in this
-        mode; "a.b" is a key of a table. `index`: of the first step, where it was fixed before.
+        mode; "a.b" is a key of a table. `index`: the index of the first step, where it was fixed
+        before.
 
         **Raises:** `ValueError` if no case begins so.
         """

@@ -26,7 +26,7 @@ class LevelRows(NamedTuple):
 class UnitValues(NamedTuple):
     """One step: the value of one more unit of each volume after the step, and of each move.
 
-    - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
+    - `slopes` [pairs, rows …, n]: the slopes of one more unit along the flow from a row.
     - `moves` [moves, rows …, n]: for the mode and the levels to which a move leads, relative to the
       first move of its mode; None if there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow; the last row that gains is

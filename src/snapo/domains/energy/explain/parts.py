@@ -49,7 +49,7 @@ def explained_change(
     flows: Any = None,
     cash: float | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value; `cash`: of the days between, as it was.
+    """The parts of the change of value; `cash`: the cash of the days between, as it was.
 
     **Raises:** `CaseError` if the second run cannot follow the first one.
     """

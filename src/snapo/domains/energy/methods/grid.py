@@ -86,7 +86,7 @@ class ContractGrid:
 def grid_of(
     layout: ContractLayout, schedule: Any, parts: int = 1, apart: np.ndarray | None = None
 ) -> ContractGrid:
-    """The grid of a schedule with NumPy leaves; `parts`: of the measure, for a finer one.
+    """The grid of a schedule with NumPy leaves; `parts`: the parts of the measure, for a finer one.
 
     `apart` [levels]: a coarse grid suffices, and its nodes are at least so far apart.
     """

@@ -53,8 +53,8 @@ class Hindsight:
     def best(self, spots: np.ndarray, states: np.ndarray, scale: PenaltyScale = 1.0) -> np.ndarray:
         """[paths] the maximum penalised earnings of each path.
 
-        `spots` [T + 1, paths], `states` [T + 1, F, paths] of the price factors; `scale`: of the
-        penalty, a number or one for each function of the basis.
+        `spots` [T + 1, paths], `states` [T + 1, F, paths] of the price factors; `scale`: the scale
+        of the penalty, a number or one for each function of the basis.
         """
         blocks = [slice(i, i + BLOCK) for i in range(0, spots.shape[1], BLOCK)]
 

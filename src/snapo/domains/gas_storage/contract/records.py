@@ -231,8 +231,9 @@ class StorageCase:
     - `expired`: the valuation date lies after the end date; the value is zero.
     - `notes`: remarks for the user of the case, one sentence each.
     - `quotes`: those from which the forward curve is made; None of a curve by day and month.
-    - `products`: the traded products; None if the case names none. `hedges`: of its [hedge].
-    - `backtest`: of its [backtest].
+    - `products`: the traded products; None if the case names none. `hedges`: the hedges of its
+      [hedge].
+    - `backtest`: the plan of its [backtest].
     """
 
     file: Path

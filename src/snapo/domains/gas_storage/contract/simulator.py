@@ -43,13 +43,13 @@ class StorageSimulator(PricedSimulator):
     **Arguments:**
 
     - `contract`, `process`: of the case, `formed`; `curve`, `rate`: where its prices and rates are
-      used; `discounts`: of its payments.
+      used; `discounts`: the discounts of its payments.
     - `day` [T]: integer days since the valuation date; `end_day`: of the end date.
     - `value_table`: the marginal values that the policy starts from (see `policy.value_table`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
-    - `innovations`: of a fitted value of the store: the control variate `value_surprise` instead of
-      that of a hedge; its total is zero on average too.
+    - `innovations`: the innovations of a fitted value of the store: the control variate
+      `value_surprise` instead of that of a hedge; its total is zero on average too.
     - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
       rate.
     """

@@ -77,7 +77,8 @@ def read_quotes(
 ) -> QuotedCurve:
     """The quotes in a CSV with columns product,price, and the prices of these days.
 
-    `declaration`: of a price. Quotes that others imply are compared with them and left out.
+    `declaration`: the declaration of a price. Quotes that others imply are compared with them and
+    left out.
 
     **Raises:** `CaseError` if a product is unknown or quoted twice, if quotes of the same
     days disagree, if a day is in no product, and if more than one curve is as smooth.

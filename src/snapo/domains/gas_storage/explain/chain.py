@@ -36,7 +36,7 @@ class Started(NamedTuple):
 
     - `start` [G]: shares of the value before the first part that is on common paths; empty if
       that is the value of the first run.
-    - `cash`: of the days between, and `flows` on them; `notes` for the reader.
+    - `cash`: the cash of the days between, and `flows` on them; `notes` for the reader.
     """
 
     start: np.ndarray
@@ -58,7 +58,7 @@ class CurveChange(NamedTuple):
 class ChangeChain(abc.ABC):
     """Revaluations from the first run to the second one.
 
-    - `setup`: of the second run; `at`: the domain's `setup_at`.
+    - `setup`: the setup of the second run; `at`: the domain's `setup_at`.
     """
 
     at: Callable[[Setup, Any], Setup]

@@ -48,7 +48,7 @@ class CurveEffect(NamedTuple):
     """By period, and in total.
 
     - `before`, `after` [G]: shares of groups of paths in the values at both curves.
-    - `error`: of the part of their difference that is beyond the second order.
+    - `error`: the error of the part of their difference that is beyond the second order.
     """
 
     periods: tuple[PeriodEffect, ...]

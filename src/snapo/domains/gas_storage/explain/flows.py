@@ -26,8 +26,9 @@ class DayFlow(NamedTuple):
 
     - `price`: forward price on the first date; `spot`: that of the flow, by default the same.
     - `planned`, `taken`: net volume into the store.
-    - `planned_cash`: of the plan at the forward price; `forward_cash`, `cash`: of the flow taken at
-      the forward price and at the spot price. All are net of costs, discounted to the second date.
+    - `planned_cash`: the cash of the plan at the forward price; `forward_cash`, `cash`: of the flow
+      taken at the forward price and at the spot price. All are net of costs, discounted to the
+      second date.
     """
 
     date: str

@@ -30,7 +30,8 @@ FIXED = "snapo explain needs flows that are decided at delivery: leave this key 
 class ValuedRun:
     """A run that came to its end: its case, and the value in its result.json.
 
-    - `shares` [G]: of independent groups of paths in the value, None if they are not saved.
+    - `shares` [G]: the shares of independent groups of paths in the value, None if they are not
+      saved.
     """
 
     folder: Path

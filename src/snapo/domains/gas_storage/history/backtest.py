@@ -107,7 +107,7 @@ class DrawnHistories(NamedTuple):
     """The rule on histories that its model draws: `money` [N], `cash` [T, N] by day, discounted.
 
     `controls`: arrays [N] of mean zero. `groups` [N]: equal for histories that depend on one
-    another; None if none do. `paths`: of all price factors; None without a forward curve.
+    another; None if none do. `paths`: the paths of all price factors; None without a forward curve.
     """
 
     money: np.ndarray

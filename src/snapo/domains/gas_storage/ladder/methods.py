@@ -116,8 +116,9 @@ class DeskMethods:
     """A contract of one level, the traded products, and paths.
 
     - `forward` [T + 1]: today's curve, the price of the end last.
-    - `factors`: of the prices; None, or not exact: no path has a forward curve.
-    - `states` [T + 1, F, N] of the factors, `spots` [T + 1, N]; `seed`: of the regression's paths.
+    - `factors`: the factors of the prices; None, or not exact: no path has a forward curve.
+    - `states` [T + 1, F, N] of the factors, `spots` [T + 1, N]; `seed`: the seed of the
+      regression's paths.
     """
 
     contract: FlatContract

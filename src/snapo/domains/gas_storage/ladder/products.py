@@ -109,8 +109,10 @@ class ProductDays(NamedTuple):
 class TradedProducts:
     """The products of a contract on its days.
 
-    - `days`: of delivery; `valuation`: the first trading day; `products`: all that may trade.
-    - `day_ahead`: bid-offer of the day itself; `balance`: of the rest of its month, or None.
+    - `days`: the days of delivery; `valuation`: the first trading day; `products`: all that may
+      trade.
+    - `day_ahead`: bid-offer of the day itself; `balance`: the balance of the rest of its month, or
+      None.
     """
 
     days: tuple[datetime.date, ...]

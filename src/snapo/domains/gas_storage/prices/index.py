@@ -141,7 +141,7 @@ class IndexedState(NamedTuple):
 class IndexedPrices(TwoPrices):
     """A spot price of one factor, and the month-ahead index; see the top of this file.
 
-    - `spot`: the process of the spot price; `months`: of the index.
+    - `spot`: the process of the spot price; `months`: the months of the index.
     - `fixing`: the index of the first month, fixed before today; None: the curve gives it.
     """
 

@@ -67,8 +67,8 @@ class FuelWithCertificates(NamedTuple):
 class CommodityTrio(CommodityPair):
     """Three commodities; see the top of this file.
 
-    - `reversions`, `volatilities`, of all three; `correlation`: of power and fuel, of power and
-      certificates, of fuel and certificates.
+    - `reversions`, `volatilities`, of all three; `correlation`: the correlation of power and fuel,
+      of power and certificates, of fuel and certificates.
     - `third_curve`: forward prices of certificates, index [T]; `share`: how many a unit of fuel
       needs.
     """

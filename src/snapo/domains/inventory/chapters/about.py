@@ -16,9 +16,10 @@ from ..setup import AnyCase
 class CaseSummary:
     """The entries of a run's `about` that its sections read.
 
-    - `item_unit`, `step`, `currency`: names of units, "piece", "week", "EUR"; `units`: of outputs.
+    - `item_unit`, `step`, `currency`: names of units, "piece", "week", "EUR"; `units`: the units of
+      outputs.
     - `horizon`: all periods; `warm_up`: the first of them, which do not count.
-    - `lead_time`: of an item; None for a `network`.
+    - `lead_time`: the lead time of an item; None for a `network`.
     - `other_leads`: whether other lead times are trained; `lost`: whether unmet demand is lost.
     """
 

@@ -27,7 +27,7 @@ class RuleResult:
     """The result of a rule, minus its cost, and its standard error.
 
     - `difference`, `difference_error`: to the trained rule, paired path by path; None of itself.
-    - `numbers`: of the rule, in a planner's terms.
+    - `numbers`: the numbers of the rule, in a planner's terms.
     """
 
     rule: str

@@ -27,7 +27,7 @@ STEPS = 200  # at most, of either training
 class OtherLeadTime:
     """The change of the result with another lead time, and its standard error.
 
-    - `place`: of a network, empty of an item.
+    - `place`: the place in a network, empty for an item.
     """
 
     place: str

@@ -40,7 +40,7 @@ class EmpiricalDemand(Demand):
     multiplied by its own factor. The mean moves all numbers by the same
     amount, the deviation stretches them.
 
-    - `numbers`: of the history, sorted; `scores`: the same with mean 0 and deviation 1.
+    - `numbers`: the numbers of the history, sorted; `scores`: the same with mean 0 and deviation 1.
     - `whole`: whether all are; `moved`: whether the case gives another mean or deviation.
     """
 

@@ -49,8 +49,8 @@ class InventorySimulator(Simulator):
     It holds no case: items of the same form differ only in arrays and inputs.
 
     **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as of an `Item`; `seasonal`: whether
-    periods differ; `demand`: of the case, `formed`; `weights`, `counted` [T] as of the case; and
-    its estimates `safety_factor`, `usual_cost` and `memory`.
+    periods differ; `demand`: the demand of the case, `formed`; `weights`, `counted` [T] as of the
+    case; and its estimates `safety_factor`, `usual_cost` and `memory`.
 
     State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first,
     "missed" (1 if demand was unmet since the last arrival; exact simulation only), and with a fixed

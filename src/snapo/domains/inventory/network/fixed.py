@@ -50,7 +50,8 @@ def placed(
     """Whether each site orders: decided by the policy, and in training drawn with the policy's
     probabilities.
 
-    - `parts`: of the action; `likelihood` [m]: of the periods before; `normals` [m].
+    - `parts`: the parts of the action; `likelihood` [m]: the likelihood of the periods before;
+      `normals` [m].
     - `remembered` [m]: the share of it that is used, since earlier draws only add noise to this
       period.
     """
@@ -69,7 +70,7 @@ def placed(
 class LikelihoodWeights:
     """The likelihood ratios, of value 1, by which outputs are multiplied for their derivatives.
 
-    - `likelihood` [m]: of this period; None if no order has a fixed cost.
+    - `likelihood` [m]: the likelihood of this period; None if no order has a fixed cost.
     - `usual_costs` [n] of a period at each place.
     """
 

@@ -149,8 +149,8 @@ class NetworkCase:
     - `demands`, `seasons`: of the places with customers, in the order of `network.sellers`; None
       if all periods are equal.
     - `holding`: by place, of goods there and on their way from there; `shortage`: by place with
-      customers; `transshipment`: by pool, of a unit moved; `ordering`: of an order of any size, by
-      place in the order of `network.fixed`, None if no order costs anything.
+      customers; `transshipment`: by pool, of a unit moved; `ordering`: the cost of an order of any
+      size, by place in the order of `network.fixed`, None if no order costs anything.
     - Other attributes as in `InventoryCase`.
     """
 

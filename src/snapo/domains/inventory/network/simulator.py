@@ -66,10 +66,10 @@ class NetworkSimulator(Simulator):
 
     It holds no case: networks of the same form differ only in arrays and inputs.
 
-    **Arguments:** `network`; `horizon`;
-    `demands`: of the case, `formed`; `first`: the numbers of demand from which a path starts, a
-    fact that moves with no input; `weights`, `counted` [T] as of the case; and its estimates
-    `safety_factors` [n], `usual_costs` [n] and `memory` [m].
+    **Arguments:** `network`; `horizon`; `demands`: the demands of the case, `formed`; `first`: the
+    numbers of demand from which a path starts, a fact that moves with no input; `weights`,
+    `counted` [T] as of the case; and its estimates `safety_factors` [n], `usual_costs` [n] and
+    `memory` [m].
 
     State: "stock" [n]; where a lead time is above zero "coming" [n, longest lead time], the next
     arrival first; with fixed costs the "likelihood" [m] ratios of the draws of training: 1, with a

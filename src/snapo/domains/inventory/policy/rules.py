@@ -29,7 +29,7 @@ class Myopic(Policy):
 
     - `moves` [n, n]: probabilities of the stock left, by stock.
     - `met` [n, m]: P(demand <= left + q).
-    - `ratio`: p / (p + h); `mean`: of demand, which observations are relative to.
+    - `ratio`: p / (p + h); `mean`: the mean of demand, which observations are relative to.
     """
 
     moves: Frozen

@@ -59,8 +59,8 @@ class PolicyMap:
     """Weights over funding ratio and time: means over the paths that are there.
 
     - `years` [Y]: starts of years; `ratios` [R + 1]: edges of the columns.
-    - `growth` [Y, R]: of the classes with a separate shock; `hedge` [Y, R]: of the mean place
-      of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW paths
+    - `growth` [Y, R]: the growth of the classes with a separate shock; `hedge` [Y, R]: of the mean
+      place of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW paths
       are.
     """
 
@@ -285,7 +285,7 @@ def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBr
 
     **Arguments:**
 
-    - `round_off`: of a weight; of the assets now, per step, for collateral.
+    - `round_off`: the round-off of a weight; of the assets now, per step, for collateral.
     """
     broken = {"weights": record.outputs["bound_excess"] > round_off}
     if record.case.buckets:

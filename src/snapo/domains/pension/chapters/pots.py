@@ -38,8 +38,8 @@ class CohortPension:
     - `pot`: money. `earned`, `pension`: each member's and year's, as earned, and with the pots of
       today; `horizon`: the pension at the horizon, in quantiles.
     - `of_salary`: its median as a share of today's salary, of the active.
-    - `volatility`: of its yearly changes; `cut`: the probability that it falls in a year of
-      payment, and `fall`: by how much then in the mean; None if there is no such year.
+    - `volatility`: the volatility of its yearly changes; `cut`: the probability that it falls in a
+      year of payment, and `fall`: by how much then in the mean; None if there is no such year.
     """
 
     name: str

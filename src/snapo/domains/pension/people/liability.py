@@ -85,8 +85,8 @@ class People(NamedTuple):
     """The members as every path sees them. Leading axis T + 1: at time t, before step t.
 
     - `accrued`, `fresh` [T+1, J]: forward values on the nodes, loading for expenses included, of
-      rights accrued by time 0, and in steps before t at baseline wages. `accrual` [T+1, J]: of the
-      accrual of step t, per unit of w (last row zeros). Money, at indexation 1.
+      rights accrued by time 0, and in steps before t at baseline wages. `accrual` [T+1, J]: the
+      accrual of the accrual of step t, per unit of w (last row zeros). Money, at indexation 1.
     - `benefit`, `fresh_benefit` [T+1]: money paid in step t out of each of them.
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
     - `baseline` [T+1]: the assumed w, exp(real wage growth).

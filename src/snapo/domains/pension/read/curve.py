@@ -195,8 +195,8 @@ def read_rates(section: TableReader, table: RatesTable | None, grid: TimeGrid) -
 def read_inflation(
     section: TableReader, table: InflationTable, grid: TimeGrid, compounding: str
 ) -> Inflation:
-    """Break-evens under "break_even", and the models of prices and wages; `compounding`: of the
-    rates of the case, by default."""
+    """Break-evens under "break_even", and the models of prices and wages; `compounding`: the
+    compounding of the rates of the case, by default."""
     annual = (table.compounding or compounding) == "annual"
 
     def input(key: str) -> CaseInput:

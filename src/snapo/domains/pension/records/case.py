@@ -60,8 +60,8 @@ class DerivedNumbers(eqx.Module):
     """Numbers that follow from a case's own ones, for all values of its inputs.
 
     - `eligible`: [n] share of each class that counts as collateral.
-    - `scales`: of the features (see `fund.observation`).
-    - `width`: of the factor of expected inflation (see `people.lpi`).
+    - `scales`: the scales of the features (see `fund.observation`).
+    - `width`: the width of the factor of expected inflation (see `people.lpi`).
     - `divided`: whether birthdays lie within steps (see `people.mortality`).
     - `annual_bond`: 1 / (1 + annual zero rate) by step (see `fund.schedule`); None without need.
     """

@@ -42,8 +42,10 @@ class BatchResult:
     """One batch; `status`: "ok", or why there is no batch.
 
     - `attributes`: values by name; `holds`, `distance` [Q]: whether each is within its limits, and
-      its room to them, NaN without one. `errors`: of a step of the units with stiff steps.
-    - `trajectories`: {unit: {"time" or a state: values}}; `solubility`: of every crystalliser.
+      its room to them, NaN without one. `errors`: the errors of a step of the units with stiff
+      steps.
+    - `trajectories`: {unit: {"time" or a state: values}}; `solubility`: the solubility of every
+      crystalliser.
     """
 
     status: str

@@ -37,9 +37,9 @@ SIGNIFICANT = 2.0  # standard errors from which one of two counts as better
 class KeptShares:
     """Shares of batches that keep all limits, with standard errors, on the same batches.
 
-    - `value`: of the policy; `baseline`: of the best fixed recipe; `gain`: their difference;
-      `given`: of the recipe of the case. `better`: "policy", "recipe", or "" if the difference
-      is not significant.
+    - `value`: the value of the policy; `baseline`: the baseline of the best fixed recipe; `gain`:
+      their difference; `given`: of the recipe of the case. `better`: "policy", "recipe", or "" if
+      the difference is not significant.
     """
 
     value: Number

@@ -33,8 +33,8 @@ class SpaceMap:
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
-    - `levels`: of contours; `required`: probability. `box`: the largest inside, None if the set
-      point itself does not do. `ends`: of the space along the lines of the map.
+    - `levels`: the levels of contours; `required`: probability. `box`: the largest inside, None if
+      the set point itself does not do. `ends`: the ends of the space along the lines of the map.
     """
 
     axes: tuple[str, ...]
@@ -167,7 +167,7 @@ def _in_words(result: SpaceMap) -> Text:
 
 
 def _map(result: SpaceMap, at: Any, position: str, names: list[str]) -> Chart:
-    """A slice `at` of the map; `position`: of a third axis, as text."""
+    """A slice `at` of the map; `position`: the position of a third axis, as text."""
 
     def paint(upper, lower):
         _contours(upper, result, result.probability[at], (result.low[at], result.high[at]))

@@ -105,7 +105,7 @@ class Estimates(ParameterFit):
 
     - `measured_own`, `fitted_own`: in the case's units, of `state`s in `state_unit`s at `time` of
       an `experiment`. `start`: the case's numbers; `units`, `scales`: of the fitted numbers.
-    - `level`: of the intervals; `errors`: how those of the measurements are known.
+    - `level`: the level of the intervals; `errors`: how those of the measurements are known.
     """
 
     measured_own: Floats

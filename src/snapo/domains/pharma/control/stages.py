@@ -41,7 +41,7 @@ StageState = dict[str, Any]
 class Stage(Simulator):
     """One stage. It holds no case, but the form of a `LoopRecord`.
 
-    - `name`: of its unit; "" of a stage that decides once, before all that is left runs.
+    - `name`: the name of its unit; "" of a stage that decides once, before all that is left runs.
     - `before`, `total`: decisions of the stages before it, and of all. `history`: how many true
       readings its sensors look back to.
     """

@@ -62,8 +62,8 @@ class Batch(NamedTuple):
 class Process:
     """A case with its compiled functions: made once, called often without compiling again.
 
-    - `case`: as it was given, with the steps that it needs. `form`: of its flowsheet, which is all
-      that the functions are compiled for.
+    - `case`: as it was given, with the steps that it needs. `form`: the form of its flowsheet,
+      which is all that the functions are compiled for.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
       `entries`: [P] their positions. `traces` counts how often the flowsheet was traced.
     """

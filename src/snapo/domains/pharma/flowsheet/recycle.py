@@ -34,8 +34,8 @@ Turn = Callable[[tuple[Stream, ...], Any], tuple[Stream, ...]]
 
 
 class Closed(NamedTuple):
-    """`change`: of the guess in one more turn, relative; `rounds` that it took; `worst`: which of
-    `labels` changes most; `converged`: whether the change is within the tolerance."""
+    """`change`: the change of the guess in one more turn, relative; `rounds` that it took; `worst`:
+    which of `labels` changes most; `converged`: whether the change is within the tolerance."""
 
     change: Float[Array, ""]
     rounds: Float[Array, ""]

@@ -52,8 +52,8 @@ class Boundary:
 
     - `axis`: number of the axis along which the line runs; `at`: number of the grid point on every
       axis, -1 on that one; `side`: -1 if the space ends towards low values, +1 towards high.
-    - `position`: of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside the space; in
-      the unit of the grid. NaN if the end is outside of the line.
+    - `position`: the position of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside
+      the space; in the unit of the grid. NaN if the end is outside of the line.
     - `binding`: number of the attribute that most often breaks its limits just beyond it.
     """
 

@@ -51,8 +51,8 @@ class Parameter:
 class Attribute:
     """A quality attribute: a measure of a unit and the limit that it must keep.
 
-    - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: of the limits and of all tables;
-      attribute = `scale` times the measure in the domain's unit.
+    - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: the unit of the limits and of all
+      tables; attribute = `scale` times the measure in the domain's unit.
     - `low`, `high`: limits in `unit`; None if there is none. `citation`: the source of the limit
       (guideline, version, table), or a note that the user set it; never empty if there is a
       limit.
@@ -136,7 +136,7 @@ class Estimation:
 
     - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
     - `low`, `high`: [P] bounds in the domain's unit.
-    - `level`: of the confidence intervals. `units`, `scales`: [P] those of the case, see
+    - `level`: the level of the confidence intervals. `units`, `scales`: [P] those of the case, see
       `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
     - `errors`: "known" as standard deviations, or "relative", up to a common factor.

@@ -65,7 +65,8 @@ class Unit(ABC):
       classes of one type, else "". `title`: its name in the report.
     - `table`: `[units.NAME]`, of its declared fields and `more_keys`. `reacts`: whether it reads
       the case's reactions.
-    - `symbols`: of the equations, each with its meaning; `assumptions`: sentences for the report.
+    - `symbols`: the symbols of the equations, each with its meaning; `assumptions`: sentences for
+      the report.
     """
 
     name: str

@@ -100,9 +100,9 @@ def _matrix(text: str, default: Any = ...) -> Any:
 class Mixture(TableRecord):
     """A solute, number 0, in n - 1 solvents.
 
-    - `density`: of solvent per volume of solution. `a` and `alpha`: "1", `b`: K; index [n (n - 1)],
-      off the diagonals row by row. `liquid`: [n - 1] shares by mole; `ratio`: molar mass of the
-      solute over theirs.
+    - `density`: the density of solvent per volume of solution. `a` and `alpha`: "1", `b`: K; index
+      [n (n - 1)], off the diagonals row by row. `liquid`: [n - 1] shares by mole; `ratio`: molar
+      mass of the solute over theirs.
     """
 
     melting: CaseInput = ABSOLUTE("melting point of the crystals", None, example="443.6 K")
