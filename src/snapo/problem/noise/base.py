@@ -86,7 +86,8 @@ def prepare(noises: PyTree) -> PyTree:
 
 
 def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTree:
-    """The values of one step, shaped like the tree: a dictionary of noises gives one of values.
+    """The values of one step, shaped like the tree: a dictionary of noises gives a dictionary of
+    values.
 
     `states` are those of noises with memory, by name: `draw(noises, normals, regime=regime)`. The
     noises take the normals in the order of the tree; a dictionary has the order of its sorted keys.

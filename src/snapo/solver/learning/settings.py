@@ -62,7 +62,8 @@ class Training:
       decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
     - `decay`: the decay of weights, per step and times the rate (AdamW). "auto": 0, or if the steps
       are "auto" too, above 0 for more than eight decisions in one step.
-    - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
+    - `temperature_start`, `temperature_end`: the temperature of the smooth constraints falls
+      geometrically from one to the other.
     - `average`: the policy is averaged over about this share of the steps.
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every
       `validation_every` steps ("auto": every 50, in a short training at every quarter); after
