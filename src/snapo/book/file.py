@@ -119,7 +119,7 @@ class BookContract:
     - `tables`: the tables of the case as they count; `files`: {name: content} of the files that
       they name.
     - `labels`: {column: text} of its row.
-    - `origin`: its files; None of a case without a book.
+    - `origin`: its files; None for a case without a book.
     """
 
     name: str

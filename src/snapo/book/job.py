@@ -163,7 +163,7 @@ class OutputFigures(NamedTuple):
 
     - `value`, `standard_error`: of its mean; `deviation`, `p05`, `p95`: between paths.
     - `nominal`: at the set point of a process; `within`: the share of its batches within the
-      limits; None of other outputs.
+      limits; None for other outputs.
     """
 
     name: str

@@ -153,7 +153,7 @@ def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
 
 
 def _move_column(file: str, name: str) -> MoveColumn | None:
-    """What a column moves; None of one that is ignored. One that is only almost called like a move
+    """What a column moves; None for one that is ignored. One that is only almost called like a move
     is a mistake, as it would change no number."""
     kind, _, rest = name.partition(" ")
     kind, key = kind.lower(), rest.strip()

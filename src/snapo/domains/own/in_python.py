@@ -161,7 +161,7 @@ def open_page(
 
 
 def _run_of(solution: Solution, problem: Problem | None) -> Path | None:
-    """The run folder that a solution was loaded from; None of any other solution."""
+    """The run folder that a solution was loaded from; None for any other solution."""
     folder = solution.folder
     is_run = folder is not None and (folder / run_folder.RUN).is_file()
     return folder if is_run and problem is None else None

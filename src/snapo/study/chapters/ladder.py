@@ -51,8 +51,8 @@ ROUNDING = 1e-5  # of the largest value: of methods without sampling
 class MethodRow:
     """The value by one method.
 
-    - `standard_error`: the standard error of sampling, or the last move of a grid; None of an exact
-      one.
+    - `standard_error`: the standard error of sampling, or the last move of a grid; None for an
+      exact one.
     - `seconds`: that it took. `share`: the share of the extrinsic value, from the intrinsic value
       by day (0) to the lattice, or without one to the policy (1).
     - `difference`: to the trained policy, on the same paths.

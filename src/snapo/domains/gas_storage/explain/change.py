@@ -13,8 +13,8 @@ class ChangePart:
     """One part of the change of value, in the currency.
 
     - `part`: the cause; `period`: the delivery period, of the curve only.
-    - `amount`: rounded, so that the parts add up to the change; `standard_error`: None of an amount
-      without sampling.
+    - `amount`: rounded, so that the parts add up to the change; `standard_error`: None for an
+      amount without sampling.
     """
 
     part: str

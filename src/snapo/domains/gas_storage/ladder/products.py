@@ -190,7 +190,7 @@ def products_of(
     days: Sequence[datetime.date],
     valuation: datetime.date,
 ) -> TradedProducts | None:
-    """The products of the table [products], None of a case without one.
+    """The products of the table [products], None for a case without one.
 
     **Raises:** `CaseError` if one trades as a whole while its parts trade, or after them.
     """

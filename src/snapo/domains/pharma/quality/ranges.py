@@ -1,6 +1,6 @@
 """Proven acceptable ranges: how far one parameter may move with all others at their set point.
 
-Set points do, or do not, by the nominal model, and with a probability that is required. All edges
+There are two criteria: the nominal model, and a required probability under all variation. All edges
 of all parameters are searched side by side, so that batches run together.
 """
 

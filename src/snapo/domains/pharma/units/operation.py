@@ -112,7 +112,7 @@ class Unit(ABC):
         """On which grid crystals are counted at each outlet, from those at the inlets."""
 
     def lasts(self, inlets: tuple[float, ...]) -> tuple[float, ...]:
-        """s over which every outlet flows, from those of the inlets; 0 of a batch. Nominal."""
+        """s over which every outlet flows, from those of the inlets; 0 for a batch. Nominal."""
         return (0.0,) * len(self.outlets)
 
     @abstractmethod
