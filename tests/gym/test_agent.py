@@ -137,7 +137,7 @@ def test_spaces_of_others_take_what_they_can():
     ):
         with pytest.raises(ValueError, match="have no place in the space"):
             writer(space, action)
-    with pytest.raises(ValueError, match="decides 3 numbers, and there are 2 options"):
+    with pytest.raises(ValueError, match="decides 3 numbers, but there are 2 options"):
         writer(spaces.Discrete(2))(best)
 
 

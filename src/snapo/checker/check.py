@@ -92,7 +92,7 @@ def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
 
 
 def _library_form(simulator: Simulator, inputs: PyTree, schedule: Schedule) -> Hashable:
-    """The form of one of snapo's simulators; None for any other, whose code may read all numbers."""
+    """The form of a simulator of snapo; None for any other, whose code may read all numbers."""
     if of_preparation(simulator, inputs) is not None:
         return None
     return form_of((simulator, unnamed(inputs), schedule))
