@@ -361,7 +361,7 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
         raise ValueError(
             f"engine: the draws give `initial` the noise of {draws.before} steps, but "
-            f"initial_noise_size, {simulator.initial_noise_size}, is not a multiple of that."
+            f"initial_noise_size is {simulator.initial_noise_size}, which is not a multiple of it."
         )
     if isinstance(draws, Stored):
         shapes = {

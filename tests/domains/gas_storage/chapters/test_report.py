@@ -159,7 +159,9 @@ def test_the_change_of_a_delta_in_training_is_folded_and_explained(full):
     shown, by_day, folded = section.split("<details>")
     assert "<summary>Deltas by delivery day</summary>" in by_day and "<svg" in by_day
     assert "Moved" not in section and "Change in training" not in shown
-    assert "Change in training" in folded and "the error of the policy is in the interval" in folded
+    assert (
+        "Change in training" in folded and "the interval includes the error of the policy" in folded
+    )
     assert "not the gas in store" in shown
 
 
