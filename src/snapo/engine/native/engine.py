@@ -35,7 +35,7 @@ class Native(Engine):
     Results depend on neither.
 
     Results are NumPy arrays. Raises `Unsupported` if a simulator or policy uses something that
-    cannot be compiled, or where nothing can be compiled (`unavailable`).
+    cannot be compiled, or if nothing can be compiled (`unavailable`).
     """
 
     threads: int | None = None

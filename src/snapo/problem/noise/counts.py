@@ -111,7 +111,7 @@ class Counts(Noise):
 
 
 class Poisson(Counts):
-    """p(k) = e^-mean mean^k / k!. Inside `step` with a mean of that step: specify `maximum`.
+    """p(k) = e^-mean mean^k / k!. If the mean is computed inside `step`, specify `maximum`.
 
     >>> [float(snapo.noise.Poisson(4.0).draw(np.array([z]))) for z in (-2.0, 0.0, 2.0)]
     [1.0, 4.0, 8.0]
