@@ -324,7 +324,7 @@ class EnergySimulator(PricedSimulator):
 
 
 def simulator_of(problem: Problem) -> EnergySimulator:
-    """The simulator of a contract of this room."""
+    """The simulator of an energy contract."""
     simulator = problem.simulator
     if not isinstance(simulator, EnergySimulator):
         raise TypeError(f"{type(simulator).__name__} is not a contract of energy.")

@@ -155,7 +155,7 @@ class Reading(NamedTuple):
 
 
 class SurpriseDay(NamedTuple):
-    """One day: its own value, the expectation of the next date's, and its functions."""
+    """One day: its value, the expectation of the next date's value, and its functions."""
 
     now: DateValues
     ahead: DateValues
