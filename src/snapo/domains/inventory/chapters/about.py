@@ -75,8 +75,17 @@ def about(case: AnyCase) -> dict[str, Any]:
         "lead_time": case.item.lead_time,
         "lost": case.item.lost,
         "demand": case.demand.describe(),
+        "names": _arrivals(case.item.lead_time - 1, case.period),
     }
     return entries | item
+
+
+def _arrivals(count: int, period: str) -> dict[str, str]:
+    """{number of the state: its name in a report}, of the outstanding orders by their arrival."""
+    keys = ["coming"] if count == 1 else [f"coming.{i}" for i in range(count)]
+    return {
+        key: f"Order that arrives in {i} {period}{'s' * (i > 1)}" for i, key in enumerate(keys, 1)
+    }
 
 
 def units_of(case: AnyCase) -> dict[str, str]:
