@@ -150,7 +150,7 @@ def bump_table(
         (
             name_of(row.family),
             _direction(row.inputs),
-            evidence.verdict(row.passed, "holds", "fails", "at kinks: see nearby"),
+            evidence.verdict(row.passed, "holds", "fails", "at kinks: see the row “nearby”"),
             power(row.worst_error),
             power(row.allowed),
             percent(row.crossing) if row.crossing else "",
