@@ -225,7 +225,7 @@ def _note(limit: LimitFound) -> str:
             "are at bounds of their set, where none has a derivative. Training ended at a price "
             f"of {limit.multiplier:,.4g} for it."
         )
-    slack = f"Limit with slack and therefore without a price: {limit.name}; it is {limit.value:,.6g}."
+    slack = f"Limit with slack, and thus without a price: {limit.name}; it is {limit.value:,.6g}."
     if limit.multiplier:
         slack += (
             f" Training ended at a price of {limit.multiplier:,.4g} for it: its decisions "
