@@ -81,7 +81,7 @@ def _plain_call(eqn) -> bool:
 
 
 def evaluate(closed, values, caller=None, assembled: Assembled | None = None):
-    """Applies a jaxpr's equations, and those of the plain calls in it.
+    """Applies the equations of a jaxpr and of the plain calls in it.
 
     Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's.
     Slices of `assembled` arrays read their parts.

@@ -53,7 +53,7 @@ def _multiply_instead(op: Op, maker: dict[ProgramValue, Op], ops: list[Op]) -> O
 
 
 def _inverse(value: ProgramValue) -> ProgramValue | None:
-    """1 / value, where it is known and neither it nor its inverse is near the ends of the range."""
+    """1 / value, if it is known and neither it nor its inverse is near the ends of the range."""
     available = value.constant
     if available is None or not np.all(np.isfinite(available)) or np.any(available == 0):
         return None

@@ -39,7 +39,8 @@ class FlowRows(NamedTuple):
     """The rows along a flow from levels `start`, in the table of a step.
 
     `pair`: of a move and the flow, whose `effects` on the levels are not all zero; `banks`: so many
-    last levels are balances, between whose rows values are linear; `signs`: of the layout.
+    last levels are balances, between whose rows values are linear; `signs`: the signs of the
+    layout.
     """
 
     table: UnitValues

@@ -86,7 +86,7 @@ class ContractGrid:
 def grid_of(
     layout: ContractLayout, schedule: Any, parts: int = 1, apart: np.ndarray | None = None
 ) -> ContractGrid:
-    """The grid of a schedule with NumPy leaves; `parts`: of the measure, for a finer one.
+    """The grid of a schedule with NumPy leaves; `parts`: the parts of the measure, for a finer one.
 
     `apart` [levels]: a coarse grid suffices, and its nodes are at least so far apart.
     """
@@ -115,7 +115,7 @@ def grid_of(
 def check_nodes(case: Any, schedule: Any) -> None:
     """Refuses joint limits between coarse nodes; `schedule`: with NumPy leaves.
 
-    **Raises:** `CaseError` where volumes have no common divisor with few enough nodes.
+    **Raises:** `CaseError` if volumes have no common divisor with few enough nodes.
     """
     layout = case.contract.layout
     if not layout.sums or grid_of(layout, schedule).exact:
@@ -123,9 +123,9 @@ def check_nodes(case: Any, schedule: Any) -> None:
     measure = measures_of(layout, schedule.steps.terms, schedule.constants.start)[0]
     divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
     message = (
-        "inventories, limits and rates need a common divisor with at most about "
-        f"{int(min(TOGETHER, 2 * LONG / len(case.days))):,} multiples together: of the inventories "
-        f"of both stores, times those of the joint flow; theirs is {divisor}"
+        "inventories, limits and rates need a larger common divisor: at most about "
+        f"{int(min(TOGETHER, 2 * LONG / len(case.days))):,} combinations of levels of both stores "
+        f"and of the joint flow, each in multiples of it; theirs is {divisor}"
     )
     raise CaseError(str(case.file), "contract", None, message)
 
@@ -163,7 +163,7 @@ def best(
 
 
 def _completed(step: StepGrid, value: np.ndarray) -> np.ndarray:
-    """The value of the best move, less the money of the levels at the start of the step.
+    """The value of the best move, minus the money of the levels at the start of the step.
 
     With joint limits a node from which no move keeps the limits has the value of the worst node.
     """

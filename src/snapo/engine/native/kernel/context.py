@@ -26,7 +26,7 @@ BLOCKS = (
 
 
 def layouts(t: Traced, lanes: int) -> Layouts:
-    """The rows of one kernel by name; those of tapes are filled when a sweep is written."""
+    """The rows of one kernel by name; the rows of tapes are filled when a sweep is written."""
     rows = {name: Layout(1) for name in SHARED} | {name: Layout(lanes) for name in BLOCKS}
     _shared(rows, t)
     _state(rows, t)
