@@ -28,11 +28,11 @@ import numpy as np
 
 from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
-from snapo.book.order import BookOrder, Cost, OrderAnswer, opened
+from snapo.book.job import BookJob, Cost, JobResult, opened
 from snapo.book.run import plan_of, run_book
 from snapo.book.work import answer
 from snapo.engine import Engine, Workers
-from snapo.engine.workers import answers
+from snapo.engine.workers import results
 from snapo.solver.train import Progress, initial_progress, train
 from snapo.study.domain import CaseRequest, Options, find, load
 
@@ -82,7 +82,7 @@ def rows(count: int) -> list[dict[str, Any]]:
 
 
 class Timed(NamedTuple):
-    """An order, what it took, and the seconds of compiling in it."""
+    """A job, what it took, and the seconds of compiling in it."""
 
     name: str
     cpu_seconds: float
@@ -125,18 +125,14 @@ def shapes() -> list[str]:
         ):  # fmt: skip
             judged = name.endswith("judged")
             adopted = policy if name == "with its policy" else None
-            order = BookOrder.of(
-                contract, book.tasks, book.run.seed, judged=judged, adopted=adopted
-            )
+            job = BookJob.of(contract, book.tasks, book.run.seed, judged=judged, adopted=adopted)
             heard.clear()
-            data, cost = opened(answer(order.pack()))
+            data, cost = opened(answer(job.pack()))
             table.append(Timed(name, cost.cpu_seconds, sum(heard)))
-            stored = OrderAnswer.unpack(data)
+            stored = JobResult.unpack(data)
             assert stored.points[0].status == "ok", stored.points[0].note
             policy = stored.policy if policy is None else policy
-        first = BookOrder.of(
-            book.contracts[0], book.tasks, book.run.seed, base=False, policy=policy
-        )
+        first = BookJob.of(book.contracts[0], book.tasks, book.run.seed, base=False, policy=policy)
         times = []
         for count in (1, 11):
             moves = tuple(stress.moves for stress in book.stresses[:count])
@@ -162,8 +158,8 @@ def shapes() -> list[str]:
     ]
 
 
-def idle(order: bytes, seconds: float = 0.25) -> bytes:
-    """Works so long, and answers with an answer's size."""
+def idle(job: bytes, seconds: float = 0.25) -> bytes:
+    """Works for so long, and returns bytes of the size of a result."""
     ended, started = time.perf_counter() + seconds, time.perf_counter()
     while time.perf_counter() < ended:
         pass
@@ -171,13 +167,13 @@ def idle(order: bytes, seconds: float = 0.25) -> bytes:
 
 
 def overhead(count: int = 200) -> list[str]:
-    """Small orders on one worker, so that the driver has a core: how long the worker waits."""
+    """Small jobs on one worker, so that the driver has a core: how long the worker waits."""
     with tempfile.TemporaryDirectory() as folder:
         book = read_book(write_book(Path(folder), rows(count), STRESSES))
         plan = plan_of(book)
         waiting = iter([plan._base(x, False).pack() for x in book.contracts])  # pyright: ignore[reportPrivateUsage]
         began, cpu, spans = time.perf_counter(), time.process_time(), []
-        for _, result in answers(lambda: next(waiting, None), idle, worker_pools("", 1)):
+        for _, result in results(lambda: next(waiting, None), idle, worker_pools("", 1)):
             assert isinstance(result, bytes)
             spans.append(json.loads(result))
         seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
@@ -185,7 +181,7 @@ def overhead(count: int = 200) -> list[str]:
     busy = sum(last - first for first, last, _ in spans)
     span = spans[-1][1] - spans[0][0]
     return [
-        f"{count} orders of 0.25 s on one worker: {seconds:.1f} s",
+        f"{count} jobs of 0.25 s on one worker: {seconds:.1f} s",
         f"the worker waits {1 - busy / span:.1%} of its time (needed at most 10 %)",
         f"the driver's processor time is {cpu / seconds:.1%} of the wall time (needed at most 5 %)",
     ]
@@ -207,12 +203,12 @@ def large(contracts: int = 100) -> list[str]:
         f"{result['cpu_seconds'] / points:.2f} processor seconds a point",
         f"workers at most {result['peak_mb']:.0f} MB (needed 900), driver {driver:.0f} MB "
         "(needed 400)",
-        f"growth of a worker after its 20th order: {max(growth, default=0.0):.1%} (needed 5 %)",
+        f"growth of a worker after its 20th job: {max(growth, default=0.0):.1%} (needed 5 %)",
     ]
 
 
 def _peaks(folder: Path) -> dict[str, list[float]]:
-    """{worker: memory at most, after each of its orders}."""
+    """{worker: memory at most, after each of its jobs}."""
     table: dict[str, list[float]] = {}
     for file in sorted(folder.glob("answers/*/*"), key=lambda x: x.stat().st_mtime):
         cost: Cost = opened(file.read_bytes())[1]
@@ -234,9 +230,9 @@ def expected(durations: Sequence[float], first: float, workers: int, begin: floa
 
 def model(contracts: int = 16) -> list[str]:
     """Wall time with 1, 2 and 4 workers on the cores of this machine, and that of the model, from
-    one worker's orders alone."""
+    one worker's jobs alone."""
     cores = len(os.sched_getaffinity(0))
-    lines, orders = [], []
+    lines, jobs = [], []
     start = first = 0.0
     for workers in (1, 2, 4):
         with tempfile.TemporaryDirectory() as folder:
@@ -246,16 +242,16 @@ def model(contracts: int = 16) -> list[str]:
             costs = [opened(x.read_bytes())[1] for x in Path(folder).glob("run/answers/*/*")]
         seconds = result["seconds"]["orders"]
         if workers == 1:
-            orders = [statistics.median(x.cpu_seconds for x in costs)] * contracts
-            first = max(x.cpu_seconds for x in costs) - orders[0]
-            start = seconds - first - sum(orders)
+            jobs = [statistics.median(x.cpu_seconds for x in costs)] * contracts
+            first = max(x.cpu_seconds for x in costs) - jobs[0]
+            start = seconds - first - sum(jobs)
         # More workers than cores share them.
         share = max(1.0, workers / cores)
-        wall = expected([x * share for x in orders], first * share, workers, start * share)
+        wall = expected([x * share for x in jobs], first * share, workers, start * share)
         fitted = "the numbers are those of this run" if workers == 1 else f"expected {wall:.1f} s"
         off = "" if workers == 1 else f" ({seconds / wall - 1:+.0%})"
         lines.append(f"{workers} workers: {seconds:.1f} s, {fitted}{off}")
-    about = f"start {start:.1f} s, a shape {first:.1f} s, a contract {orders[0]:.1f} s"
+    about = f"start {start:.1f} s, a shape {first:.1f} s, a contract {jobs[0]:.1f} s"
     return [f"{contracts} contracts on {cores} cores: {about} (needed within 20 %)", *lines]
 
 

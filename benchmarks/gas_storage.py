@@ -20,8 +20,8 @@ import numpy as np
 from snapo.case.load import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
-from snapo.domains.gas_storage.policy.guide import ValueTable
 from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.policy.value_table import ValueTable
 from snapo.domains.gas_storage.references.marginal import marginal_values
 from snapo.domains.gas_storage.setup import OUTPUT, bare_problem, factors
 from snapo.engine import Xla

@@ -20,8 +20,8 @@ def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
     """Tells the points of one run of `steps` updates (None: the settings').
 
     The first is the rule before any training, for which nothing was simulated. The clock starts
-    before the problem is made: what snapo prepares, such as the guide of a gas store, and what it
-    compiles counts. So do the paths on which it validates.
+    before the problem is made: it includes what snapo prepares, such as the value table of a gas
+    store, what it compiles, and the paths on which it validates.
     """
     clock = Clock()
     task = TASKS[problem](seed)

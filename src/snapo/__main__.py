@@ -1,4 +1,4 @@
-"""The command line as a module, where no script is on the path: python -m snapo."""
+"""The command line as a module, if no script is on the path: python -m snapo."""
 
 import sys
 

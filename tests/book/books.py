@@ -9,7 +9,7 @@ from tests.miniatures import thirty_days
 
 from snapo.book.file import Book, read_book
 from snapo.book.folder import BookFolder
-from snapo.book.order import OrderAnswer, name_of
+from snapo.book.job import JobResult, name_of
 from snapo.book.plan import BookPlan
 from snapo.engine.workers import WorkerPool
 
@@ -68,20 +68,20 @@ class InProcess(Executor):
 HERE = [WorkerPool(InProcess)]
 
 
-def answers_of(book: Book, folder: Path) -> dict[str, OrderAnswer]:
-    """{contract: the answer to its first order}, as the folder has them."""
+def answers_of(book: Book, folder: Path) -> dict[str, JobResult]:
+    """{contract: the result of its first job}, as the folder has them."""
     from snapo.book.run import plan_of
 
     plan, files = plan_of(book), BookFolder(folder)
 
-    def read(name: str) -> OrderAnswer | None:
+    def read(name: str) -> JobResult | None:
         entry = files.read(name)
         return None if entry is None else entry[0]
 
     result = {}
     for contract in book.contracts:
-        order = plan.base(contract, read)
-        answer = None if order is None else read(name_of(order.pack()))
+        job = plan.base(contract, read)
+        answer = None if job is None else read(name_of(job.pack()))
         if answer is not None:
             result[contract.name] = answer
     return result

@@ -30,7 +30,7 @@ class Valued(NamedTuple):
 
 @pytest.fixture(scope="session", autouse=True)
 def compiled_code_stays():
-    """The process of the tests is larger than a worker, which would drop its code after each order."""
+    """The process of the tests is larger than a worker, which would drop its code after each job."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(work, "LARGE", 1 << 40)
         yield

@@ -1,4 +1,4 @@
-"""Work of orders that kills its worker, or fails: light, as every worker imports it."""
+"""Work of jobs that kills its worker, or fails: light, as every worker imports it."""
 
 import os
 import signal
@@ -8,10 +8,10 @@ from pathlib import Path
 MARK = "SNAPO_TEST_MARK"  # the variable that names the file of `dies_once`
 
 
-def echo(order: bytes) -> bytes:
-    """Once: where the order names a file that is not there, the worker makes it and dies. Poison
+def echo(job: bytes) -> bytes:
+    """Once: where the job names a file that is not there, the worker makes it and dies. Poison
     kills every worker; "other" is refused by every one."""
-    kind, _, file = order.decode().partition(":")
+    kind, _, file = job.decode().partition(":")
     if kind == "once" and not Path(file).exists():
         Path(file).touch()
         time.sleep(0.05)
@@ -24,14 +24,14 @@ def echo(order: bytes) -> bytes:
         from snapo.engine.workers import OTHER
 
         return OTHER
-    return order + b"!"
+    return job + b"!"
 
 
-def dies_once(order: bytes) -> bytes:
+def dies_once(job: bytes) -> bytes:
     """Computes groups of paths; the first worker that has an answer dies before it gives it."""
     from snapo.engine.native.distributed import UNKNOWN, compute
 
-    answer, mark = compute(order), Path(os.environ[MARK])
+    answer, mark = compute(job), Path(os.environ[MARK])
     if answer != UNKNOWN and not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)

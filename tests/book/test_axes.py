@@ -198,7 +198,7 @@ def test_a_process_without_a_policy_is_a_book(process, tmp_path):
 
 
 def test_a_process_under_stresses(process, tmp_path):
-    """More of them than an order has; by a factor, and by a value with its unit."""
+    """More of them than a job has; by a factor, and by a value with its unit."""
     (tmp_path / "book.toml").write_text(
         'kind = "book"\n[cases]\ntemplate = "process"\n[tasks]\npaths = 128\n[[stress]]\n'
         'name = "warm"\nset = { "units.reactor.temperature" = "44 degC" }\n'

@@ -11,7 +11,7 @@ from tests.book.conftest import ROWS
 from snapo.book import executors
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
-from snapo.book.order import BookOrder, Cost, OrderAnswer, enclosed, opened
+from snapo.book.job import BookJob, Cost, JobResult, enclosed, opened
 from snapo.book.run import run_book
 from snapo.case.error import CaseError
 from snapo.cli.main import main
@@ -45,25 +45,25 @@ def test_an_answer_of_pickles_is_none(valued, tmp_path):
     np.savez(tmp_path / "bomb.npz", table=np.array([Bomb()], dtype=object))
     data = (tmp_path / "bomb.npz").read_bytes()
     with pytest.raises(ValueError):
-        OrderAnswer.unpack(data)
+        JobResult.unpack(data)
     with pytest.raises(ValueError):
-        OrderAnswer.unpack(pickle.dumps(Bomb()))
+        JobResult.unpack(pickle.dumps(Bomb()))
     folder = BookFolder(tmp_path)
     (tmp_path / "answers").mkdir()
     folder.write("ab", enclosed(data, Cost(0.0, 0.0, "")))
     assert folder.read("ab") is None
 
 
-def test_orders_and_answers_are_plain_bytes(valued):
+def test_jobs_and_results_are_plain_bytes(valued):
     """What goes out and comes back is JSON and arrays: equal content has equal bytes."""
     contract = valued.book.contracts[0]
-    order = BookOrder.of(contract, valued.book.tasks, 7, stresses=(valued.book.stresses[0].moves,))
-    data = order.pack()
+    job = BookJob.of(contract, valued.book.tasks, 7, stresses=(valued.book.stresses[0].moves,))
+    data = job.pack()
     assert isinstance(json.loads(data), dict)
-    assert BookOrder.unpack(data) == order and BookOrder.unpack(data).pack() == data
+    assert BookJob.unpack(data) == job and BookJob.unpack(data).pack() == data
     for file in valued.out.glob("answers/*/*"):
         answer, cost = opened(file.read_bytes())
-        assert OrderAnswer.unpack(answer).pack() == answer and cost.cpu_seconds > 0
+        assert JobResult.unpack(answer).pack() == answer and cost.cpu_seconds > 0
         with pytest.raises(ValueError):
             opened(file.read_bytes()[:-1])
 

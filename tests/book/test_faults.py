@@ -26,23 +26,23 @@ from snapo.book.run import Shard, run_book
 from snapo.book.work import check_held
 from snapo.case.error import CaseError
 from snapo.domains.energy.core.policy import UnitValuePolicy
-from snapo.engine.workers import Lost, answers
+from snapo.engine.workers import Lost, results
 
 
-def given(orders, where, work=echo):
-    waiting = deque(orders)
-    return list(answers(lambda: waiting.popleft() if waiting else None, work, where))
+def given(jobs, where, work=echo):
+    waiting = deque(jobs)
+    return list(results(lambda: waiting.popleft() if waiting else None, work, where))
 
 
 @pytest.mark.study
 def test_killed_workers_lose_nothing(tmp_path):
-    """60 orders on two processes; four of them kill theirs the first time, one every time."""
-    orders = [f"order:{i}".encode() for i in range(55)]
+    """60 jobs on two processes; four of them kill theirs the first time, one every time."""
+    jobs = [f"job:{i}".encode() for i in range(55)]
     once = [f"once:{tmp_path / str(i)}".encode() for i in range(4)]
-    results = given([*orders[:20], *once, b"poison:", *orders[20:]], worker_pools("", 2))
-    assert Counter(order for order, _ in results) == Counter([*orders, *once, b"poison:"])
+    results = given([*jobs[:20], *once, b"poison:", *jobs[20:]], worker_pools("", 2))
+    assert Counter(job for job, _ in results) == Counter([*jobs, *once, b"poison:"])
     table = dict(results)
-    assert all(table[order] == order + b"!" for order in (*orders, *once))
+    assert all(table[job] == job + b"!" for job in (*jobs, *once))
     poison = table[b"poison:"]
     assert isinstance(poison, Lost) and "BrokenProcessPool" in poison.reason
 
@@ -150,13 +150,13 @@ def test_a_full_disk_keeps_what_is_written(valued, tmp_path, monkeypatch):
     assert result["sums"] == valued.result["sums"]
 
 
-def test_a_lost_order_is_named_and_tried_again(valued, tmp_path, monkeypatch):
+def test_a_lost_job_is_named_and_tried_again(valued, tmp_path, monkeypatch):
     file, out, real = write_book(tmp_path, ROWS[:4]), tmp_path / "run", run.answer
 
-    def dies(order):
-        if b"injection_cost = 0.04" in order:
+    def dies(job):
+        if b"injection_cost = 0.04" in job:
             raise MemoryError("killed")
-        return real(order)
+        return real(job)
 
     monkeypatch.setattr(run, "answer", dies)
     result = run_book(read_book(file), lambda _: None, HERE, out=out)
@@ -200,8 +200,8 @@ def test_sixty_contracts_with_everything_killed(tmp_path):
     resumed = subprocess.run([*command, "--resume"], capture_output=True, text=True)
     result = json.loads(resumed.stdout)
     assert result["status"] == "ok" and result["cases"] == {"ok": 60, "failed": 0}
-    orders = result["orders"]
-    assert orders["computed"] + orders["reused"] == 60 and orders["reused"] >= 20
+    jobs = result["orders"]
+    assert jobs["computed"] + jobs["reused"] == 60 and jobs["reused"] >= 20
     quiet = run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "quiet")
     assert quiet["sums"] == result["sums"]
     book = read_book(file)

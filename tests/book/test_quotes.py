@@ -11,7 +11,7 @@ from tests.domains.energy.energy_cases import HOME, tables_at
 from tests.miniatures import thirty_days
 
 from snapo.book.file import read_book
-from snapo.book.order import BookOrder, OrderAnswer, opened
+from snapo.book.job import BookJob, JobResult, opened
 from snapo.book.stress import StressMove, moved_numbers
 from snapo.book.work import answer
 from snapo.case.error import CaseError
@@ -95,9 +95,9 @@ def test_a_book_values_the_same_bits(tmp_path):
     )
     book = read_book(tmp_path / "book.toml")
     stresses = (move,), (StressMove("market.quotes", value='"other.csv"'),)
-    order = BookOrder.of(book.contracts[0], book.tasks, 3, stresses=stresses)
-    packed, _ = opened(answer(order.pack()))
-    base, one, other = OrderAnswer.unpack(packed).points
+    job = BookJob.of(book.contracts[0], book.tasks, 3, stresses=stresses)
+    packed, _ = opened(answer(job.pack()))
+    base, one, other = JobResult.unpack(packed).points
     assert [x.note for x in (base, one, other)] == ["", "", ""]
     assert one.value == other.value != base.value
     assert_array_equal(one.changes["forward_curve"], other.changes["forward_curve"])

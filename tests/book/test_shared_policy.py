@@ -119,15 +119,15 @@ def test_a_first_contract_without_a_policy_leaves_the_others_their_own(tmp_path)
 
 
 def test_a_first_contract_without_a_policy_is_no_reason_to_test_it(tmp_path):
-    """Of a book that asks for values alone, the order of a test would be one that is in work."""
+    """Of a book that asks for values alone, the job of a test would be one that is in work."""
     rows = [row | {"contract.max_inventory": 1000 * i} for i, row in enumerate(ROWS)]
     tasks = TASKS.format(judge=0, policy="shape") + "deltas = 'none'\nexposure = false\n"
     plan = plan_of(read_book(write_book(tmp_path, rows, stresses="", more=tasks)))
     folder = BookFolder(tmp_path / "run")
     folder.prepare({}, keep=False)
     driver = Driver(plan, plan.book.contracts, folder)
-    leader, *others = (driver.next_order() for _ in range(4))
-    assert leader is not None and driver.next_order() is None
+    leader, *others = (driver.next_job() for _ in range(4))
+    assert leader is not None and driver.next_job() is None
     driver.take(leader, answer(leader))
-    assert driver.next_order() not in others and driver.next_order() not in others
-    assert driver.next_order() is None
+    assert driver.next_job() not in others and driver.next_job() not in others
+    assert driver.next_job() is None

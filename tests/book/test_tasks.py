@@ -1,4 +1,4 @@
-"""The tasks of a book: policies for each stress, further orders, derivatives, judged contracts,
+"""The tasks of a book: policies for each stress, further jobs, derivatives, judged contracts,
 markets, and cases of their own folders."""
 
 import platform
@@ -14,7 +14,7 @@ from snapo.book.collect import position
 from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
-from snapo.book.order import STRESSES, BookOrder, BookPoint, Cost, Delta, OrderAnswer, enclosed
+from snapo.book.job import STRESSES, BookJob, BookPoint, Cost, Delta, JobResult, enclosed
 from snapo.book.plan import BookPlan
 from snapo.book.run import plan_of, run_book
 from snapo.case.error import CaseError
@@ -52,8 +52,8 @@ def test_a_policy_for_each_stress_is_that_of_the_stressed_case(tmp_path):
 
 
 @pytest.mark.prove
-def test_many_stresses_are_further_orders_of_the_same_policy(tmp_path):
-    """One stress alone, and as the last of 27, which is in another order: the same bits."""
+def test_many_stresses_are_further_jobs_of_the_same_policy(tmp_path):
+    """One stress alone, and as the last of 27, which is in another job: the same bits."""
     last = '[[stress]]\nname = "last"\nscale = { "market.forward_curve" = 1.2 }\n'
     some = "".join(
         f'[[stress]]\nname = "s{i}"\nscale = {{ "market.forward_curve" = {1 + i / 100} }}\n'
@@ -94,12 +94,12 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
     judged = []
 
     def answer(data):
-        order = BookOrder.unpack(data)
-        judged.append(order.judged)
-        trusted = not refuted if order.judged else None
+        job = BookJob.unpack(data)
+        judged.append(job.judged)
+        trusted = not refuted if job.judged else None
         delta = Delta("injection_cost", ("",), "MWh", np.ones((32, 1)), trusted)
         point = BookPoint("ok", "", 1.0, 0.1, np.ones(512), {}, (delta,))
-        return enclosed(OrderAnswer((point,)).pack(), Cost(1.0, 1.0, "here"))
+        return enclosed(JobResult((point,)).pack(), Cost(1.0, 1.0, "here"))
 
     monkeypatch.setattr(run, "answer", answer)
     assert run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")["status"] == "ok"
@@ -190,9 +190,9 @@ def test_cases_of_their_own_folders(tmp_path):
 
 
 def test_a_worker_of_another_processor_refuses(valued):
-    """Its bits would be others: the order goes elsewhere."""
-    order = BookOrder.of(valued.book.contracts[0], valued.book.tasks, 0, fingerprint="elsewhere")
-    assert work.answer(order.pack()) == OTHER
+    """Its bits would be others: the job goes elsewhere."""
+    job = BookJob.of(valued.book.contracts[0], valued.book.tasks, 0, fingerprint="elsewhere")
+    assert work.answer(job.pack()) == OTHER
 
 
 def test_a_level_is_the_target_of_all_code(monkeypatch):
@@ -232,12 +232,12 @@ def test_a_book_for_a_level_has_its_values(tmp_path):
     assert values[0] == pytest.approx(values[2], rel=1e-4)  # two steps of training in float32
 
 
-def test_texts_and_pictures_of_a_report_are_no_part_of_an_order(tmp_path):
-    """An order has no files but those with numbers: a logo, which it cannot find, is left out."""
+def test_texts_and_pictures_of_a_report_are_no_part_of_a_job(tmp_path):
+    """A job has no files but those with numbers: a logo, which it cannot find, is left out."""
     file = write_book(tmp_path, ONE, stresses="")
     case = tmp_path / "store" / "case.toml"
     (tmp_path / "store" / "logo.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"/>')
     case.write_text(case.read_text() + '\n[report]\nauthor = "x"\nlogo = "logo.svg"\n')
     (contract,) = read_book(file).contracts
-    order = BookOrder.of(contract, read_book(file).tasks, 0)
-    assert "logo" not in order.case and "logo.svg" not in order.files and "author" not in order.case
+    job = BookJob.of(contract, read_book(file).tasks, 0)
+    assert "logo" not in job.case and "logo.svg" not in job.files and "author" not in job.case

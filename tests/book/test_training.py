@@ -19,13 +19,13 @@ from snapo.study.domain import CaseRequest, Options, load
 
 
 class Counting(InProcess):
-    """Counts its orders."""
+    """Counts its jobs."""
 
     def __init__(self):
-        self.orders = 0
+        self.jobs = 0
 
     def submit(self, fn, /, *args, **kwargs):
-        self.orders += 1
+        self.jobs += 1
         return super().submit(fn, *args, **kwargs)
 
 
@@ -64,7 +64,7 @@ def test_a_solution_has_the_same_bits(setup, alone, monkeypatch):
     executors = [Counting(), Counting()]
     solution = setup.solve(executor=executors)
     equal(solution, alone)
-    assert all(executor.orders > 10 for executor in executors)
+    assert all(executor.jobs > 10 for executor in executors)
     assert solution.notes == alone.notes
 
 
@@ -73,7 +73,7 @@ def test_small_steps_have_one_note(setup, alone, monkeypatch):
     monkeypatch.setattr(distributed, "MIN_SECONDS", 1e3)
     executor = Counting()
     solution = setup.solve(executor=executor)
-    assert executor.orders == 0
+    assert executor.jobs == 0
     (note,) = set(solution.notes) - set(alone.notes)
     assert note.startswith("Workers were not used: the paths of a step take ")
 
@@ -104,7 +104,7 @@ def test_the_command_has_the_same_result(case, tmp_path, monkeypatch, capfd):
         assert results[0][key] == results[1][key], key
     import mine  # pyright: ignore[reportMissingImports]
 
-    assert all(executor.orders for executor in mine.made)
+    assert all(executor.jobs for executor in mine.made)
 
 
 @pytest.mark.parametrize(

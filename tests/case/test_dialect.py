@@ -72,7 +72,7 @@ def test_a_plain_file_has_no_note(tmp_path):
         (
             "date,price\n13/05/2021,1\n05/13/2021,1\n",
             "line 3, column date",
-            "the month comes first, and in 13/05/2021 the day",
+            "the month comes first, but in 13/05/2021 the day",
         ),
         ("date;price\n31.02.2021;1\n", "line 2, column date", "no such day"),
         ('date,price\n2021-04-01,"1,5"\n', "line 2, column price", "written like 12.5"),

@@ -1,4 +1,4 @@
-"""What looks idle or wrong with decisions held, and is neither."""
+"""What looks idle or wrong with decisions held fixed, and is neither."""
 
 import jax.numpy as jnp
 import pytest

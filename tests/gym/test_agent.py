@@ -137,7 +137,7 @@ def test_spaces_of_others_take_what_they_can():
     ):
         with pytest.raises(ValueError, match="have no place in the space"):
             writer(space, action)
-    with pytest.raises(ValueError, match="decides 3 numbers, and there are 2 options"):
+    with pytest.raises(ValueError, match="decides 3 numbers, but there are 2 options"):
         writer(spaces.Discrete(2))(best)
 
 
@@ -200,7 +200,7 @@ def test_one_observation_after_another_is_remembered_too():
     agent.reset()
     assert agent.memory is None
     np.testing.assert_allclose([agent(row[None])[0] for row in rows], one, rtol=1e-6)
-    with pytest.raises(ValueError, match="the memory of 1 episodes, and here are 3 observations"):
+    with pytest.raises(ValueError, match="the memory of 1 episodes, but got 3 observations"):
         agent(np.zeros((3, 1)))
 
 

@@ -125,7 +125,7 @@ def test_a_solution_and_check_say_what_is_not_told():
     said = "The observation does not contain all of the state that matters: x."
     for policy, more in ((snapo.Linear(), True), (snapo.GRU(hidden=2), False)):
         (note,) = [each for each in snapo.solve(of, policy, **few).notes if said in each]
-        assert ("policy with a memory" in note) == more and "decisions held" in note
+        assert ("policy with a memory" in note) == more and "decisions held fixed" in note
     assert said in str(snapo.check(of, paths=4))
     assert "does not contain" not in str(snapo.check(Plant(), INPUTS, paths=4))
 

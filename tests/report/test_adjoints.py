@@ -31,5 +31,5 @@ def run(growth, **result):
 )
 def test_the_sentence_under_the_chart(growth, result, said):
     chart, sentence = history(run(growth, **result)).blocks[-2:]
-    assert "256 paths" in chart.caption
+    assert "256 training paths" in chart.caption
     assert all(each in sentence.text for each in said), sentence.text

@@ -52,7 +52,7 @@ def test_held_rows_name_every_entry_and_add_up_to_the_value():
     assert [(row.input, row.label) for row in rows][:3] == [
         ("price", d) for d in ("Mon", "Tue", "Wed")
     ]
-    # Cash is linear in the prices once the decisions are held: price x delta adds up to the value.
+    # Cash is linear in the prices once the decisions are held fixed: price x delta adds up to the value.
     draws = SOURCE.draws(np.arange(256), PROBLEM.simulator)
     totals = Xla("float64").bind(PROBLEM).values(POLICY, draws, snapo.Exact()).totals
     total = sum(row.held * p for row, p in zip(rows, INPUTS["price"].value))

@@ -33,9 +33,7 @@ def test_the_room_is_that_of_the_tightest_bound():
     assert room(None, None, None, None) is None
 
 
-ADVICE = (
-    "Too short to tell whether more steps would bring more: of its 60 steps 20 are the warm-up."
-)
+ADVICE = "Too short to tell whether more steps would help: of its 60 steps 20 are the warm-up."
 
 
 @pytest.mark.parametrize(

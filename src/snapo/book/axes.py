@@ -81,7 +81,7 @@ class Design(NamedTuple):
 
 
 def number_of(text: str) -> float | None:
-    """The number of a value's text, also with a unit; None of any other."""
+    """The number of a value's text, also with a unit; None for any other."""
     match = re.match(NUMBER + r"(?=\s|$)", text, re.ASCII)
     return float(match[0]) if match else None
 
@@ -154,7 +154,7 @@ class _Range(NamedTuple):
 
 
 def _range_of(file: str, where: str, table: AxisTable) -> _Range | None:
-    """The range of an axis of Sobol points; None of an axis of values."""
+    """The range of an axis of Sobol points; None for an axis of values."""
     if table.sobol is None:
         if table.range:
             message = "a range is that of Sobol points: write sobol = 64 as well, or values"
@@ -213,7 +213,7 @@ def _values(file: str, where: str, values: str | list[Any]) -> list[AxisValue]:
 def spaced(file: str, where: str, text: str) -> Iterator[AxisValue]:
     """The numbers of "5:35:7".
 
-    **Raises:** `CaseError` where the text is not like this.
+    **Raises:** `CaseError` if the text is not like this.
     """
     allowed = 'first, last and how many values, 2 or more: "5:35:7"'
     match = RANGE.fullmatch(text)

@@ -14,10 +14,10 @@ from snapo.solver.tables import write_csv
 
 from .file import BASE, Book, BookContract
 from .folder import POINTS, POLICIES, TABLES, BookFolder
-from .order import BookOrder, BookPoint, Cost, OrderAnswer, OutputFigures, name_of
+from .job import BookJob, BookPoint, Cost, JobResult, OutputFigures, name_of
 from .parquet import TableRows, TableWriter
 from .plan import BookPlan
-from .shared_policy import AnswerReader, SharedPolicy
+from .shared_policy import ResultReader, SharedPolicy
 from .sums import BookTotal, DeltaTotal, ExposureTotal, Sum, risks
 
 FEW = 500  # contracts, beyond which `TOGETHER` of them share a file
@@ -28,7 +28,7 @@ TOGETHER = 32
 class BookPosition:
     """All points of a contract in the book.
 
-    - `points`: {stress: its point, with the cost and the shape of its answer}.
+    - `points`: {stress: its point, with the cost and the shape of its result}.
     - `labels`: {stress: {label of an axis: the text of its value}}.
     - `world`: equal for contracts whose path p is the same world.
     """
@@ -45,22 +45,22 @@ class BookPosition:
 
     @property
     def worst(self) -> BookPoint:
-        """A point that failed, where there is one."""
+        """A point that failed, if there is one."""
         return next((p for p, _, _ in self.points.values() if p.status != "ok"), self.base)
 
 
 def _read(
     folder: BookFolder, lost: Mapping[str, str], name: str
-) -> tuple[OrderAnswer, Cost | None] | None:
+) -> tuple[JobResult, Cost | None] | None:
     if name in lost:
-        return OrderAnswer((BookPoint.without_value("lost", lost[name]),)), None
+        return JobResult((BookPoint.without_value("lost", lost[name]),)), None
     return folder.read(name)
 
 
-def reader(folder: BookFolder, lost: Mapping[str, str]) -> AnswerReader:
-    """Reads the answer to the order of a name; `lost`: {order: the reason}."""
+def reader(folder: BookFolder, lost: Mapping[str, str]) -> ResultReader:
+    """Reads the result of the job of a name; `lost`: {job: the reason}."""
 
-    def read(name: str) -> OrderAnswer | None:
+    def read(name: str) -> JobResult | None:
         entry = _read(folder, lost, name)
         return None if entry is None else entry[0]
 
@@ -70,15 +70,15 @@ def reader(folder: BookFolder, lost: Mapping[str, str]) -> AnswerReader:
 def position(
     plan: BookPlan, contract: BookContract, folder: BookFolder, lost: Mapping[str, str]
 ) -> BookPosition:
-    """The points of a contract from the folder's answers; `lost`: {order: the reason}."""
+    """The points of a contract from the folder's results; `lost`: {job: the reason}."""
     names = [BASE, *(stress.name for stress in plan.book.stresses)]
     labels = {stress.name: stress.labels for stress in plan.book.stresses}
     result = BookPosition(contract, {}, labels)
     waiting = iter(names)
 
-    def take(order: BookOrder) -> OrderAnswer | None:
-        entry = _read(folder, lost, name_of(order.pack()))
-        for i, name in enumerate(itertools.islice(waiting, len(order.stresses) + order.base)):
+    def take(job: BookJob) -> JobResult | None:
+        entry = _read(folder, lost, name_of(job.pack()))
+        for i, name in enumerate(itertools.islice(waiting, len(job.stresses) + job.base)):
             if entry is None:
                 result.points[name] = (
                     BookPoint.without_value("missing", "it has not been computed"),
@@ -95,8 +95,8 @@ def position(
     answer = None if base is None else take(base)
     if answer is not None:
         result.policy, result.world = answer.policy, answer.world
-    for order in () if base is None or answer is None else plan.further(base, answer):
-        take(order)
+    for job in () if base is None or answer is None else plan.further(base, answer):
+        take(job)
     for name in waiting:
         point = BookPoint.without_value("missing", "its base has not been computed")
         if answer is not None:

@@ -37,7 +37,7 @@ from .parquet import query as query
 from .plan import BookPlan
 from .run import Shard, run_book
 from .stress import BookStress, StressMove
-from .work import OrderContract, valuation
+from .work import JobContract, valuation
 
 # Processor seconds of the gas storage template (AMD EPYC, AVX-512): `python -m benchmarks.book
 # shapes`. A new shape costs so much more than a further contract.
@@ -60,7 +60,7 @@ def solve(
 ) -> dict[str, Any]:
     """Values a book; see `run_book`. `on`: where, see `executors.worker_pools`.
 
-    **Raises:** `CaseError` for a mistake in the book, or where its workers cannot be reached.
+    **Raises:** `CaseError` for a mistake in the book, or if its workers cannot be reached.
     """
     book = read_book(path)  # a mistake in it is named before a cluster is joined
     made = worker_pools(on, workers, trust_network)
@@ -83,7 +83,8 @@ def sweep(
 
     - `assignments`: as of `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
       `sobol` points.
-    - `train`: whether each point trains its policy; else that of the case decides at all of them.
+    - `train`: whether each point trains its policy; else the policy of the case decides at all
+      points.
 
     **Raises:** `CaseError` for a mistake in the case, its axes, or a point of them.
     """
@@ -184,7 +185,7 @@ def _axes(assignments: Sequence[str], sobol: int | None) -> tuple[list[dict[str,
 def _read_at(
     domain: Domain, file: Path, tables: Mapping[str, Any], settings: Sequence[tuple[str, str]]
 ) -> None:
-    """**Raises:** `CaseError` where the case cannot be read at a point."""
+    """**Raises:** `CaseError` if the case cannot be read at a point."""
     data, _ = assigned(tables, [f"{key}={text}" for key, text in settings])
     try:
         domain.read(file, with_other_numbers(domain, data))
@@ -195,7 +196,7 @@ def _read_at(
 
 
 def check(path: Path) -> list[str]:
-    """A book in a few lines: contracts, orders, shapes, and expected processor time.
+    """A book in a few lines: contracts, jobs, shapes, and expected processor time.
 
     **Raises:** `CaseError` for every mistake in the book, in its contracts, and in its stresses of
     the first contract of each template and market.
@@ -219,7 +220,7 @@ def check(path: Path) -> list[str]:
     return [
         f"{book.title}: {len(book.contracts):,} contracts{same}, {stresses:,} stresses",
         *([f"markets: {', '.join(markets)}"] if markets else []),
-        f"{plan.size:,} orders of {1 + stresses:,} points for each contract",
+        f"{plan.size:,} jobs of {1 + stresses:,} points for each contract",
         f"shapes: about {shapes:,}; derivatives of {judged:,} contracts are tested by bumps",
         f"expected: {_duration(seconds)} of processor time on gas stores of a year",
     ]
@@ -231,11 +232,11 @@ MAX_MISTAKES = 10  # that are named in one message
 def _check_contracts(plan: BookPlan) -> None:
     """Reads every contract as a worker does."""
     mistakes, stressed = dict[tuple[str, str], CaseError](), set[Any]()
-    for contract, order in plan.distinct:
+    for contract, job in plan.distinct:
         with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
             origin = contract.origin
             try:
-                read = OrderContract(order, Path(folder))
+                read = JobContract(job, Path(folder))
                 if plan.book.stresses and (key := origin and (origin.case, origin.market)):
                     if key not in stressed:
                         _check_stresses(read, plan.book.stresses)
@@ -251,7 +252,7 @@ def _check_contracts(plan: BookPlan) -> None:
         raise CaseError(first.file, first.where, first.value, first.allowed, others)
 
 
-def _check_stresses(contract: OrderContract, stresses: Sequence[BookStress]) -> None:
+def _check_stresses(contract: JobContract, stresses: Sequence[BookStress]) -> None:
     inputs = valuation(contract).inputs
     for stress in stresses:
         try:
@@ -281,7 +282,7 @@ def _locate(error: CaseError, book: Book, contract: BookContract, folder: str) -
 
 
 def _column(row: Row, key: str) -> str:
-    """The column of a row that has a value for a key; "" where there is none."""
+    """The column of a row that has a value for a key; "" if there is none."""
     columns = (column for column, text in row.cells.items() if text)
     return next((column for column in columns if column.casefold() == key.casefold()), "")
 
@@ -306,8 +307,8 @@ def report(path: Path) -> Path:
 
 def summary(result: Mapping[str, Any]) -> str:
     """The result for a reader."""
-    orders = result["orders"]
-    counts = f"{orders['computed']:,} orders computed, {orders['reused']:,} used again"
+    jobs = result["orders"]
+    counts = f"{jobs['computed']:,} jobs computed, {jobs['reused']:,} used again"
     lines = [f"book: {result['status']}; ± is half of a 95 % interval, simulation error only"]
     if result.get("points"):
         lines += _table_of_points(result)

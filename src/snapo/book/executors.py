@@ -1,4 +1,4 @@
-"""Where orders are computed: processes of this machine, Dask, Ray, or any executor.
+"""Where jobs are computed: processes of this machine, Dask, Ray, or any executor.
 
 snapo starts no cluster: it joins one. Whoever reaches the port of a scheduler can run code there,
 so that an address beyond this machine needs TLS (Dask) or a token (Ray), or `--trust-network`.
@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from snapo.case.error import CaseError
 from snapo.engine.workers import Work, WorkerPool
 
-IN_FLIGHT = 1000  # orders that an executor of others has at most: it shares them out itself
+IN_FLIGHT = 1000  # jobs that an executor of others has at most: it shares them out itself
 
 
 def worker_pools(
@@ -26,7 +26,7 @@ def worker_pools(
 ) -> list[WorkerPool]:
     """The places of `--on WHERE`; "" is this machine, with one process for each core.
 
-    **Raises:** `CaseError` where there is no such place, or its network is open.
+    **Raises:** `CaseError` if there is no such place, or its network is open.
     """
     if not where:
         return _processes(workers)
@@ -41,7 +41,7 @@ def worker_pools(
 def _processes(workers: int | None) -> list[WorkerPool]:
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
     count = workers or len(cores)
-    # One order in work and the next one: a worker does not wait for the driver.
+    # One job in work and the next one: a worker does not wait for the driver.
     return [WorkerPool(partial(_process, cores[i % len(cores)]), 2) for i in range(count)]
 
 
@@ -123,15 +123,15 @@ class RayExecutor:
 
         self.remote: Any = ray.remote(num_cpus=1, max_retries=0)(_called)
 
-    def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]":
-        return self.remote.remote(fn, order).future()
+    def submit(self, fn: Work, job: bytes, /) -> "Future[bytes]":
+        return self.remote.remote(fn, job).future()
 
     def shutdown(self, wait: bool = True) -> None:
         """The cluster is not ours to end."""
 
 
-def _called(work: Work, order: bytes) -> bytes:
-    return work(order)
+def _called(work: Work, job: bytes) -> bytes:
+    return work(job)
 
 
 def _missing(extra: str) -> CaseError:

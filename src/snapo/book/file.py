@@ -116,9 +116,10 @@ class BookContract:
     """A case of the book.
 
     - `quantity`: how many of it the book has; negative: sold.
-    - `tables`: of the case as they count; `files`: {name: content} of the files that they name.
+    - `tables`: the tables of the case as they count; `files`: {name: content} of the files that
+      they name.
     - `labels`: {column: text} of its row.
-    - `origin`: its files; None of a case without a book.
+    - `origin`: its files; None for a case without a book.
     """
 
     name: str

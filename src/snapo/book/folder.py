@@ -1,10 +1,10 @@
-"""The folder of a book: answers, and the tables that are made from them.
+"""The folder of a book: results of jobs, and the tables that are made from them.
 
 book.json           the book: its contracts, stresses and tasks, and versions
-answers/            the answers by the hash of their orders, each written whole or not at all
+answers/            the results by the hash of their jobs, each written whole or not at all
 values/, deltas/, shares/, outputs/, exposure/   Parquet, a file for each contract, or for 32
 policies/           the trained policies, as `policy.save` writes them
-points.csv          the points of the axes with their values, where the book has axes
+points.csv          the points of the axes with their values, if the book has axes
 result.json         sums, risk, failures and cost
 report.html
 """
@@ -25,7 +25,7 @@ from snapo.report.record import EMPTY
 from snapo.solver.tables import write_text
 from snapo.study.run_folder import BOOK
 
-from .order import Cost, OrderAnswer, opened
+from .job import Cost, JobResult, opened
 
 RESULT, REPORT = "result.json", "report.html"
 ANSWERS, POLICIES = "answers", "policies"
@@ -200,9 +200,9 @@ class BookFolder:
         self.path = path
 
     def prepare(self, record: Mapping[str, Any], keep: bool) -> None:
-        """Makes the folder ready; `keep`: with the answers that it has.
+        """Makes the folder ready; `keep`: with the results that it has.
 
-        **Raises:** `CaseError` where it cannot be written, or holds something else.
+        **Raises:** `CaseError` if it cannot be written, or holds something else.
         """
         if self.path.exists() and not (self.path / BOOK).exists() and any(self.path.iterdir()):
             message = "this folder has other files; it must be empty, or the folder of a book"
@@ -219,7 +219,7 @@ class BookFolder:
     def record(self) -> dict[str, Any]:
         """The content of book.json.
 
-        **Raises:** `CaseError` where there is none, or it is damaged, or of another version.
+        **Raises:** `CaseError` if there is none, or it is damaged, or of another version.
         """
         table = self._json(BOOK, "this is not the folder of a book")
         layout = table.get("layout") if isinstance(table, dict) else None
@@ -231,7 +231,7 @@ class BookFolder:
     def result(self) -> dict[str, Any]:
         """The content of result.json.
 
-        **Raises:** `CaseError` where there is none, or it is damaged, with the key.
+        **Raises:** `CaseError` if there is none, or it is damaged, with the key.
         """
         message = "this book has no results yet: snapo book BOOK --resume computes the rest"
         table = self._checked(RESULT, self._json(RESULT, message), ResultForm)
@@ -241,7 +241,7 @@ class BookFolder:
         return table
 
     def _checked(self, name: str, table: Any, form: type[JsonTable]) -> dict[str, Any]:
-        """The content of a file, where it has the keys of `form`."""
+        """The content of a file, if it has the keys of `form`."""
         try:
             form.model_validate(table)
             return table
@@ -277,7 +277,7 @@ class BookFolder:
         return self.path / ANSWERS / name[:2] / name
 
     def write(self, name: str, data: bytes) -> None:
-        """Writes the answer to the order of this name. **Raises:** `OSError`, on a full disk."""
+        """Writes the result of the job of this name. **Raises:** `OSError`, on a full disk."""
         file = self._answer(name)
         file.parent.mkdir(exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=".")
@@ -289,10 +289,10 @@ class BookFolder:
             Path(temporary).unlink(missing_ok=True)
             raise
 
-    def read(self, name: str) -> tuple[OrderAnswer, Cost] | None:
-        """The answer to the order of this name; None if there is no whole one."""
+    def read(self, name: str) -> tuple[JobResult, Cost] | None:
+        """The result of the job of this name; None if there is no complete one."""
         try:
             data, cost = opened(self._answer(name).read_bytes())
-            return OrderAnswer.unpack(data), cost
+            return JobResult.unpack(data), cost
         except (OSError, ValueError):
             return None

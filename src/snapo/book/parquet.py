@@ -78,7 +78,7 @@ def _pyarrow() -> tuple[Any, Any]:
 def query(path: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """Columns and rows of a query on the tables of a book's folder: those of `TABLES`.
 
-    **Raises:** `CaseError` where DuckDB is missing, or refuses the query.
+    **Raises:** `CaseError` if DuckDB is missing, or refuses the query.
     """
     try:
         import duckdb

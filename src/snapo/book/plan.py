@@ -1,4 +1,4 @@
-"""The plan of a book: which orders its contracts need, and in which sequence.
+"""The plan of a book: which jobs its contracts need, and in which sequence.
 
 The base of a contract is ordered first; its policy travels with its further stresses. Similar
 contracts come one after the other, so that a worker has their code.
@@ -13,8 +13,8 @@ from typing import Any
 
 from .axes import WITH_UNIT
 from .file import Book, BookContract
-from .order import STRESSES, BookOrder, OrderAnswer, name_of
-from .shared_policy import AnswerReader, SharedPolicy, shared_policy, test_order, tested
+from .job import STRESSES, BookJob, JobResult, name_of
+from .shared_policy import ResultReader, SharedPolicy, shared_policy, test_job, tested
 
 MIN_JUDGED = 3  # of similar contracts
 
@@ -22,7 +22,7 @@ MIN_JUDGED = 3  # of similar contracts
 def similarity_key(contract: BookContract) -> str:
     """Equal for contracts that most probably share compiled code: all but their numbers is equal.
 
-    It only affects the sequence; the shape of an answer is that of compiled code.
+    It only affects the sequence; the shape of a result is that of its compiled code.
     """
     term = contract.tables.get("contract", {})
     days = "start" in term and "end" in term and _days(term["start"], term["end"])
@@ -50,7 +50,7 @@ def kinds_of(table: Any) -> Any:
 
 @dataclass(frozen=True)
 class BookPlan:
-    """The orders of a book; `fingerprint` of the processors that may answer them."""
+    """The jobs of a book; `fingerprint` of the processors that may compute them."""
 
     book: Book
     fingerprint: str = ""
@@ -65,8 +65,8 @@ class BookPlan:
         return table
 
     @property
-    def distinct(self) -> Iterator[tuple[BookContract, BookOrder]]:
-        """The contracts with different cases, each with an order of it."""
+    def distinct(self) -> Iterator[tuple[BookContract, BookJob]]:
+        """The contracts with different cases, each with a job of it."""
         for contract in self.book.contracts:
             if self.first_of_case[contract.name] is contract:
                 yield contract, self._base(contract, False)
@@ -87,7 +87,7 @@ class BookPlan:
 
     @cached_property
     def judged(self) -> set[str]:
-        """The names of the contracts whose derivatives are judged in any case."""
+        """The names of the contracts whose derivatives bumps test in any case."""
         share, names = self.book.tasks.judge, set[str]()
         for contracts in self.similar.values():
             count = max(math.ceil(share * len(contracts)), MIN_JUDGED) if share else 0
@@ -103,7 +103,7 @@ class BookPlan:
 
     @cached_property
     def awaited(self) -> set[str]:
-        """The names of the contracts for whose answers similar ones wait."""
+        """The names of the contracts for whose results similar ones wait."""
         names = {
             x.name for kind, some in self.tested.items() for x in (self.similar[kind][0], *some)
         }
@@ -117,7 +117,7 @@ class BookPlan:
 
     @property
     def size(self) -> int:
-        """The number of orders of the complete book, equal cases once."""
+        """The number of jobs of the complete book, equal cases once."""
         stresses = len(self.book.stresses)
         by_contract = max(1, math.ceil(stresses / STRESSES))
         if self.book.tasks.policy == "stress":
@@ -126,7 +126,7 @@ class BookPlan:
         return by_contract * sum(map(len, self.similar.values())) + tests
 
     def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
-        """All contracts whose orders are needed, equal cases once: first those that similar
+        """All contracts whose jobs are needed, equal cases once: first those that similar
         contracts wait for."""
         first_of_case = {self.first_of_case[contract.name].name for contract in contracts}
         kinds = {self.similarity_keys[name] for name in first_of_case}
@@ -137,11 +137,11 @@ class BookPlan:
             x for x in groups if x.name in first_of_case and x.name not in self.awaited
         ]
 
-    def base(self, contract: BookContract, read: AnswerReader) -> BookOrder | None:
-        """The first order of a contract; None while it waits for similar ones.
+    def base(self, contract: BookContract, read: ResultReader) -> BookJob | None:
+        """The first job of a contract; None while it waits for similar ones.
 
-        Where a bump refuted a derivative of one, those of all similar contracts are judged: each
-        trains its own policy then, as a judged one does.
+        If a bump refuted a derivative of one of them, bumps test all similar contracts, and each
+        trains its own policy.
         """
         first = self.first_of_case[contract.name]
         kind = self.similarity_keys[first.name]
@@ -150,14 +150,14 @@ class BookPlan:
         refuted = self._refuted(kind, read) if self.judged else False
         if refuted is None:
             return None
-        order = self._base(first, refuted)
+        job = self._base(first, refuted)
         if refuted or first.name not in self.adopting:
-            return order
+            return job
         shared = self.shared_policy(kind, read)
-        return None if shared is None else replace(order, adopted=shared.policy)
+        return None if shared is None else replace(job, adopted=shared.policy)
 
-    def shared_policy(self, kind: str, read: AnswerReader) -> SharedPolicy | None:
-        """The policy of similar contracts; None while a required answer is missing."""
+    def shared_policy(self, kind: str, read: ResultReader) -> SharedPolicy | None:
+        """The policy of similar contracts; None while a required result is missing."""
         if kind not in self._shared:
             result = shared_policy(self.similar[kind], self._first_base, read)
             if result is None:
@@ -165,29 +165,29 @@ class BookPlan:
             self._shared[kind] = result
         return self._shared[kind]
 
-    def shared_policies(self, read: AnswerReader) -> Iterator[SharedPolicy]:
-        """The shared policies of similar contracts whose answers are complete."""
+    def shared_policies(self, read: ResultReader) -> Iterator[SharedPolicy]:
+        """The shared policies of similar contracts whose results are complete."""
         for kind in self.tested:
             if (result := self.shared_policy(kind, read)) is not None:
                 yield result
 
-    def tests(self, leader: BookContract, answer: OrderAnswer) -> Iterator[BookOrder]:
-        """The orders of similar contracts with the policy of the first one; none of another
-        contract, or without a policy. `answer`: to its first order."""
+    def tests(self, leader: BookContract, answer: JobResult) -> Iterator[BookJob]:
+        """The jobs of similar contracts with the policy of the first one; none of another
+        contract, or without a policy. `answer`: the result of its first job."""
         kind = self.similarity_keys[leader.name]
         if leader is self.similar[kind][0] and answer.policy is not None:
             for contract in self.tested.get(kind, ()):
-                yield test_order(self._first_base(contract), answer.policy)
+                yield test_job(self._first_base(contract), answer.policy)
 
-    def _first_base(self, contract: BookContract) -> BookOrder:
-        """The first order of a contract that waits for no other."""
+    def _first_base(self, contract: BookContract) -> BookJob:
+        """The first job of a contract that waits for no other."""
         return self._base(contract, contract.name in self.judged)
 
     @cached_property
     def _shared(self) -> dict[str, SharedPolicy]:
         return {}
 
-    def _refuted(self, kind: str, read: AnswerReader) -> bool | None:
+    def _refuted(self, kind: str, read: ResultReader) -> bool | None:
         if kind not in self._verdicts:
             judged = [x for x in self.similar[kind] if x.name in self.judged]
             answers = [read(name_of(self._base(x, True).pack())) for x in judged]
@@ -202,9 +202,9 @@ class BookPlan:
     def _verdicts(self) -> dict[str, bool]:
         return {}
 
-    def _base(self, contract: BookContract, judged: bool) -> BookOrder:
+    def _base(self, contract: BookContract, judged: bool) -> BookJob:
         book = self.book
-        order = BookOrder.of(
+        job = BookJob.of(
             contract,
             book.tasks,
             book.run.seed,
@@ -213,12 +213,12 @@ class BookPlan:
             fingerprint="" if book.run.processor else self.fingerprint,
         )
         if book.tasks.policy == "stress":
-            return order
-        return replace(order, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
+            return job
+        return replace(job, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
 
-    def further(self, base: BookOrder, answer: OrderAnswer) -> Iterator[BookOrder]:
-        """The other orders of a contract, in the sequence of the stresses; none if its base
-        failed. `answer`: to the order `base`."""
+    def further(self, base: BookJob, answer: JobResult) -> Iterator[BookJob]:
+        """The other jobs of a contract, in the sequence of the stresses; none if its base
+        failed. `answer`: the result of the job `base`."""
         if answer.points[0].status != "ok":
             return
         moves = [stress.moves for stress in self.book.stresses]

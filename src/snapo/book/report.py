@@ -69,7 +69,7 @@ def _policy(tasks: Mapping[str, Any]) -> str:
     if tasks["policy"] == "stress":
         return "trained again under every stress"
     if tasks["policy"] == "shape":
-        return "trained once for similar contracts where that costs at most 0.5 %"
+        return "trained once for similar contracts if that costs at most 0.5 %"
     return "trained once for each contract, and unchanged under stress"
 
 
@@ -96,8 +96,8 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
 
 
 RISK = (
-    "Losses over the stresses as scenarios of equal weight; their intervals are those of "
-    "simulation, without that of having only these scenarios."
+    "Losses, with the stresses as scenarios of equal weight. The intervals contain the error of "
+    "simulation only, not the error of having only these scenarios."
 )
 
 
@@ -147,9 +147,9 @@ def _stresses(result: Mapping[str, Any]) -> Section:
     if any(row.explained is None for row in displayed):
         columns = columns[:3]
     text = Text(
-        "A policy that was trained once for its contract decides under the stress too; guide and "
-        "control variate are those of the stressed numbers. The derivatives are held ones at the "
-        "base: to first order.",
+        "A policy that was trained once for its contract decides under the stress too; its value "
+        "table and the control variate are computed again from the stressed numbers. The "
+        "derivatives are taken at the base, with decisions held fixed: to first order.",
         caveat=True,
     )
     blocks = [Chart(svg, caption + "."), table(displayed, columns), text]
@@ -343,7 +343,7 @@ def _deltas(result: Mapping[str, Any]) -> Section:
     if not any(row.market for row in rows):
         columns = columns[1:]
     few = rows[:400]
-    caption = "Derivatives of the book's value with decisions held, summed over contracts"
+    caption = "Derivatives of the book's value with decisions held fixed, summed over contracts"
     folded = "" if len(few) <= MAX_ROWS else "all inputs"
     blocks: list[Block] = [table(few, columns, caption, by_row=True, folded=folded)]
     return Section("deltas", "Derivatives", "Derivatives", blocks)
@@ -388,11 +388,11 @@ def _failures(result: Mapping[str, Any]) -> Section:
 
 
 def _cost(result: Mapping[str, Any]) -> Section:
-    orders = result["orders"]
+    jobs = result["orders"]
     facts = [
-        ("orders computed", number(orders["computed"], 0), f"{orders['reused']:,} used again"),
+        ("jobs computed", number(jobs["computed"], 0), f"{jobs['reused']:,} used again"),
         ("wall time", seconds(result["seconds"]["total"]), f"{result['workers']:,} workers"),
-        ("processor time", seconds(result["cpu_seconds"]), "of all answers, whenever computed"),
+        ("processor time", seconds(result["cpu_seconds"]), "of all jobs, whenever computed"),
         ("largest worker", f"{result['peak_mb']:,.0f} MB", f"{result['shapes']:,} shapes"),
     ]
     return Section("cost", "Cost", "Cost", [Facts(facts)])

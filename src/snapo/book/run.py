@@ -1,4 +1,4 @@
-"""Computes a book: gives out its orders, keeps their answers, and makes its tables."""
+"""Computes a book: sends out its jobs, stores their results, and makes its tables."""
 
 import time
 from collections import deque
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from snapo.case.error import CaseError
-from snapo.engine.workers import Lost, WorkerPool, answers
+from snapo.engine.workers import Lost, WorkerPool, results
 from snapo.lanes.machine import pipeline
 from snapo.solver.provenance import versions
 from snapo.solver.tables import write_text
@@ -17,7 +17,7 @@ from snapo.study.study import ProgressCallback
 from .collect import collect, reader
 from .file import Book, BookContract
 from .folder import REPORT, RESULT, BookFolder
-from .order import BookOrder, OrderAnswer, name_of, opened
+from .job import BookJob, JobResult, name_of, opened
 from .plan import BookPlan
 from .work import answer
 
@@ -32,68 +32,68 @@ class Shard(NamedTuple):
 
 
 class Driver:
-    """The orders of some contracts, in sequence, and their answers.
+    """The jobs of some contracts, in sequence, and their results.
 
-    - `lost`: {order: the reason}, of those that no worker answered.
+    - `lost`: {job: the reason}, of those that no worker computed.
     """
 
     def __init__(self, plan: BookPlan, contracts: Sequence[BookContract], folder: BookFolder):
         self.plan, self.folder = plan, folder
         self.waiting = deque(plan.needed(contracts))
-        self.further_orders: deque[BookOrder] = deque()
-        self.flight: dict[str, tuple[BookOrder, BookContract | None]] = {}
+        self.further_jobs: deque[BookJob] = deque()
+        self.flight: dict[str, tuple[BookJob, BookContract | None]] = {}
         self.lost: dict[str, str] = {}
         self.computed = self.reused = 0
         self._read = reader(folder, self.lost)
 
-    def next_order(self) -> bytes | None:
-        """The next order without an answer; None if all others wait for one in work."""
+    def next_job(self) -> bytes | None:
+        """The next job without a result; None if all others wait for one being computed."""
         while True:
-            order, contract = self._next()
-            if order is None:
+            job, contract = self._next()
+            if job is None:
                 return None
-            data = order.pack()
+            data = job.pack()
             name = name_of(data)
             stored = self.folder.read(name)
             if stored is None:
-                self.flight[name] = order, contract
+                self.flight[name] = job, contract
                 return data
             self.reused += 1
             if contract is not None:
-                self._follow(contract, order, stored[0])
+                self._follow(contract, job, stored[0])
 
-    def _next(self) -> tuple[BookOrder | None, BookContract | None]:
-        if self.further_orders:
-            return self.further_orders.popleft(), None
+    def _next(self) -> tuple[BookJob | None, BookContract | None]:
+        if self.further_jobs:
+            return self.further_jobs.popleft(), None
         for i, contract in enumerate(self.waiting):
-            order = self.plan.base(contract, self._read)
-            if order is not None:
+            job = self.plan.base(contract, self._read)
+            if job is not None:
                 del self.waiting[i]
-                return order, contract
+                return job, contract
         return None, None
 
-    def _follow(self, contract: BookContract, order: BookOrder, answer: OrderAnswer) -> None:
-        """The orders that follow the answer to the first one of a contract."""
-        self.further_orders.extend(self.plan.tests(contract, answer))
-        self.further_orders.extend(self.plan.further(order, answer))
+    def _follow(self, contract: BookContract, job: BookJob, answer: JobResult) -> None:
+        """The jobs that follow the result of the first one of a contract."""
+        self.further_jobs.extend(self.plan.tests(contract, answer))
+        self.further_jobs.extend(self.plan.further(job, answer))
 
     def take(self, data: bytes, result: bytes | Lost) -> None:
-        """Keeps an answer. **Raises:** `OSError` where the disk is full."""
+        """Stores a result. **Raises:** `OSError` if the disk is full."""
         name = name_of(data)
-        order, contract = self.flight.pop(name)
+        job, contract = self.flight.pop(name)
         if not isinstance(result, Lost):
             try:
                 complete, _ = opened(result)
-                stored = OrderAnswer.unpack(complete)
+                stored = JobResult.unpack(complete)
             except ValueError as error:
-                result = Lost(f"its answer cannot be read: {error}")
+                result = Lost(f"its result cannot be read: {error}")
         if isinstance(result, Lost):
             self.lost[name] = result.reason
             return
         self.folder.write(name, result)
         self.computed += 1
         if contract is not None:
-            self._follow(contract, order, stored)
+            self._follow(contract, job, stored)
 
 
 def run_book(
@@ -107,11 +107,11 @@ def run_book(
 ) -> dict[str, Any]:
     """Values a book into the folder `out`, by default `run` next to its file.
 
-    - `worker_pools`: where its orders are computed; `shard`: only a part of its contracts.
-    - `resume`: answers that the folder has are not computed again.
+    - `worker_pools`: where its jobs are computed; `shard`: only a part of its contracts.
+    - `resume`: results that the folder has are not computed again.
 
     Returns the content of result.json. Where interrupted, or on a full disk, results that have been
-    written are kept. **Raises:** `CaseError` where the folder cannot be written.
+    written are kept. **Raises:** `CaseError` if the folder cannot be written.
     """
     began = time.perf_counter()
     folder = BookFolder(book.file.parent / "run" if out is None else out)
@@ -143,7 +143,7 @@ def run_book(
 
 
 def plan_of(book: Book) -> BookPlan:
-    """The plan of a book whose orders processors of this kind may answer."""
+    """The plan of a book whose jobs processors of this kind may compute."""
     return BookPlan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
 
 
@@ -168,12 +168,12 @@ def _compute(
 ) -> None:
     reported_at, size = time.perf_counter(), driver.plan.size
     try:
-        for order, result in answers(driver.next_order, answer, worker_pools):
-            driver.take(order, result)
+        for job, result in results(driver.next_job, answer, worker_pools):
+            driver.take(job, result)
             if (now := time.perf_counter()) - reported_at > EVERY:
                 reported_at = now
                 done = driver.computed + driver.reused + len(driver.lost)
-                progress(f"{done:,} of {size:,} orders, {now - began:,.0f} s")
+                progress(f"{done:,} of {size:,} jobs, {now - began:,.0f} s")
     except OSError as error:
         message = (
             f"a result cannot be written ({error.strerror}); --resume continues from the others"
@@ -182,9 +182,9 @@ def _compute(
 
 
 def _is_complete(plan: BookPlan, folder: BookFolder) -> bool:
-    """Whether every order of the book has an answer."""
+    """Whether every job of the book has a result."""
     driver = Driver(plan, plan.book.contracts, folder)
-    return driver.next_order() is None and not driver.waiting
+    return driver.next_job() is None and not driver.waiting
 
 
 def _record(book: Book) -> dict[str, Any]:

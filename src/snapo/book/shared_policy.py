@@ -2,8 +2,8 @@
 
 The first of similar contracts trains its policy, and so do the next three, which are valued on the
 same paths with the trained numbers of the first one too. Where the first one's numbers lose at most
-0.5 % of the value of any of the three, all others take them, next to a guide, scales and limits of
-their own; otherwise each trains its own.
+0.5 % of the value of any of the three, all others take them, with their own value table, scales and
+limits; otherwise each trains its own.
 """
 
 import math
@@ -16,19 +16,19 @@ import numpy as np
 from snapo.solver import statistics
 
 from .file import BookContract
-from .order import BookOrder, BookPoint, OrderAnswer, name_of
+from .job import BookJob, BookPoint, JobResult, name_of
 
 TESTED = 3  # contracts that train a policy of their own, to compare with the first one's
 MAX_LOSS = 0.005  # of the value of a tested contract
 
-# The answer to the order of this name; None if there is none.
-AnswerReader = Callable[[str], OrderAnswer | None]
+# The result of the job of this name; None if there is none.
+ResultReader = Callable[[str], JobResult | None]
 
 
 class PolicyLoss(NamedTuple):
     """The loss of a tested contract with the policy of the first one.
 
-    - `value`: with its own policy; `loss`, `loss_error`: own less shared, on common paths.
+    - `value`: with its own policy; `loss`, `loss_error`: own minus shared, on common paths.
     """
 
     case: str
@@ -59,18 +59,18 @@ def tested(similar: Sequence[BookContract]) -> Sequence[BookContract]:
     return similar[1 : 1 + TESTED] if len(similar) > 1 + TESTED else ()
 
 
-def test_order(base: BookOrder, policy: bytes) -> BookOrder:
-    """The order of a tested contract, with the policy of the first one."""
+def test_job(base: BookJob, policy: bytes) -> BookJob:
+    """The job of a tested contract, with the policy of the first one."""
     tasks = base.tasks.model_copy(update={"deltas": "none", "exposure": False})
     return replace(base, stresses=(), judged=False, tasks=tasks, adopted=policy)
 
 
 def shared_policy(
     similar: Sequence[BookContract],
-    base: Callable[[BookContract], BookOrder],
-    read: AnswerReader,
+    base: Callable[[BookContract], BookJob],
+    read: ResultReader,
 ) -> SharedPolicy | None:
-    """The policy of similar contracts; None while a required answer is missing."""
+    """The policy of similar contracts; None while a required result is missing."""
     first, *_ = similar
     leader = read(name_of(base(first).pack()))
     if leader is None:
@@ -79,8 +79,8 @@ def shared_policy(
         return SharedPolicy(first.name, len(similar), (), None)
     losses = list[PolicyLoss]()
     for contract in tested(similar):
-        order = base(contract)
-        both = [read(name_of(x.pack())) for x in (order, test_order(order, leader.policy))]
+        job = base(contract)
+        both = [read(name_of(x.pack())) for x in (job, test_job(job, leader.policy))]
         if None in both:
             return None
         own, shared = (answer.points[0] for answer in both if answer is not None)

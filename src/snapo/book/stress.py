@@ -153,7 +153,7 @@ def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
 
 
 def _move_column(file: str, name: str) -> MoveColumn | None:
-    """What a column moves; None of one that is ignored. One that is only almost called like a move
+    """What a column moves; None for one that is ignored. One that is only almost called like a move
     is a mistake, as it would change no number."""
     kind, _, rest = name.partition(" ")
     kind, key = kind.lower(), rest.strip()
@@ -211,10 +211,10 @@ def _day(text: str, end: bool) -> datetime.date:
 def moved_numbers(
     case: Any, inputs: Mapping[str, Input], moves: Sequence[StressMove]
 ) -> dict[str, np.ndarray]:
-    """{input, or numbers from which one is made: its numbers under the moves}; `inputs`: of the
-    unstressed case.
+    """{input, or numbers from which one is made: its numbers under the moves}; `inputs`: the inputs
+    of the unstressed case.
 
-    **Raises:** `CaseError` where a move fits no number.
+    **Raises:** `CaseError` if a move fits no number.
     """
     values, sources = dict[str, np.ndarray](), sources_of(case)
     for move in moves:

@@ -88,7 +88,7 @@ def _sum(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 class Risk(NamedTuple):
     """Loss over the stresses, as scenarios of equal weight.
 
-    - `level`: 0.95; `var`: the loss that so large a share of them does not exceed; `shortfall`: the
+    - `level`: 0.95; `var`: the loss that this share of them does not exceed; `shortfall`: the
       mean loss of the others; with the standard errors of their Monte Carlo values.
     """
 

@@ -1,6 +1,6 @@
-"""The answer to an order: a contract trained and valued, then valued under stresses.
+"""The result of a job: a contract trained and valued, then valued under stresses.
 
-It depends on nothing but the order's bytes: the same on every machine with the same versions and
+It depends on nothing but the job's bytes: the same on every machine with the same versions and
 processors of one kind. Code compiled for one contract serves all of the same form in a process.
 """
 
@@ -45,14 +45,14 @@ from snapo.study.positions.files import read_files
 from snapo.study.prepare import use_every_core
 from snapo.study.study import Recalculated, Setup, Study
 
-from .order import (
+from .job import (
     BATCHES,
-    BookOrder,
+    BookJob,
     BookPoint,
     Cost,
     Delta,
     Exposure,
-    OrderAnswer,
+    JobResult,
     OutputFigures,
     enclosed,
 )
@@ -65,29 +65,29 @@ LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
 def answer(data: bytes) -> bytes:
-    """The answer to an order, with its cost. A mistake in a case is an answer too."""
-    order, started = BookOrder.unpack(data), time.process_time()
-    if not _same_bits(order):
+    """The result of a job, with its cost. A mistake in a case is a result too."""
+    job, started = BookJob.unpack(data), time.process_time()
+    if not _same_bits(job):
         return OTHER
     use_every_core()
     with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
         try:
-            result = valuation(OrderContract(order, Path(folder))).answer()
+            result = valuation(JobContract(job, Path(folder))).answer()
         except (CaseError, ValueError, ArithmeticError) as error:
             failed = BookPoint.without_value("failed", _sentence(error, folder))
-            result = OrderAnswer((failed,) * (len(order.stresses) + order.base))
+            result = JobResult((failed,) * (len(job.stresses) + job.base))
     packed = result.pack()
     _keep_small()
     return enclosed(packed, _cost(time.process_time() - started))
 
 
-def _same_bits(order: BookOrder) -> bool:
+def _same_bits(job: BookJob) -> bool:
     """Whether this processor gives the bits that the book asks for; its code is compiled for it."""
     if pipeline.unavailable() is not None:
         return True
-    if order.processor:
-        return pipeline.use_processor(order.processor)
-    return order.fingerprint in ("", pipeline.fingerprint())
+    if job.processor:
+        return pipeline.use_processor(job.processor)
+    return job.fingerprint in ("", pipeline.fingerprint())
 
 
 def _cost(seconds: float) -> Cost:
@@ -113,26 +113,26 @@ def _sentence(error: Exception, folder: str) -> str:
     return f"{type(error).__name__}: {error}".replace(folder, "").strip()[:500]
 
 
-class OrderContract:
-    """The contract of an order: its case, and that under a stress; `folder`: for its files.
+class JobContract:
+    """The contract of a job: its case, and that under a stress; `folder`: for its files.
 
     **Raises:** `CaseError` for a case that cannot be read.
     """
 
-    def __init__(self, order: BookOrder, folder: Path):
-        self.order = order
+    def __init__(self, job: BookJob, folder: Path):
+        self.job = job
         self.file = folder / "case.toml"
-        tables, _ = assigned(tomllib.loads(order.case), _settings(order))
-        for name, content in order.files.items():
+        tables, _ = assigned(tomllib.loads(job.case), _settings(job))
+        for name, content in job.files.items():
             (folder / name).write_bytes(content)
-        self.file.write_text(order.case, encoding="utf-8")
+        self.file.write_text(job.case, encoding="utf-8")
         self.domain: Domain = find(tables["kind"], self.file.name)
         self.tables = with_other_numbers(self.domain, tables)
         self.case = self.domain.read(self.file, self.tables)
         self.study: Study = self.domain.study(self.case, Options())
 
     def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
-        """The case under a stress; `inputs`: of the unstressed one."""
+        """The case under a stress; `inputs`: those of the unstressed case."""
         check_tables(moves, self.tables)
         settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
         tables, case = self.tables, self.case
@@ -147,15 +147,15 @@ class OrderContract:
         return InputPositions(self.domain.read, files, inputs, of, case).case_at(values).case
 
     def stressed(self, at: Callable[[tuple[StressMove, ...]], BookPoint]) -> Iterator[BookPoint]:
-        """The points of the stresses of the order, valued by `at`."""
-        for moves in self.order.stresses:
+        """The points of the stresses of the job, valued by `at`."""
+        for moves in self.job.stresses:
             try:
                 yield at(moves)
             except (CaseError, ValueError, ArithmeticError) as error:
                 yield BookPoint.without_value("failed", _sentence(error, str(self.file.parent)))
 
 
-def valuation(contract: OrderContract) -> "_Decided | _Calculated":
+def valuation(contract: JobContract) -> "_Decided | _Calculated":
     """The valuation of a contract; its `inputs` are those that a stress may move.
 
     **Raises:** `ValueError` for a kind of case that a book does not value.
@@ -173,35 +173,35 @@ def valuation(contract: OrderContract) -> "_Decided | _Calculated":
 class _Decided:
     """A contract whose value is that of a policy."""
 
-    def __init__(self, contract: OrderContract, setup: Setup):
-        self.contract, self.order = contract, contract.order
-        self.setup = setup if self.order.judged else _held_alone(setup)
+    def __init__(self, contract: JobContract, setup: Setup):
+        self.contract, self.job = contract, contract.job
+        self.setup = setup if self.job.judged else _held_alone(setup)
         self.inputs = setup.problem.inputs_by_name
 
-    def answer(self) -> OrderAnswer:
-        """The points of the order, and the policy where it was trained."""
-        order, problem = self.order, self.setup.problem
+    def answer(self) -> JobResult:
+        """The points of the job, and the policy where it was trained."""
+        job, problem = self.job, self.setup.problem
         labels = _shape(self.setup), repr(problem.sources.evaluation.world(problem.simulator))
-        if order.policy is not None:
-            policy = _policy(order.policy)
-            with_deltas = order.tasks.deltas == "all"
-            base = [self._valued(self.setup, policy, {}, with_deltas)] if order.base else []
-            return OrderAnswer((*base, *self._stressed(policy)), None, *labels)
-        if not order.base:
-            return OrderAnswer(tuple(self._stressed(None)), None, *labels)
+        if job.policy is not None:
+            policy = _policy(job.policy)
+            with_deltas = job.tasks.deltas == "all"
+            base = [self._valued(self.setup, policy, {}, with_deltas)] if job.base else []
+            return JobResult((*base, *self._stressed(policy)), None, *labels)
+        if not job.base:
+            return JobResult(tuple(self._stressed(None)), None, *labels)
         policy = self._adopted()
         if policy is not None:
-            base = self._valued(self.setup, policy, {}, order.tasks.deltas != "none")
+            base = self._valued(self.setup, policy, {}, job.tasks.deltas != "none")
         else:
             solution = self._solved(self.setup)
             assert solution.policy is not None
             policy = solution.policy
-            deltas = () if order.tasks.deltas == "none" else Delta.of_table(solution.sensitivities)
+            deltas = () if job.tasks.deltas == "none" else Delta.of_table(solution.sensitivities)
             base = self._point(self.setup, solution.totals, {}, deltas)
-        if order.tasks.exposure and base.status == "ok":
+        if job.tasks.exposure and base.status == "ok":
             base = base._replace(exposure=tuple(self._exposure(policy)))
         points = (base, *self._stressed(policy))
-        return OrderAnswer(points, _file(policy), *labels)
+        return JobResult(points, _file(policy), *labels)
 
     def _solved(self, setup: Setup) -> Solution:
         """The contract trained and valued; a user's simulator is checked before."""
@@ -210,10 +210,10 @@ class _Decided:
     def _adopted(self) -> Policy | None:
         """The policy with the trained numbers of a similar contract; None if there is none, or
         it does not fit."""
-        if self.order.adopted is None:
+        if self.job.adopted is None:
             return None
         file = self.contract.file.with_name("adopted.npz")
-        file.write_bytes(self.order.adopted)
+        file.write_bytes(self.job.adopted)
         supplied = initial_policy.read(file, self.contract.study.kind, file.parent, resume=False)
         try:
             return supplied.adopted_by(self.setup.policy)
@@ -225,22 +225,22 @@ class _Decided:
         return self.contract.stressed(lambda moves: self._under(moves, policy))
 
     def _under(self, moves: tuple[StressMove, ...], policy: Policy | None) -> BookPoint:
-        """The value under a stress, with guide and control variate of its numbers."""
+        """The value under a stress, with value table and control variate of its numbers."""
         setup_at, case = self.contract.study.setup_at, self.contract.under(moves, self.inputs)
         assert setup_at is not None
         setup = setup_at(self.setup, case)
         changes = dict(_changes(self.inputs, setup.problem.inputs_by_name))
         if policy is not None:
             check_held(self.setup.policy, setup.policy)
-            return self._valued(setup, policy, changes, self.order.tasks.deltas == "all")
-        solution = self._solved(setup if self.order.judged else _held_alone(setup))
-        deltas = Delta.of_table(solution.sensitivities) if self.order.tasks.deltas == "all" else ()
+            return self._valued(setup, policy, changes, self.job.tasks.deltas == "all")
+        solution = self._solved(setup if self.job.judged else _held_alone(setup))
+        deltas = Delta.of_table(solution.sensitivities) if self.job.tasks.deltas == "all" else ()
         return self._point(setup, solution.totals, changes, deltas)
 
     def _valued(
         self, setup: Setup, policy: Policy, changes: dict[str, np.ndarray], with_deltas: bool
     ) -> BookPoint:
-        engine, tasks = setup.engines.evaluate, self.order.tasks
+        engine, tasks = setup.engines.evaluate, self.job.tasks
         totals = path_totals(setup.problem, policy, tasks.paths, engine=engine)
         deltas: tuple[Delta, ...] = ()
         if with_deltas:
@@ -255,7 +255,7 @@ class _Decided:
         problem, about = self.setup.problem, self.contract.study.about
         bound = self.setup.engines.evaluate.bind(problem, controls=False)
         source, means = problem.sources.evaluation, dict[str, list[np.ndarray]]()
-        paths = source.available(min(self.order.tasks.paths, EXPOSURE_PATHS))
+        paths = source.available(min(self.job.tasks.paths, EXPOSURE_PATHS))
         horizon, blocks = problem.simulator.horizon, list(source.blocks(paths, EXPOSURE_BLOCKS))
         together = max(1, AT_ONCE // (len(blocks[0]) * horizon))
         for i in range(0, len(blocks), together):
@@ -308,7 +308,7 @@ def _held_alone(setup: Setup) -> Setup:
 
 
 def check_held(policy: Any, at_point: Any) -> None:
-    """**Raises:** `ValueError` where policies of a contract, and of the contract at a point, differ
+    """**Raises:** `ValueError` if policies of a contract, and of the contract at a point, differ
     in more than their numbers, such as levels, moves or the order of modes: the first one would
     fail there, or decide by the wrong numbers."""
     if _text(form_of(policy)) != _text(form_of(at_point)):
@@ -321,18 +321,18 @@ def check_held(policy: Any, at_point: Any) -> None:
 class _Calculated:
     """A process without a policy: the share of batches within all limits, and its attributes."""
 
-    def __init__(self, contract: OrderContract, calculation: Recalculated):
+    def __init__(self, contract: JobContract, calculation: Recalculated):
         self.contract, self.calculation = contract, calculation
         self.inputs = calculation.inputs_by_name
 
-    def answer(self) -> OrderAnswer:
-        """The points of the order."""
-        order, contract = self.contract.order, self.contract
-        base = [self._point(contract.case)] if order.base else []
+    def answer(self) -> JobResult:
+        """The points of the job."""
+        job, contract = self.contract.job, self.contract
+        base = [self._point(contract.case)] if job.base else []
         stressed = contract.stressed(lambda moves: self._point(contract.under(moves, self.inputs)))
         # Cases of one form draw the same batches.
         form = _hash(json.dumps(kinds_of(contract.tables), sort_keys=True, default=str))
-        return OrderAnswer((*base, *stressed), None, form, f"{form} {order.seed}")
+        return JobResult((*base, *stressed), None, form, f"{form} {job.seed}")
 
     def _point(self, case: Any) -> BookPoint:
         _, table = next(self.calculation.stages(case))
@@ -349,7 +349,7 @@ class _Calculated:
 def _changes(
     base: Mapping[str, Input], moved: Mapping[str, Input]
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """(input, [n] its numbers less those of the base) of the inputs that a stress moves."""
+    """(input, [n] its numbers minus those of the base) of the inputs that a stress moves."""
     for name, entry in moved.items():
         if name in base and entry.value.shape == base[name].value.shape:
             change = (entry.value - base[name].value).ravel()
@@ -372,9 +372,9 @@ def _hash(text: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
 
-def _settings(order: BookOrder) -> list[str]:
+def _settings(job: BookJob) -> list[str]:
     """The settings of a case that the book decides."""
-    return [f"training.seed={order.seed}", f"evaluation.paths={order.tasks.paths}"]
+    return [f"training.seed={job.seed}", f"evaluation.paths={job.tasks.paths}"]
 
 
 def batched(shares: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
 def parquet_lines(reference: "FileReference", path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of a Parquet file, its column names first, as of a CSV.
 
-    **Raises:** `CaseError` where pyarrow is missing, or the file is damaged or nested.
+    **Raises:** `CaseError` if pyarrow is missing, or the file is damaged or nested.
     """
     try:
         import pyarrow.parquet as parquet
@@ -67,7 +67,7 @@ def write_table(frame: Any, file: Path | str) -> Path:
     The file's suffix determines the format: `.csv` or `.parquet`. Column names are those of the
     frame; an index is omitted. Returns the path.
 
-    **Raises:** `ModuleNotFoundError` where narwhals or pyarrow is missing, `ValueError` for
+    **Raises:** `ModuleNotFoundError` if narwhals or pyarrow is missing, `ValueError` for
     another ending, `TypeError` for an object that is not a frame.
 
     >>> snapo.write_table({"month": ["2025-01"]}, "curve.csv")

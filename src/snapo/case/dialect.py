@@ -1,8 +1,8 @@
 """The dialect of a CSV: separator, decimal mark, and order of day and month.
 
 Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Each is read
-where the file is unambiguous, and the case gets a note of it; where one file could mean two things
-it is refused. `1.234` next to `1,5` is a thousand and more; `1,234` by itself could be either.
+if the file is unambiguous, and the case gets a note; a file that could mean two things is refused.
+`1.234` next to `1,5` is a thousand and more; `1,234` by itself could be either.
 """
 
 import re
@@ -85,7 +85,7 @@ def separator(header: str) -> str:
 def dialect(header: str, rows: Iterable[Sequence[str]]) -> Dialect:
     """The dialect of a file, from its header row and all cells below it.
 
-    **Raises:** `AmbiguousFormat` where the cells contradict each other, or could mean two things.
+    **Raises:** `AmbiguousFormat` if the cells contradict each other, or could mean two things.
     """
     mark, cells = separator(header), {cell for row in rows for cell in row}
     comma = mark != "," and _decimal_comma(cells)
@@ -117,6 +117,6 @@ def _first(cells: set[str]) -> Order | None:
         if int(match[3]) > 12:
             table["month"] = cell
     if len(table) == 2:
-        message = f"here the month comes first, and in {table['day']} the day; write YYYY-MM-DD"
+        message = f"here the month comes first, but in {table['day']} the day; write YYYY-MM-DD"
         raise AmbiguousFormat(table["month"], message)
     return next(iter(table), None)

@@ -36,7 +36,8 @@ class Copies(NamedTuple):
 class QuantityKey(NamedTuple):
     """The position of a number that is written with its unit in a text, "313.15 K".
 
-    - `path`: the keys that lead to it. `unit`: of the input, in which another number is written.
+    - `path`: the keys that lead to it. `unit`: the unit of the input, in which another number is
+      written.
     """
 
     path: tuple[str | int, ...]
@@ -44,7 +45,7 @@ class QuantityKey(NamedTuple):
 
 
 class KeyedUnit(NamedTuple):
-    """The position of a number whose unit is under keys of its own.
+    """The position of a number whose unit has separate keys.
 
     - `path`: the keys that lead to it. `units`: the paths of the keys of its unit, and their
       values for a number in the unit of the input. They apply to all of its numbers.
@@ -114,10 +115,10 @@ class CaseInput:
     - `labels`: [n] a date, a month, a ratchet row …; `("",)` for a single plain number.
     - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
     - `index`: integers of any shape into `values`; unused numbers are not referred to.
-    - `low`, `high`: the range of valid numbers; infinite where there is no limit.
+    - `low`, `high`: the range of valid numbers; infinite if there is no limit.
     - `bump`, `judge_bump`, `move`, `display_unit`, `display_factor`, `group`, `meaning`: as in
       `Input`.
-    - `positions`: [n] the position of each number in the files of the case; () where no reader
+    - `positions`: [n] the position of each number in the files of the case; () if no reader
       recorded it.
     - `starts`: [n] day numbers from which the numbers hold, where they change with time.
     - `quantity`: its declaration (`snapo.case.quantity`), if it has one.
@@ -167,7 +168,7 @@ class CaseInput:
     def on(self, days: Sequence[date], notes: list[str]) -> "CaseInput":
         """The numbers on rising dates: each applies from its date on; index [len(days)].
 
-        **Raises:** `CaseError` where the dates begin before the numbers do.
+        **Raises:** `CaseError` if the dates begin before the numbers do.
         """
         if self.starts is None:
             return replace(self, index=np.zeros(len(days), np.int64))

@@ -23,7 +23,7 @@ def known_parts(
     available: Collection[str],
     missing: Mapping[str, str] | None = None,
 ) -> tuple[str, ...]:
-    """The requested parts of a run, by name; () where none is named, which means all.
+    """The requested parts of a run, by name; () if none is named, which means all.
 
     - `available`: all parts of the domain; `missing`: {one of them: why a run of this case has it
       not, in a clause}.

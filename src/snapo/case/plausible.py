@@ -243,7 +243,7 @@ def _plain(number: float) -> str:
 
 class Cell(NamedTuple):
     """A number in a file: its position, the terms of its key and column, the texts of its
-    row, and its value (NaN where it is a text in quotation marks)."""
+    row, and its value (NaN if it is a text in quotation marks)."""
 
     position: str
     terms: frozenset[str]

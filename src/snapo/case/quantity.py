@@ -1,6 +1,6 @@
 """A number of a case, declared once.
 
-A `Quantity` has the metadata of a number: unit, range, meaning, and the size of a usual move.
+A `Quantity` has the metadata of a number: unit, range, meaning, and the size of a standard move.
 Called with a meaning it makes a field of a `Table`, and this one line yields the reading, the
 message of a mistake, the documentation, the input with its sensitivity, and the position in the
 files where another value can be written:
@@ -37,14 +37,14 @@ class Quantity:
     """The declaration of a number.
 
     - `unit`: a key of the same table in braces is replaced by its value.
-    - `range`: the numbers allowed; `limits`: the possible ones, outside of which a number is
-      refused as a mistake; `plausible`: those outside of which a note asks for the unit.
+    - `range`: the numbers allowed; `limits`: the possible numbers, any other is refused as a
+      mistake; `plausible`: the usual numbers, for any other a note asks for the unit.
     - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
       words.
     - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the
       numbers; `before`: the number that applies before the first row.
     - `text`: the allowed values, if the range is not sufficient.
-    - `name`: of the input, where it is not the key.
+    - `name`: the name of the input, if it is not the key.
     """
 
     unit: str = "1"

@@ -48,7 +48,7 @@ class ReportTable(CaseTable):
 def logo(folder: Path, name: str) -> str:
     """A picture next to a case as the address of an image, which holds all of it.
 
-    **Raises:** `OSError`, and `ValueError` where it is no picture, too large, or not only a
+    **Raises:** `OSError`, and `ValueError` if it is no picture, too large, or not only a
     picture.
     """
     if not name or Path(name).name != name or "\\" in name:
@@ -70,7 +70,7 @@ def logo(folder: Path, name: str) -> str:
 
 
 def _check_svg(content: bytes) -> None:
-    """**Raises:** `ValueError` where a drawing has scripts, or would load something."""
+    """**Raises:** `ValueError` if a drawing has scripts, or would load something."""
     before = content.partition(b"<svg")[0]
     if b"<!ENTITY" in content or (b"<!DOCTYPE" in before and b"[" in before):
         raise ValueError("an SVG file with entities is not accepted")

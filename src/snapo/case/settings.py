@@ -13,7 +13,7 @@ MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 IN_MEMORY = Range(1, MAX_PATHS, note=": more do not fit in memory")
 STEPS = Range(1, noun="a number of steps")
 EVERY = STEPS._replace(
-    note="; by default 50, in a short training a quarter of its steps, in that of a fitted rule 10"
+    note="; by default 50, a quarter of the steps if they are few, 10 for a fitted rule"
 )
 UP_TO_ONE = Range(0, 1, "(]")
 PathCount = Annotated[int, IN_MEMORY._replace(low=64)]
@@ -58,7 +58,7 @@ class FollowingTable(TrainingTable):
 
 @optional(
     "steps", "learning_rate",
-    note="; by default 20 and 0.001 where a fitted rule guides a mean, else 240 and 0.01",
+    note="; by default 20 and 0.001 if a mean is optimised from a fitted rule, else 240 and 0.01",
 )  # fmt: skip
 class FittedTable(TrainingTable):
     """`[training]` of an energy contract, whose policy begins from a fitted value.
@@ -74,10 +74,10 @@ AnyTraining = TypeVar("AnyTraining", bound=TrainingTable)
 class EvaluationTable(CaseTable):
     """`[evaluation]`: the fresh scenarios on which the exact value is measured.
 
-    `judge_paths`: of the bumps that the derivatives are tested by; `search_paths`: of the search
-    around the policy, which gives every interval the policy's part; `selection_paths`: of the final
-    choice between the trained policies and the starting rule. Each is a maximum; 0 omits the
-    measurement.
+    `judge_paths`: the paths of the bumps that the derivatives are tested by; `search_paths`: the
+    paths of the search around the policy, which gives every interval the policy's part;
+    `selection_paths`: the paths of the final choice between the trained policies and the starting
+    rule. Each is a maximum; 0 omits the measurement.
     """
 
     paths: PathCount = 65536
@@ -91,9 +91,9 @@ class EvaluationTable(CaseTable):
 class ObjectiveTable(CaseTable):
     """`[objective]`: the figure to maximise; `kind` determines which of the other keys apply.
 
-    `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
-    "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,
-    added to each path's total under "crra". `target`: currency, the aim of "target".
+    `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: the risk
+    aversion of "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`:
+    currency, added to each path's total under "crra". `target`: currency, the aim of "target".
     """
 
     kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = "mean"
@@ -139,7 +139,7 @@ def read_objective(
 
 
 def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) -> float:
-    """`weight` of one of several objectives that are added up, 1 where it is left out.
+    """`weight` of one of several objectives that are added up, 1 if it is left out.
 
     A negative weight turns a risk measure into that of a cost (see `snapo.problem.objective`), but
     not a utility.

@@ -126,7 +126,7 @@ def keys_of(name: str) -> tuple[str | int, ...]:
 
 def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
     """The values of a type as text: a number of a `Range`, one of a few texts, or one of several
-    such types; None of any other."""
+    such types; None for any other."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return allowed_text(parts[0], parts[1:])

@@ -138,7 +138,7 @@ def write_workbook(folder: Path, data: Mapping[str, Any], file: Path) -> None:
     Keys at the top are on the sheet "case", each table has a sheet with its name, and each CSV
     one of its file's name. Comments of case.toml are notes next to the keys.
 
-    **Raises:** `CaseError` where openpyxl is missing.
+    **Raises:** `CaseError` if openpyxl is missing.
     """
     try:
         from openpyxl import Workbook
@@ -236,7 +236,7 @@ BESIDE = (".npy", ".parquet", ".py")  # files of a case that no sheet can hold
 def unpacked(file: Path) -> Path:
     """The folder with case.toml and the CSVs of a workbook, written next to it with its name.
 
-    **Raises:** `CaseError` where openpyxl is missing, the file is no workbook, or a sheet cannot be
+    **Raises:** `CaseError` if openpyxl is missing, the file is no workbook, or a sheet cannot be
     read; it names sheet and line.
     """
     book = _book(file)
@@ -306,7 +306,8 @@ def _keys(file: Path, sheet: Any) -> list[tuple[str, Any, str]]:
     head = [str(item or "").strip().lower() for item in (rows[0] if rows else ())]
     if head[:2] != list(HEAD[:2]):
         message = (
-            f"a sheet of keys must have the columns {', '.join(HEAD)}; that of a CSV ends in .csv"
+            f"a sheet of keys must have the columns {', '.join(HEAD)}; the name of a sheet with a "
+            "CSV ends in .csv"
         )
         raise CaseError(str(file), f"sheet {sheet.title}", None, message)
     keys = []

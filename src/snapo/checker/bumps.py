@@ -1,8 +1,9 @@
-"""Every input's adjoint against central differences, on the same few paths, decisions held.
+"""Every input's adjoint against central differences, on the same few paths, with decisions held
+fixed.
 
 In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
 a few of them separately. An input without effect under the random policy is tested at low, middle
-or high actions. Inputs that move no path (`in_mean`) are not judged here.
+or high actions. Inputs that move no path (`in_mean`) are not tested here.
 """
 
 from dataclasses import replace
@@ -263,7 +264,7 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
                 k = int(np.argmax(np.abs(wide) / pair.size))
                 notes.warning(
                     where,
-                    f"Its derivative is exactly zero, but {factor * bump:.3g} more moves "
+                    f"Its derivative is exactly zero, but a rise by {factor * bump:.3g} moves "
                     f"{outputs[k]}.",
                     "A limit that does not bind yet is not a mistake; an integer cast, rounding "
                     "or a comparison is.",

@@ -2,7 +2,8 @@
 
 In this order: declarations, the schedule, the shapes and types of one step, slices, purity,
 indices, NumPy tables, a few rollouts, indices and jumps on their paths, both precisions, actions
-and normals without effect, and every input's adjoint against central bumps, decisions held.
+and normals without effect, and every input's adjoint against central bumps, with decisions held
+fixed.
 """
 
 from collections import OrderedDict
@@ -91,7 +92,7 @@ def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
 
 
 def _library_form(simulator: Simulator, inputs: PyTree, schedule: Schedule) -> Hashable:
-    """The form of one of snapo's simulators; None of any other, whose code may read all numbers."""
+    """The form of a simulator of snapo; None for any other, whose code may read all numbers."""
     if of_preparation(simulator, inputs) is not None:
         return None
     return form_of((simulator, unnamed(inputs), schedule))
@@ -162,7 +163,7 @@ def check(
     - `problem`: a `Problem`, or a simulator followed by its `inputs`, with `objective`, `scenarios`
       and `constraints` as keywords.
     - `scenarios`: by default standard normals; `Supplied` for any other noise.
-    - `paths`, `temperature`: of the rollouts, whose limits are smooth.
+    - `paths`, `temperature`: their number and temperature in the rollouts, whose limits are smooth.
     """
     simulator: Any = problem
     if isinstance(problem, Problem):

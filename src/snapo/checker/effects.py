@@ -68,7 +68,7 @@ def _fresh_actions(simulator: Simulator, run: CheckedRollout, seed: int) -> np.n
 
 
 def _numbered(group: list[int], size: int) -> str:
-    """The index of components that move together; empty where they are all."""
+    """The index of components that move together; empty if they are all."""
     if len(group) == 1:
         return f"[{group[0]}]"
     return "" if len(group) == size else f"[{group[0]}:{group[-1] + 1}]"
@@ -109,8 +109,8 @@ def reached(
 
 
 def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
-    """Whether a `Stop` is used up: if all steps stop, only as many of them count as there are
-    rights, so that among one more group of steps at least one has no effect."""
+    """Whether a `Stop` is used up: if all steps stop, only as many count as there are rights, so
+    that at least one of one more group of steps has no effect."""
     action = simulator.action
     if not isinstance(action, Stop) or action.rights > min(RIGHTS, len(run.actions) - 1):
         return
@@ -125,7 +125,7 @@ def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> Non
     if all(counts(part) for part in np.array_split(np.arange(len(always)), action.rights + 1)):
         notes.warning(
             f"{notes.method('step')}: action",
-            f"It can stop more often than its rights ({action.rights}): where all steps stop, more "
+            f"It can stop more often than its rights ({action.rights}): if all steps stop, more "
             "of them change an output.",
             'Keep the right in the state, right, used = self.action.use(state["right"], action), '
             "and pay on the quantity that is used.",

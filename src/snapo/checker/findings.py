@@ -33,7 +33,7 @@ def _sentence(error: BaseException) -> tuple[str, str]:
 
 
 def _guess(message: str, simulator: Any, method: str) -> str:
-    """The likely cause of an index that JAX refuses; empty where there is none."""
+    """The likely cause of an index that JAX refuses; empty if there is none."""
     size = {"initial": "initial_noise_size", "step": "noise_size"}.get(method, "")
     if "out of bounds for axis 0 with size 0" in message and getattr(simulator, size, None) == 0:
         return f"If this is the noise: {size} is 0; set it to the number of normals that are read."
@@ -90,7 +90,7 @@ _READABLE = [
     (
         jax.errors.ConcretizationTypeError,
         "Python needs the value here (float(), int(), a shape), and it is one that JAX is tracing.",
-        "Leave it an array: drop the float() or int(); shapes must not depend on numbers.",
+        "Keep it an array: drop the float() or int(); shapes must not depend on numbers.",
     ),
     (
         jax.errors.UnexpectedTracerError,
@@ -104,8 +104,8 @@ Severity = Literal["error", "warning"]
 
 
 class Finding(NamedTuple):
-    """One mistake: `where` it is (a method, a leaf or an input, with file:line if known), its
-    `subject`, and how to `fix` it."""
+    """One mistake. `where`: its position (a method, a leaf or an input, with file:line if known);
+    `subject`: the mistake itself; `fix`: how to correct it."""
 
     severity: Severity
     where: str

@@ -58,7 +58,8 @@ class CheckedRollout(eqx.Module):
         }
 
     def values(self, simulator, held: bool = True, **changes) -> dict[str, Any]:
-        """Totals with something changed, the decisions held or those of the policy on the way."""
+        """Totals with something changed, the decisions held fixed or those of the policy on the
+        way."""
         values = {"schedule": self.schedule, "draws": self.draws, "actions": self.actions} | changes
         return ENGINE.values(
             simulator,

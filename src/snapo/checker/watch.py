@@ -42,8 +42,8 @@ class CodeSite(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """Numbers of one call: its results, the truth of every comparison, and of every read the
-    first index outside (0 where none is), its axis and whether there is one."""
+    """Numbers of one call: its results, the truth of every comparison, and for every read the first
+    index that is out of range (0 if none is), its axis and whether there is one."""
 
     results: list[Any]
     truths: list[Any]

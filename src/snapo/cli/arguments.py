@@ -15,11 +15,11 @@ def seeds(text: str) -> int | tuple[int, ...]:
         raise argparse.ArgumentTypeError(f"{text!r} {message}")
     seeds = tuple(map(int, parts))
     if len(set(seeds)) < len(seeds):
-        raise argparse.ArgumentTypeError(f"{text!r} has a seed twice; each makes one training")
+        raise argparse.ArgumentTypeError(f"{text!r} has a seed twice; each is used once")
     if len(parts) > 1:
         return seeds
     if not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} seeds are none; use 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is too few seeds; use 1 or more")
     return int(text)
 
 

@@ -112,7 +112,7 @@ def _fish(commands: dict[str, argparse.ArgumentParser]) -> str:
 def schema_of_kind(kind: str) -> dict[str, Any]:
     """The JSON schema of the cases of an installed kind.
 
-    **Raises:** `CaseError` where there is no such kind, or it does not list its tables.
+    **Raises:** `CaseError` if there is no such kind, or it does not list its tables.
     """
     from snapo.study.domain import find
 

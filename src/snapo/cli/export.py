@@ -39,7 +39,7 @@ def export(
     - `onnx`: policy.onnx; `python`: policy.py, for NumPy alone; `table`: policy.csv, the decisions
       at observations of the first paths of the value.
 
-    **Raises:** `CaseError` where there is no run or it has no policy, no form is named, a package
+    **Raises:** `CaseError` if there is no run or it has no policy, no form is named, a package
     is missing, or the policy cannot be exported.
     """
     run = folder_of(run)

@@ -1,5 +1,5 @@
 """The kinds of cases that come with snapo: a package each, and none imports another.
 
 Each is a `Kind` or a `Domain` of `snapo.study`, named in the entry points of `pyproject.toml`, by
-which the commands find it, as they find those of other packages.
+which the commands find it, like the kinds of other packages.
 """

@@ -250,7 +250,7 @@ class Engine(abc.ABC):
         actions=None,
         wrt: tuple[str, ...] = ("policy", "schedule", "start"),
     ) -> Adjoint:
-        """`adjoint` of each part of the paths: the first parts[0], the next parts[1] …
+        """`adjoint` for each part of the paths: the first parts[0] paths, the next parts[1] paths …
 
         Derivatives have a leading axis of parts; those with respect to initial states are omitted.
         """
@@ -360,8 +360,8 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
         raise ValueError(
-            f"engine: the draws give `initial` the noise of {draws.before} steps, and "
-            f"initial_noise_size is {simulator.initial_noise_size}, no multiple of that."
+            f"engine: the draws give `initial` the noise of {draws.before} steps, but "
+            f"initial_noise_size is {simulator.initial_noise_size}, which is not a multiple of it."
         )
     if isinstance(draws, Stored):
         shapes = {

@@ -41,7 +41,7 @@ class Engines(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Why workers were not used in training, where there are some."""
+        """Why workers were not used in training, if there are some."""
         distributed = self.train.distributed if isinstance(self.train, Native) else None
         return (distributed.note,) if distributed is not None and distributed.note else ()
 
@@ -58,7 +58,7 @@ def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     independently of its precision.
 
     **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem, or
-    nothing at all where llvmlite is not installed.
+    nothing at all if llvmlite is not installed.
     """
     if isinstance(requested, Engines):
         return requested

@@ -23,7 +23,8 @@ BLOCK = 64  # paths at once
 class Norms(NamedTuple):
     """Norms of paths' adjoints at the state before every step, in float32.
 
-    - `total` [T, N]: of all numbers of the state; `leaves` {name: [T, N]}: of every leaf by itself.
+    - `total` [T, N]: the total of all numbers of the state; `leaves` {name: [T, N]}: of every leaf
+      by itself.
     """
 
     total: np.ndarray

@@ -1,8 +1,8 @@
-"""Gives orders to executors and collects their answers; an order that is lost is given out again.
+"""Sends jobs to executors and collects their results; a job that is lost is sent again.
 
 Anything with `submit` serves: `concurrent.futures`, Dask's `Client.get_executor(pure=False)`,
 Parsl, mpi4py. On one machine every worker is a pool of one process, so that a process that dies
-loses one order only, and the order that killed it is known.
+loses one job only, and the job that killed it is known.
 """
 
 from collections import Counter, deque
@@ -17,10 +17,10 @@ from concurrent.futures import (
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-PARALLEL = 32  # orders at once of an executor without a number of workers
-LOSSES = 3  # after which an order is given up
-REFUSALS = 20  # of an order by workers of another processor, after which it is given up
-OTHER = b"other processor"  # the answer of a worker that would compute other bits
+PARALLEL = 32  # jobs at once of an executor without a number of workers
+LOSSES = 3  # after which a job is given up
+REFUSALS = 20  # of a job by workers of another processor, after which it is given up
+OTHER = b"other processor"  # the reply of a worker that would compute other bits
 
 Work = Callable[[bytes], bytes]
 
@@ -28,17 +28,17 @@ Work = Callable[[bytes], bytes]
 class Submits(Protocol):
     """The methods of an executor that are used."""
 
-    def submit(self, fn: Work, order: bytes, /) -> "Future[bytes]": ...
+    def submit(self, fn: Work, job: bytes, /) -> "Future[bytes]": ...
 
     def shutdown(self, wait: bool = True) -> None: ...
 
 
 @dataclass(frozen=True)
 class WorkerPool:
-    """Where orders are computed.
+    """Where jobs are computed.
 
     - `make`: a new executor, at the beginning and where one broke.
-    - `waiting`: how many orders it has in work or before it at most; `parallel`: in work.
+    - `waiting`: how many jobs it has in work or before it at most; `parallel`: in work.
     - `close`: leaves the cluster.
     """
 
@@ -55,7 +55,7 @@ class WorkerPool:
 
 
 class Lost(NamedTuple):
-    """An order that no worker answered, and the reason."""
+    """A job that no worker computed, and the reason."""
 
     reason: str
 
@@ -67,12 +67,12 @@ class _Worker:
         self.pool, self.busy, self.broken = pool, 0, False
         self.executor: Executor | Submits | None = None
 
-    def submit(self, work: Work, order: bytes) -> "Future[bytes] | None":
-        """The order's answer in the future; None if the executor is broken."""
+    def submit(self, work: Work, job: bytes) -> "Future[bytes] | None":
+        """The job's result in the future; None if the executor is broken."""
         for _ in range(2):
             self.executor = self.executor or self.pool.make()
             try:
-                future = self.executor.submit(work, order)
+                future = self.executor.submit(work, job)
             except RuntimeError:  # it is broken, or was shut down
                 self.stop()
             else:
@@ -82,7 +82,7 @@ class _Worker:
         return None
 
     def stop(self) -> None:
-        """Ends the executor after the order in work."""
+        """Ends the executor after the job in work."""
         if self.executor is not None:
             self.executor.shutdown(wait=False)
             self.executor = None
@@ -92,9 +92,9 @@ Flight = dict["Future[bytes]", tuple[_Worker, bytes]]
 
 
 class Workers:
-    """The executors of some pools, for one series of orders after another.
+    """The executors of some pools, for one series of jobs after another.
 
-    - `parallel`: how many orders they compute at once.
+    - `parallel`: how many jobs they compute at once.
     """
 
     def __init__(self, pools: Sequence[WorkerPool]):
@@ -109,48 +109,48 @@ class Workers:
             worker.stop()
             worker.pool.close()
 
-    def answers(
-        self, next_order: Callable[[], bytes | None], work: Work
+    def results(
+        self, next_job: Callable[[], bytes | None], work: Work
     ) -> Iterator[tuple[bytes, bytes | Lost]]:
-        """(order, answer) as they come; `work` depends on nothing but the order's bytes.
+        """(job, result) as they come; `work` depends on nothing but the job's bytes.
 
-        - `next_order`: the next order, None if there is none until another answer has come.
+        - `next_job`: the next job, None if there is none until another result has come.
 
-        An order that is lost three times is answered by `Lost`; one that was in the queue of a
+        The result of a job that is lost three times is `Lost`; one that was in the queue of a
         process when another one broke it has lost nothing.
         """
         repeated: deque[bytes] = deque()
         losses, refusals = Counter[bytes](), Counter[bytes]()
         flight: Flight = {}
 
-        def order_to_give() -> bytes | None:
-            return repeated.popleft() if repeated else next_order()
+        def job_to_send() -> bytes | None:
+            return repeated.popleft() if repeated else next_job()
 
         try:
             while True:
-                self._fill(order_to_give, repeated, work, flight)
+                self._fill(job_to_send, repeated, work, flight)
                 if not flight:
-                    while self._are_broken() and (order := order_to_give()) is not None:
-                        yield order, Lost("the executor is broken, and cannot be restarted")
+                    while self._are_broken() and (job := job_to_send()) is not None:
+                        yield job, Lost("the executor is broken, and cannot be restarted")
                     return
                 done, _ = wait(flight, return_when=FIRST_COMPLETED)
                 blamed: set[_Worker] = set()
-                # In the order in which they were given out: the first one of a broken process is
+                # In the sequence in which they were sent: the first one of a broken process is
                 # the one that was in work.
                 for future in [future for future in flight if future in done]:
-                    worker, order = flight.pop(future)
+                    worker, job = flight.pop(future)
                     worker.busy -= 1
                     result, count, maximum = _result(future), losses, LOSSES
                     if result == OTHER:
                         result = Lost("no worker has a processor of the required kind")
                         count, maximum = refusals, REFUSALS
                     if isinstance(result, Lost):
-                        count[order] += worker not in blamed
+                        count[job] += worker not in blamed
                         blamed.add(worker)
-                        if count[order] < maximum:
-                            repeated.append(order)
+                        if count[job] < maximum:
+                            repeated.append(job)
                             continue
-                    yield order, result
+                    yield job, result
         finally:
             for future, (worker, _) in flight.items():
                 future.cancel()
@@ -161,33 +161,33 @@ class Workers:
 
     def _fill(
         self,
-        next_order: Callable[[], bytes | None],
+        next_job: Callable[[], bytes | None],
         repeated: deque[bytes],
         work: Work,
         flight: Flight,
     ) -> None:
-        """Gives every worker as many orders as it may have, one after the other."""
+        """Sends every worker as many jobs as it may have, one after the other."""
         while idle := [
             worker
             for worker in self._workers
             if worker.busy < worker.pool.waiting and not worker.broken
         ]:
             for worker in sorted(idle, key=lambda worker: worker.busy):
-                if (order := next_order()) is None:
+                if (job := next_job()) is None:
                     return
-                future = worker.submit(work, order)
+                future = worker.submit(work, job)
                 if future is None:
-                    repeated.appendleft(order)
+                    repeated.appendleft(job)
                 else:
-                    flight[future] = worker, order
+                    flight[future] = worker, job
 
 
-def answers(
-    next_order: Callable[[], bytes | None], work: Work, pools: Sequence[WorkerPool]
+def results(
+    next_job: Callable[[], bytes | None], work: Work, pools: Sequence[WorkerPool]
 ) -> Iterator[tuple[bytes, bytes | Lost]]:
-    """The answers to one series of orders, after which the workers end: see `Workers.answers`."""
+    """The results of one series of jobs, after which the workers end: see `Workers.results`."""
     with Workers(pools) as workers:
-        yield from workers.answers(next_order, work)
+        yield from workers.results(next_job, work)
 
 
 def _result(future: "Future[bytes]") -> bytes | Lost:

@@ -23,8 +23,8 @@ class Agent:
 
     - `features`: from the environment's observations [N, k] to those that the policy was trained
       on; by default the same.
-    - `action`: from decisions [N, size] to N actions of the environment; or its `action_space`, or
-      the set of the problem whose environment it is. By default the set of the policy: the number
+    - `action`: a function from decisions [N, size] to N actions of the environment; or its
+      `action_space`, or the action set of the problem. By default the set of the policy: the number
       of an option of a `Choice`, a dictionary for a `Product`, else the numbers.
 
     An agent whose policy remembers keeps the memory of every episode, [N, m] in `memory`; call
@@ -69,8 +69,8 @@ class Agent:
         memory = np.zeros((len(observed), size), np.float32) if self.memory is None else self.memory
         if size and len(memory) != len(observed):
             raise ValueError(
-                f"Agent: it has the memory of {len(memory)} episodes, and here are {len(observed)} "
-                "observations; call reset() where other episodes begin."
+                f"Agent: it has the memory of {len(memory)} episodes, but got {len(observed)} "
+                "observations; call reset() when other episodes begin."
             )
         values = np.concatenate([observed, memory], 1)
         with read_context(of_policy(self.policy, values)):

@@ -37,8 +37,8 @@ class NextState(NamedTuple):
 
     - `ended`: the problem has ended: by the simulator (`over`) or at the horizon.
     - `late`: a time limit truncates the episode, and the problem would continue.
-    - `outputs`: of the step, and at an end those of the terminal state as well; a name that only
-      the terminal state has is 0 before.
+    - `outputs`: the outputs of the step, and at an end those of the terminal state as well; a name
+      that only the terminal state has is 0 before.
     """
 
     state: PyTree
@@ -329,7 +329,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         return np.asarray(moved.observation), rewards, ended, late, info | counts
 
     def _moved(self, t, state, actions, noise, repeated):
-        """All paths moved; those to start `repeated` at their initial state, where nothing
+        """All paths moved; those to start `repeated` at their initial state, if nothing
         counts."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])

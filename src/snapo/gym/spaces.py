@@ -67,7 +67,7 @@ def writer(space: Space, action: Actions | None = None) -> Writer:
     - `Dict` takes a `Product` whose sets have its names; a `Box` the numbers unchanged.
     - `action`: the set, if known; otherwise the number of decisions is used.
 
-    **Raises:** `ValueError` where the set and the space have nothing in common.
+    **Raises:** `ValueError` if the set and the space have nothing in common.
     """
     spaces = gymnasium.spaces
     if isinstance(space, spaces.Dict):
@@ -122,7 +122,7 @@ def _option(decided: np.ndarray, options: int) -> np.ndarray:
         return np.round(decided[:, 0]).astype(np.int64)
     if size != options:
         raise ValueError(
-            f"Agent: the policy decides {size} numbers, and there are {options} options."
+            f"Agent: the policy decides {size} numbers, but there are {options} options."
         )
     return np.argmax(decided, -1)
 

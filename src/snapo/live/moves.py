@@ -175,8 +175,8 @@ NONE: SelectedChoices = {}
 class WhatIf:
     """A run whose inputs can be moved.
 
-    - `study`: of the run; `rebuild`: makes that of another case.
-    - `slopes`: {input: d value / d number, flat}; empty where none are known.
+    - `study`: the study of the run; `rebuild`: makes that of another case.
+    - `slopes`: {input: d value / d number, flat}; empty if none are known.
     """
 
     def __init__(
@@ -249,7 +249,7 @@ class WhatIf:
         return None
 
     def source(self, name: str) -> str:
-        """Where the run's reported derivative comes from; "" where it does not say."""
+        """Where the run's reported derivative comes from; "" if it does not say."""
         return ""
 
     def inputs(self) -> list[dict[str, Any]]:

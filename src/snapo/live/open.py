@@ -46,7 +46,7 @@ class AboutRun(NamedTuple):
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
     """The contents of a run's files: nothing is computed.
 
-    **Raises:** `CaseError` where there is no run, or one without a policy.
+    **Raises:** `CaseError` if there is no run, or one without a policy.
     """
     record = run_folder.read(run)
     domain_of_run(run, record, simulator)
@@ -84,7 +84,7 @@ def server_of(
 ) -> "Server":
     """The server of a run's page, not started; `problem`: a problem in Python, pickled.
 
-    **Raises:** `CaseError` where there is no such run; `ModuleNotFoundError` without aiohttp.
+    **Raises:** `CaseError` if there is no such run; `ModuleNotFoundError` without aiohttp.
     """
     from .server import Server
 
@@ -128,7 +128,7 @@ def open_page(
 ) -> None:
     """Serves the page of a run until Ctrl-C; `options`: those of `server_of`.
 
-    **Raises:** `CaseError` as `server_of` does, and where the port is taken.
+    **Raises:** `CaseError` as `server_of` does, and if the port is taken.
     """
     server = server_of(run, **options)
 

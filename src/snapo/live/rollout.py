@@ -40,8 +40,8 @@ class PathCounts(NamedTuple):
     def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
         """As many paths as the value needs, by the error of the run, and at most those of the run.
 
-        `numbers`: of the trajectory of one path; a wide one has fewer paths, so that an answer
-        comes in time.
+        `numbers`: the numbers of the trajectory of one path; a wide one has fewer paths, so that an
+        answer comes in time.
         """
         share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
         needed = min(MAXIMUM, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))

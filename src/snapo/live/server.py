@@ -38,7 +38,7 @@ Last = Callable[[str, int], Mapping[str, Any] | None]
 
 
 class Downloads:
-    """The addresses of downloads. `last`: the tables of a page's move, where it has them."""
+    """The addresses of downloads. `last`: the tables of a page's move, if it has them."""
 
     def __init__(self, run: Path, scenarios: SavedScenarios, workers: WorkerProcess, last: Last):
         self.run, self.scenarios, self.workers, self.last = run, scenarios, workers, last
@@ -163,7 +163,7 @@ def guard(token: str, port: Callable[[], int]):
             raise web.HTTPForbidden(text=STRANDED)
         origin = request.headers.get("Origin")
         if origin is not None and origin not in [f"http://{name}" for name in names]:
-            raise web.HTTPForbidden(text="Another page asks for this one.")
+            raise web.HTTPForbidden(text="A page of another site asks for this one.")
         if request.headers.get("Upgrade") and origin is None:
             raise web.HTTPForbidden(text="The page itself must ask.")
         return await handler(request)
@@ -321,7 +321,7 @@ class Server:
         if isinstance(label, str):
             return str(self.scenarios.folder_of(label) / CASE / run_folder.POLICY)
         if isinstance(label, bool) or not isinstance(label, int) or not 0 <= label < MAX_NUMBERS:
-            raise Refused("a policy is called by its number, or by its scenario")
+            raise Refused("a policy is selected by its number, or by its scenario")
         return label
 
     async def _keep(self, page: str, n: int, name: str) -> None:

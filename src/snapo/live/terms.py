@@ -99,7 +99,7 @@ class Deltas(NamedTuple):
     """The derivatives at moved inputs: those of the run, plus the change of the held ones since, on
     the same paths.
 
-    - `table`: of the run, None if it has none.
+    - `table`: the table of the run, None if it has none.
     - `before`, `now`: {input: estimate} of the held derivatives at the run's inputs and at these;
       the same where nothing moved.
     """

@@ -1,8 +1,9 @@
 """The trained policy of a run, valued at other inputs, for the page.
 
 The value is that of `snapo solve` of the moved case with the same policy, seed and numbers of
-paths, to the bits: the same functions on the same scenarios, with guide and control variate of the
-new case. The derivatives are those of the run plus the change of the held ones.
+paths, to the bits: the same functions on the same scenarios, with the value table and control
+variate of the new case. Each derivative is the run's, plus the change of the one with decisions
+held fixed.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -187,7 +188,7 @@ class Valuation(WhatIf):
     def bound_here(self, values: InputValues, selected: SelectedChoices = NONE) -> dict[str, Any]:
         """The value between two bounds at these inputs: how much the best policy could gain.
 
-        **Raises:** `CaseError` where the domain has no bound here, with the reason.
+        **Raises:** `CaseError` if the domain has no bound here, with the reason.
         """
         policy, (_, setup) = self.policy, self._at(values, selected)
         relaxation = self.rebuild(self.case_at(values, selected).case).relaxation
@@ -227,7 +228,7 @@ class Valuation(WhatIf):
     def _variant(self, selected: SelectedChoices) -> tuple[Study, Setup]:
         """The study of other choices: made and compiled once for each.
 
-        **Raises:** `CaseError` where the run's policy does not fit it.
+        **Raises:** `CaseError` if the run's policy does not fit it.
         """
         key = repr(sorted(selected.items()))
         if key not in self._variants:

@@ -46,7 +46,7 @@ def open_run(
 ) -> WhatIf:
     """The run in a folder; `domain`: that of a problem in Python, by default that of its kind.
 
-    **Raises:** `CaseError` where there is no such run, or nothing to move.
+    **Raises:** `CaseError` if there is no such run, or nothing to move.
     """
     record = read(run)
     domain = domain or domain_of_run(run, record, simulator)
@@ -155,8 +155,8 @@ def serve(
     module: str | None = None,
     shown: HeadlineTables | None = None,
 ) -> None:
-    """Answers until there are no more lines; `module`: of the user's simulator; `shown`: as the
-    page shows tables."""
+    """Answers until there are no more lines; `module`: the module of the user's simulator; `shown`:
+    as the page shows tables."""
     shown = shown or HeadlineTables(valuation)
     while (order := desk.orders.get()) is not None:
         try:

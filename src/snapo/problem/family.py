@@ -31,8 +31,8 @@ class Family:
         snapo.sensitivities(member, solution.policy)
 
     The policy observes these inputs, scaled from -1 at the lower to 1 at the upper bound, after the
-    features of the simulator. An objective that is not a mean, such as a CVaR, is that of the paths
-    of all members together, so that training gives the worst members most weight.
+    features of the simulator. An objective that is not a mean, such as a CVaR, is computed over the
+    paths of all members together, so that training gives the worst members most weight.
 
     **Arguments:**
 

@@ -19,8 +19,8 @@ T = TypeVar("T")
 class Use(TreeRecord):
     """Where the numbers of an input are used.
 
-    - `name`: of the input; `size`: how many numbers it has.
-    - `shape`: of the numbers where they are used.
+    - `name`: the name of the input; `size`: how many numbers it has.
+    - `shape`: the shape of the numbers where they are used.
     - `index`: integers of that shape into the input's numbers; None if they are used one by one in
       order, if one number is used everywhere, and if there is none.
     """
@@ -81,7 +81,7 @@ def formed(record: T) -> T:
 
 
 def without_uses(tree: PyTree) -> PyTree:
-    """The tree without its `Use`s, whose shapes are often those of dates: steps read none."""
+    """The tree without its `Use`s, whose shapes often depend on dates: steps read none of them."""
 
     def uses(leaf: Any) -> bool:
         return isinstance(leaf, Use)

@@ -104,7 +104,7 @@ def problem_of(
 
     **Arguments:** `sources`: used without `scenarios`; `needs`: whether an objective is needed.
 
-    **Raises:** `ValueError` where a `Problem` comes with one of these too, where the first argument
+    **Raises:** `ValueError` if a `Problem` comes with one of these too, if the first argument
     is neither a problem nor a simulator, and for invalid sizes, scenarios or constraints.
     """
     if isinstance(problem, type):

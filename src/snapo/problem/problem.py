@@ -69,7 +69,7 @@ class Converted(Generic[_In, _Out]):
     def __get__(self, instance: Any, user: type | None = None) -> _Out:
         if instance is not None:
             return instance.__dict__[self.name]
-        if self.default is NONE:  # of the class: the default, where there is one
+        if self.default is NONE:  # of the class: the default, if there is one
             raise AttributeError(self.name)
         return self.default
 
@@ -84,13 +84,13 @@ class Problem:
     The schedule is prepared once, on first use, in float64 NumPy.
 
     - `simulator`, `inputs`: one path, and a tree of `Input`s.
-    - `objective`: of the path totals; maximised. The name of an output means its
+    - `objective`: the objective of the path totals; maximised. The name of an output means its
       mean: "cash" is `Mean("cash")`.
     - `sources`: the scenarios of training, validation and evaluation; the last two have few paths
-      where nothing is random (see `EqualPaths`).
+      if nothing is random (see `EqualPaths`).
     - `constraints`: limits on averages or probabilities: `[Mean("unserved") <= 0.05]`.
     - `rebuild`: the same problem with everything in its simulator that was computed from the inputs
-      (a guide, a hedge, scales of features) recomputed; None if there is nothing of that kind.
+      (a value table, a hedge, scales of features) recomputed; None if nothing was.
     """
 
     simulator: Simulator
@@ -133,7 +133,7 @@ class Problem:
 
     @property
     def form(self) -> Hashable:
-        """All on which the compiled code for its paths depends: problems of the same form share
+        """All that the compiled code for its paths depends on: problems of the same form share
         that code; numbers, labels and units may differ."""
         return form_of((self.simulator, inputs_.unnamed(self.inputs)))
 
@@ -190,7 +190,7 @@ class Problem:
         return other.prepared(self.schedule)
 
     def prepared(self, schedule: Schedule) -> "Problem":
-        """The same problem with a known schedule, that which its simulator would prepare."""
+        """The same problem with a known schedule: the one that its simulator would prepare."""
         other = replace(self)
         version = of_preparation(self.simulator, self.inputs)
         other.__dict__["schedule"] = version, schedule
@@ -225,7 +225,7 @@ class Problem:
     @property
     def lost(self) -> tuple[str, ...]:
         """The inputs that affect the outputs only through rounding or comparisons in a user's code:
-        their derivative is 0 on every path, and that of the value is unknown."""
+        their derivative is 0 on every path, and the derivative of the value is unknown."""
         version = of_preparation(self.simulator, self.inputs), self.version
         if version == (None, None):
             return ()

@@ -79,7 +79,7 @@ class Process(TreeRecord):
         return ()
 
     def innovation(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
-        """Level less forward: of expectation zero for a `martingale`."""
+        """Level minus forward: of expectation zero for a `martingale`."""
         return self.level(constants, now, state) - self.forward(constants, now)
 
 
@@ -152,8 +152,8 @@ class FactorPrice(Process):
 
     **Arguments:**
 
-    - `times`: of the T steps, rising, counted from today in any unit (years, hours). At time 0
-      the price is the forward price.
+    - `times`: the times of the T steps, rising, counted from today in any unit (years, hours). At
+      time 0 the price is the forward price.
     - `time_scale`: the time after which a factor's standard deviation counts as its typical size.
     """
 

@@ -49,7 +49,7 @@ class Scenarios(abc.ABC):
         return f"{self.available(paths):,} paths of {type(self).__name__}"
 
     def batch_words(self, paths: int) -> str:
-        """The same for one training step."""
+        """A description of the paths of one training step."""
         return self.describe(paths)
 
     def world(self, simulator: Simulator) -> tuple[Hashable, ...]:
@@ -189,7 +189,7 @@ class Supplied(Scenarios):
 
     - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are assumed to
       be independent.
-    - `seed`: of the choice of paths at every training step.
+    - `seed`: the seed of the choice of paths at every training step.
     - `first`: the index of the first path of this part among the supplied ones.
     """
 
@@ -311,14 +311,14 @@ class Sources:
         return cls(training, validation, values or evaluation)
 
     def of_equal_paths(self, equal: bool) -> "Sources":
-        """The same if paths differ; if all are equal, few paths for validation and evaluation."""
+        """The same sources; if all paths are equal, few of them for validation and evaluation."""
         values = self.validation, self.evaluation
         local = [item.inner if isinstance(item, EqualPaths) else item for item in values]
         few = [EqualPaths(entry) for entry in local] if equal else local
         return self if few == list(values) else Sources(self.training, *few)
 
     def reseeded(self, seed: int) -> "Sources":
-        """Sources with other paths for training and validation; the evaluation's stay."""
+        """Sources with other paths for training and validation, and the same evaluation."""
         training, validation = (
             replace(item, seed=seed) if isinstance(item, Pseudo | Sobol | Supplied) else item
             for item in (self.training, self.validation)

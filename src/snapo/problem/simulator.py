@@ -1,8 +1,8 @@
 """The simulator, written by the user: ONE path of a decision problem, in plain ``jax.numpy``.
 
-No batch dimension, no random keys and no loop over time: the engines add those. A
-simulator has the way from the inputs to a schedule (`prepare`), the start of a path
-(`initial`), the policy's observation (`observe`) and the effect of one decision (`step`).
+No batch dimension, no random keys and no loop over time: the engines add those. A simulator defines
+the way from the inputs to a schedule (`prepare`), the start of a path (`initial`), the policy's
+observation (`observe`) and the effect of one decision (`step`).
 """
 
 import abc
@@ -47,9 +47,9 @@ class Simulator(eqx.Module):
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
     - `first_step`: the number of its first step in the calendar by which scenarios count, 0 by
-      default. `initial_steps`: the noise that `initial` receives is that of the calendar's first so
-      many steps, one after another, of which it uses those before `first_step`. Where they are
-      fewer, it is drawn by itself, and steps are counted from the simulator's own start.
+      default. `initial_steps`: `initial` receives the noise of this number of first steps of the
+      calendar, one after another, and uses those before `first_step`. If there are fewer, its
+      noise is drawn separately, and steps are counted from the simulator's own start.
       `calendar`: path p is the same world only in simulators for which it is equal.
     - `fully_observed`: declared by an author who knows that the observation has all of the state
       that matters to a decision; it is then not examined (`problem.unseen`).
@@ -77,7 +77,7 @@ class Simulator(eqx.Module):
         """A simulator that prepares a part of the schedule, and a function that adds the rest.
 
         The rest are arrays of this simulator that `prepare` passes on unchanged, such as a fitted
-        guide: the compiled `prepare` of the part serves both before and after the guide is fitted.
+        value table: the compiled `prepare` of the part serves before and after the table is fitted.
         """
         return self, lambda schedule: schedule
 
@@ -122,8 +122,8 @@ class Simulator(eqx.Module):
         return ()
 
     def in_mean(self) -> tuple[str, ...]:
-        """Names of inputs whose derivative is not that of a single path, but correct in the mean of
-        many, such as parameters of draws in whole units. A certificate compares the mean.
+        """Names of inputs whose derivative is not correct on a single path, but in the mean of many
+        paths, such as parameters of draws in whole units. A certificate compares the mean.
         Parameters of `snapo.noise` need not be named."""
         return ()
 

@@ -38,7 +38,7 @@ class Constraints(eqx.Module):
 
     @abc.abstractmethod
     def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """1 where x > 0, else 0. Smooth: 1 / (1 + exp(-x / w)), within exp(-|x| / w) of exact."""
+        """1 if x > 0, else 0. Smooth: 1 / (1 + exp(-x / w)), within exp(-|x| / w) of exact."""
 
     @abc.abstractmethod
     def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:

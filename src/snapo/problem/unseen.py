@@ -3,8 +3,8 @@
 Paths are simulated with random decisions, which are the same on all paths up to the tested state.
 A number of the state is named if
 
-- with decisions held, noise can move it while the observation stays the same to first order: it
-  then differs between paths that look the same. Functions of observations and time do not;
+- with decisions held fixed, noise can move it while the observation stays the same to first order:
+  it then differs between paths that look the same. Functions of observations and time do not;
 - later payments depend on it, by an amount, and by a factor, that depends on the decisions. For a
   number that only accumulates payments the amount is the same for all decisions, and for wealth
   that is invested in shares the factor is: observing it would change no decision.
@@ -65,7 +65,7 @@ def note(names: tuple[str, ...], remembers: bool = False) -> str:
     )
     return (
         f"The observation does not contain all of the state that matters: {', '.join(names)}. "
-        "Derivatives with decisions held are then wrong in principle: take those through the "
+        "Derivatives with decisions held fixed are then wrong in principle: take those through the "
         f"policy (smooth).{memory}"
     )
 

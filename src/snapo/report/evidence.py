@@ -28,7 +28,7 @@ BELOW = (
 RESTLESS = 2.0  # times its noise: a gradient that is not that of a policy at rest
 BETTER = " does better"  # in a sentence on two rules, of which one should be taken
 NAMED = 3  # checks that fail, on the first screen
-TOTAL = "of all parts, before this page"
+TOTAL = "for all parts, before this page was written"
 
 
 def check_marks(verdicts: Sequence[tuple[str, bool]], noun: str = "checks") -> list[Mark]:
@@ -180,7 +180,7 @@ def history(run: RunFiles) -> Section:
 
 
 def _adjoints(run: RunFiles) -> list[Block]:
-    """The norms of adjoints by step and part of the state, where training measured them."""
+    """The norms of adjoints by step and part of the state, if training measured them."""
     steps = run.column("adjoints", "step")
     if steps is None or steps.size < 2:
         return []
@@ -205,10 +205,10 @@ def _adjoints(run: RunFiles) -> list[Block]:
     alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(maximum)}."
     svg = draw("adjoints", alt, paint, 230)
     caption = (
-        f"Norm of the adjoint before every step, on {PATHS} paths of training, when training last "
-        "had to decide whether the whole horizon can be differentiated, or for the trained policy "
-        "where the case sets clip, window or keep: the parts of the state are root mean squares "
-        "over these paths. All are in adjoints.csv."
+        f"Norm of the adjoint before every step, on {PATHS} training paths: when training last "
+        "checked whether it can differentiate the whole horizon, or, if the case sets clip, "
+        "window or keep, for the trained policy. Parts of the state are shown as root mean "
+        "squares over these paths. All numbers are in adjoints.csv."
     )
     return [Chart(svg, caption), Text(_growth(run, leaves))]
 

@@ -32,9 +32,9 @@ class Sensitivity:
     - `value`, `low`, `high`: the reported derivative and its 95 % interval, None if it is not
       known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
       policy", "range" or "not known".
-    - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
-      reaction; `moved`, `moved_error`: the change of the held one in the second half of training.
-      None if they were not asked for.
+    - `held`, `held_error`: with the decisions held fixed; `smooth`, `smooth_error`: through the
+      policy's reaction; `moved`, `moved_error`: the change of the held one in the second half of
+      training. None if they were not asked for.
     """
 
     input: str
@@ -160,7 +160,7 @@ class RunFiles:
 
     @property
     def step_times(self) -> StepTimes:
-        """The times of the steps, where the run has any."""
+        """The times of the steps, if the run has any."""
         return entries_of(StepTimes, self.details)
 
     def get(self, path: str, default: Any = None) -> Any:

@@ -12,7 +12,8 @@ SectionFunction = Callable[[AnyFolder], Section]
 
 
 def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
-    """Why the numbers of a part are not in this run; `table`: of a case that asks for the part."""
+    """Why the numbers of a part are not in this run; `table`: the table of a case that asks for the
+    part."""
     state = run.parts.get(part)
     if state is None and run.left_out(part):
         return Missing(f"The part “{part}” is not among the `[report] parts`.")
@@ -27,7 +28,7 @@ def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
 
 
 def unless_left_out(section: SectionFunction, *parts: str) -> SectionFunction:
-    """The section; nothing where none of its parts was requested."""
+    """The section; nothing if none of its parts was requested."""
 
     @wraps(section)
     def with_reason(run) -> Section:

@@ -243,7 +243,7 @@ def print_page(page: Path, file: Path, browser: str) -> None:
 
     The page is a file without external references, so nothing is sent.
 
-    **Raises:** `OSError` where the browser fails or takes too long.
+    **Raises:** `OSError` if the browser fails or takes too long.
     """
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "page.pdf"

@@ -18,7 +18,7 @@ MAX_LETTERS = 200  # of a value
 
 
 def provenance(run: RunFiles, record: RunRecord, folder: Path) -> Section:
-    """The section on a run with this `record` (run.json) in `folder`; empty of an older run."""
+    """The section on a run with this `record` (run.json) in `folder`; empty for an older run."""
     if not isinstance(record.provenance, Mapping):
         return Section("provenance", "", "", [])
     blocks: list[Block] = [_making(run, record, folder), *_changes(run, record.origin)]

@@ -81,7 +81,7 @@ def money(value: Any, currency: str, digits: int | None = None, sign: bool = Fal
 
 
 def plus_minus(error: Any, digits: int) -> str:
-    """Half of the 95 % interval, "± 41", from a standard error; nothing where there is none.
+    """Half of the 95 % interval, "± 41", from a standard error; nothing if there is none.
 
     One that `digits` decimals would round to zero keeps a digit: "± 0.00004".
     """

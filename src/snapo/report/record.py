@@ -46,7 +46,7 @@ class RunOrigin(NamedTuple):
     """Where a run comes from.
 
     - `run`: its name; `began`, `began_utc`: when it did, ISO 8601.
-    - `case`: folder and file; `sha256`: of the file; `assignments`: of `--set`.
+    - `case`: folder and file; `sha256`: of the file; `assignments`: the assignments of `--set`.
     - `previous`: the run before, read with `PreviousRun`; None without one.
     """
 
@@ -62,7 +62,7 @@ class RunOrigin(NamedTuple):
 
 class StepTimes(NamedTuple):
     """The times of the steps in `about`: `local_times` as of `local_times_of`, and the `step`,
-    "day" or "hour"; empty where steps have only numbers."""
+    "day" or "hour"; empty if steps have only numbers."""
 
     local_times: Sequence[tuple[int, str]] = ()
     step: str = ""

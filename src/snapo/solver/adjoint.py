@@ -51,7 +51,7 @@ def value_and_gradient(
 ) -> tuple[float, Gradient]:
     """The objective and its exact gradient for the policy and every input.
 
-    On the first `paths` paths of the problem's evaluation.
+    They are computed on the first `paths` paths of the problem's evaluation.
 
     **Arguments:**
 

@@ -9,7 +9,7 @@ V. Whatever V is, the bound holds; with the exact value function it is the exact
 path.
 
 The same penalty along the policy's path has mean zero, so it is taken from the policy's
-earnings as a control variate, and the gap of a path, perfect foresight less policy, is never
+earnings as a control variate, and the gap of a path, perfect foresight minus policy, is never
 negative.
 """
 
@@ -73,9 +73,9 @@ class Bound:
     """A value between two bounds, all on the same paths of the exact simulator.
 
     - `lower`: the policy's value; `upper`: a bound of every policy's value.
-    - `gap`: upper less lower, paired path by path.
-    - `penalty`, `words`: kind and meaning of the penalty; `scale`: of its parts.
-    - `sure`: the certainty equivalents of lower and upper, where the objective is a utility.
+    - `gap`: upper minus lower, paired path by path.
+    - `penalty`, `words`: kind and meaning of the penalty; `scale`: the scale of its parts.
+    - `sure`: the certainty equivalents of lower and upper, if the objective is a utility.
     - `few`: whether a few paths that gain much by foresight dominate the gap; its interval is wider
       then.
     """

@@ -135,8 +135,8 @@ def certify_derivatives(
 
 
 def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
-    """Rows as those of `Bump`, of the inputs of `Problem.in_mean`: the reported derivative against
-    a move of all their numbers by 1 %, in four standard errors of the difference.
+    """Rows like those of `Bump`, for the inputs of `Problem.in_mean`: the reported derivative
+    against a move of all their numbers by 1 %, in four standard errors of the difference.
 
     A bump that is reported itself, where it refutes the held derivative, has no difference."""
     results = []
@@ -174,13 +174,13 @@ def bump_check(
 ) -> list[Bump]:
     """The adjoint against finite differences in float64, on the same paths.
 
-    On the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the policy
-    reacts; without, the exact simulator replays its recorded decisions.
+    It uses the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the
+    policy reacts; without, the exact simulator replays its recorded decisions.
     Every input, or those named by `only`, is bumped along one random direction of signs, or with
     `every` entry by entry.
-    Path weights are held, as in the adjoint. At a kink an adjoint equals one of the one-sided
-    differences; along a direction in which paths differ in the side, it equals neither, and only
-    the paths without a kink within the step are compared (see `Bump.crossing`).
+    Path weights are held fixed, as in the adjoint. At a kink an adjoint equals one of the one-sided
+    differences. If paths lie on different sides of their kinks, it equals neither; then only the
+    paths without a kink within the step are compared (see `Bump.crossing`).
     """
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)

@@ -67,7 +67,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
 def load(file: Path, like: Progress, mark: str = "") -> Progress:
     """The state of training in `file`, for a policy and an optimiser shaped as in `like`.
 
-    **Raises:** `CheckpointError` where the file is damaged, or belongs to another policy or run.
+    **Raises:** `CheckpointError` if the file is damaged, or belongs to another policy or run.
     """
     like = _with_critic(file, like)
     trees, state = load_arrays(file, {name: getattr(like, name) for name in _TREES})
@@ -110,7 +110,7 @@ def save_arrays(file: Path, tree: PyTree, header: Mapping[str, Any]) -> None:
 def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
     """The tree again, shaped like `like`, and the header. Nothing is unpickled.
 
-    **Raises:** `CheckpointError` where the file is damaged, or holds policies that differ from
+    **Raises:** `CheckpointError` if the file is damaged, or holds policies that differ from
     those of `like` in shape, activation or any other setting.
     """
     stored, both = _load(file)

@@ -24,7 +24,7 @@ from . import statistics
 from .adjoint import DROPPED, finite, float64
 from .tables import frame
 
-DECIDED = ("action",)  # recorded where decisions are held
+DECIDED = ("action",)  # recorded where decisions are held fixed
 MAX_BYTES = 2**28  # of decisions that are kept
 NOISE_BYTES = 2**27  # of the noise of one call
 
@@ -187,7 +187,7 @@ def finite_totals(objective: Objective, totals: Totals) -> dict[str, np.ndarray]
 
 
 def value_of(objective: Objective, totals: Totals) -> float:
-    """The objective over the paths that are finite; NaN where too many are not."""
+    """The objective over the paths that are finite; NaN if too many are not."""
     left = finite_totals(objective, totals)
     return objective.value(left) if len(left[objective.outputs[0]]) else np.nan
 
@@ -247,7 +247,7 @@ class Simulation(NamedTuple):
     def frame(self, backend: str = "pandas") -> Any:
         """A data frame, a row for every path and step: "path", "step", states, actions, outputs.
 
-        **Raises:** `ModuleNotFoundError` where the package of `backend` is missing.
+        **Raises:** `ModuleNotFoundError` if the package of `backend` is missing.
         """
         steps, paths = next(iter((self.outputs or self.actions).values())).shape
         columns: dict[str, Any] = {
@@ -271,8 +271,8 @@ def simulate(
     smooth: Smooth | Exact = EXACT,
     engine: Engine | None = None,
 ) -> Simulation:
-    """The trajectories of the first `paths` paths of the problem's evaluation, on which its value
-    is.
+    """The trajectories of the first `paths` paths of the problem's evaluation, which
+    also give its value.
 
         paths = snapo.simulate(solution.problem, solution.policy, paths=256)
         paths.states["water"].mean(1)

@@ -121,7 +121,7 @@ class Figures:
         All numbers of an input are moved by its `move`, by default 1 %. To first order, with the
         reported derivative.
 
-        **Raises:** `ValueError` where the solution has no sensitivities.
+        **Raises:** `ValueError` if the solution has no sensitivities.
         """
         sensitivities = self._sensitivities
         if sensitivities is None:
@@ -181,7 +181,7 @@ class Figures:
         """A state, an action or an output over time: the mean, and bands with 50 % and 90 % of
         1,024 paths of the evaluation.
 
-        - `problem`: of the solution; required for a loaded one.
+        - `problem`: the problem of the solution; required for a loaded one.
 
         **Raises:** `KeyError` for an unknown name, `ValueError` without a problem or a policy.
         """
@@ -232,7 +232,7 @@ class Figures:
         return figure
 
     def _played(self, subject: str, problem: Problem | None) -> tuple[Problem, Policy]:
-        """The problem and the policy, where there are both."""
+        """The problem and the policy, if there are both."""
         problem = problem or self._problem
         if problem is None:
             raise ValueError(

@@ -12,7 +12,7 @@ multiplier moves by a share of the excess, never below zero, and the price in th
 multiplier plus a term in proportion to the excess, which damps the overshoot of a multiplier
 without it (Hestenes 1969; Stooke, Achiam and Abbeel 2020).
 
-The unit of an excess is the deviation of a path's measure, or the excess itself where that is
+The unit of an excess is the deviation of a path's measure, or the excess itself if that is
 larger: under a rule that decides nearly the same on all paths the measure hardly varies. The unit
 of a price is the ratio of the norms of the derivatives of objective and limit with respect to the
 policy, at which both have equal weight. Totals do not determine it: the noise in an objective may
@@ -225,7 +225,7 @@ def _note(limit: LimitFound) -> str:
             "are at bounds of their set, where none has a derivative. Training ended at a price "
             f"of {limit.multiplier:,.4g} for it."
         )
-    slack = f"Limit with slack, and so without a price: {limit.name}, and it is {limit.value:,.6g}."
+    slack = f"Limit with slack, and thus without a price: {limit.name}; it is {limit.value:,.6g}."
     if limit.multiplier:
         slack += (
             f" Training ended at a price of {limit.multiplier:,.4g} for it: its decisions "

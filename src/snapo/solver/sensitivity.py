@@ -1,11 +1,11 @@
 """Sensitivities: the effect of one unit more of every input, with an interval.
 
-Two derivatives of one value come from adjoint passes. HELD: the exact simulator with the
-recorded decisions replayed; where the decisions are optimal, see the whole state and cause no
-jump, it is the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator
-through the policy's reaction, as used in training. The reported one is the held one, unless
-a bump of the exact simulator refutes it (`derivatives.verdict`); its interval has room for the
-error of the policy (`derivatives.margin`).
+Two derivatives of one value come from adjoint passes. HELD: the exact simulator with the recorded
+decisions replayed; if the decisions are optimal, depend on the whole state and cause no jump, it is
+the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator through the
+policy's reaction, as used in training. The reported one is the held one, unless a bump of the exact
+simulator refutes it (`derivatives.verdict`); its interval has room for the error of the policy
+(`derivatives.margin`).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -70,7 +70,7 @@ class SensitivityRow(NamedTuple):
 class Sensitivities(NamedTuple):
     """Derivatives of the objective with respect to every input, {input: Estimate}.
 
-    - `held`: exact simulator, decisions held.
+    - `held`: exact simulator, with decisions held fixed.
     - `smooth`: through the policy's reaction, or None if not requested.
     - `moved`: the change of `held` since an earlier policy, or None.
     - `policy_gradient`: norm of the policy's gradient with the noise subtracted, and the norm of
@@ -119,10 +119,10 @@ class Sensitivities(NamedTuple):
         return self.of(name).along(direction)
 
     def capped(self, gap: float) -> "Sensitivities":
-        """With intervals for a policy whose value is certified to be within `gap` of the best one.
+        """The same table, with intervals for a policy whose value is within `gap` of the best one.
 
         Use the upper end of a certified gap, `snapo.bound(problem, policy).gap.high`, or the exact
-        value less that of the policy if it is known.
+        value minus that of the policy if it is known.
         """
         if self.reported is None:
             return self
@@ -245,13 +245,13 @@ def sensitivities(
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
-    """Held derivatives on `paths`; with `Smooth(temperature)` smooth ones too, on `smooth_paths`.
+    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` smooth ones.
 
-    On the problem's evaluation scenarios. Standard errors come from 32 to 64 independent blocks of
-    paths. `earlier` is a policy from the middle of training: its held derivatives on the first of
-    the same paths show how much they still changed. `actions` [T, paths, A] are the policy's
-    decisions on these paths, and `totals` {output: [paths]} their totals, if they were recorded
-    before.
+    The latter use `smooth_paths`; all are paths of the problem's evaluation. Standard errors come
+    from 32 to 64 independent blocks of paths. `earlier` is a policy from the middle of training:
+    its held derivatives on the first of the same paths show how much they still changed. `actions`
+    [T, paths, A] are the policy's decisions on these paths, and `totals` {output: [paths]} their
+    totals, if they were recorded before.
     """
     return sensitivities_and_totals(
         problem, policy, paths, smooth, smooth_paths, earlier, engine, actions, totals
@@ -352,12 +352,12 @@ def second_order(
     paths: int = 4096,
     smooth: Smooth | Exact | None = None,
 ) -> list[dict[str, np.ndarray]]:
-    """The change of held derivatives along directions of the inputs (forward over reverse).
+    """The change of derivatives along directions of the inputs (forward over reverse).
 
-    The decisions respond through the smooth policy: with only held decisions, a value that is
-    linear in prices has no second derivative. A direction is {input: array}, zero where not named.
-    `smooth`: `Smooth(0.005)` by default. Each result is {input: array}: d (held derivative) / d
-    direction. XLA only; on Mean-like objectives the weights are constant, on others they are held.
+    The derivatives are those with decisions held fixed, but along a direction the decisions respond
+    through the smooth policy: otherwise a value that is linear in prices has no second derivative.
+    Directions and results are {input: array}; a direction is zero if not named. `smooth`:
+    `Smooth(0.005)` by default. XLA only; weights are held fixed if the objective is not linear.
     """
     engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs
     smooth = smooth or Smooth(TEMPERATURE)

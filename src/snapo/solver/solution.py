@@ -48,15 +48,15 @@ class Solution:
     """The result of `solve`.
 
     - `value`, `standard_error`: the objective of the EXACT simulator on fresh scenarios.
-    - `smoothing_gap`: exact less smooth value, on the first of the same paths, with its standard
-      error `smoothing_gap_error`; `smooth_value`: the value less the gap.
+    - `smoothing_gap`: exact minus smooth value, on the first of the same paths, with its standard
+      error `smoothing_gap_error`; `smooth_value`: the value minus the gap.
     - `policy`: the reported policy; `selected`: "start" (the rule that training began with),
-      "newest", "highest" of the validation or "top of the surface"; `gain`: of the best of a
-      training over its start, with the standard error, on separate paths.
+      "newest", "highest" of the validation or "top of the surface"; `gain`: the gain of the best of
+      a training over its start, with the standard error, on separate paths.
     - `policy_gradient_norm`: it vanishes at an optimum. The noise in it, `policy_gradient_noise`,
       has been subtracted: a norm below its noise may be zero.
     - `sensitivities`: the derivative with respect to every input, with its interval.
-    - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
+    - `totals`: {output: [paths]} of the exact simulator; `history`: the history of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: the engine used, and why.
     - `status`: "trained", "stopped early", "interrupted" (by Ctrl-C) or "diverged" (too many paths
       of a step are non-finite; see the notes); unless interrupted or diverged, "ruined" if the
@@ -65,8 +65,8 @@ class Solution:
     - `convergence`: "converged", "still improving", "too short to tell", "saturated" (the decision
       stays at a limit), "constant" (a constant decision does as well), "barely moved" (the
       untrained network does as well), "as good as its start" (the rule that training began with
-      does as well) or "start kept" (that rule is reported); empty where the value is non-finite.
-    - `growth`: adjoints by step and by part of the state, where training measured them; `window`,
+      does as well) or "start kept" (that rule is reported); empty if the value is non-finite.
+    - `growth`: adjoints by step and by part of the state, if training measured them; `window`,
       `clip` and `keep` at the end of training: the length of the windows for backpropagation, the
       bound on each path's adjoint (None: without), and the share of it passed on at each step.
     - `problem`: the problem that was solved, needed for figures over time; None in a loaded
@@ -138,7 +138,7 @@ class Solution:
         `table`: "totals", a row for each path and a column for each output; "history", a row for
         each step of training; or "sensitivities", a row for each number of every input.
 
-        **Raises:** `ValueError` for another table, or where there were no sensitivities.
+        **Raises:** `ValueError` for another table, or if there were no sensitivities.
         """
         if table == "sensitivities" and self.sensitivities is not None:
             return self.sensitivities.frame(backend)
@@ -147,7 +147,7 @@ class Solution:
         if table == "history":
             columns = zip(*self.history) if self.history else ((),) * len(Record._fields)
             return frame(dict(zip(Record._fields, map(list, columns))), backend)
-        message = "it must be 'totals', 'history', or 'sensitivities' where there are some"
+        message = "it must be 'totals', 'history', or 'sensitivities' if there are some"
         raise ValueError(f"frame: {table!r}; {message}.")
 
     def write_table(self, file: Path | str) -> None:
@@ -282,7 +282,7 @@ class Solution:
         A policy of a user-defined class has its numbers in the file and not its code: `like` is
         such a policy, of the same shape; without it the solution has no policy.
 
-        **Raises:** `CheckpointError` where a file is missing or damaged, or holds a policy that
+        **Raises:** `CheckpointError` if a file is missing or damaged, or holds a policy that
         differs from `like`: of another shape, with another activation, another set of actions.
         """
         folder = folder_of(folder)

@@ -39,7 +39,7 @@ from .solution import Solution
 from .train import Callback, Progress, Training, initial_progress, train
 
 Settings = TypeVar("Settings")  # settings of one kind
-MEASURING = "interrupted: measuring the best policy so far (Ctrl-C again leaves it out)"
+MEASURING = "interrupted: measuring the best policy so far (press Ctrl-C again to skip this)"
 
 
 @reading_once()
@@ -158,7 +158,7 @@ def _over(engines: Engines, executor: Executor | Sequence[Executor]) -> Engines:
 def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Settings:
     """The settings given, or the usual ones.
 
-    **Raises:** `ValueError` where they are of another kind, such as a dictionary.
+    **Raises:** `ValueError` if they are of another kind, such as a dictionary.
     """
     settings = kind() if values is None else values
     if not isinstance(settings, kind):
@@ -230,7 +230,7 @@ def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManag
 
 
 def _of_simulator(problem: Problem | Simulator, inputs: PyTree) -> Findings:
-    """What the cheap part of the checker finds in a simulator, where there is one."""
+    """What the cheap part of the checker finds in a simulator, if there is one."""
     if isinstance(problem, Problem):
         return simulator_mistakes(problem.simulator, problem.inputs)
     if isinstance(problem, Simulator):
@@ -242,5 +242,5 @@ def _refused(findings: Findings) -> tuple[str, ...]:
     """Raises an error for errors; returns the warnings, as notes."""
     if findings.errors:
         lines = "\n".join(map(str, findings.errors))
-        raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")
+        raise ValueError(f"solve: nothing was compiled (check=False skips this check).\n{lines}")
     return tuple(warning.sentence() for warning in findings.warnings)

@@ -42,7 +42,7 @@ BACKENDS = ("pandas", "polars", "pyarrow")
 def frame(columns: Mapping[str, Any], backend: str = "pandas") -> Any:
     """A data frame with these columns; a table of Arrow for "pyarrow".
 
-    **Raises:** `ValueError` for another backend, `ModuleNotFoundError` where it is not installed.
+    **Raises:** `ValueError` for another backend, `ModuleNotFoundError` if it is not installed.
     """
     try:
         match backend:
@@ -107,7 +107,7 @@ class SheetTable(NamedTuple):
 def write_tables(file: Path, tables: Mapping[str, SheetTable]) -> None:
     """Writes a sheet for each table. Text is never written as a formula.
 
-    **Raises:** `ModuleNotFoundError` where openpyxl is missing.
+    **Raises:** `ModuleNotFoundError` if openpyxl is missing.
     """
     try:
         from openpyxl import Workbook

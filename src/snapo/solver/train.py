@@ -98,7 +98,7 @@ def train(
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
     With `until` it stops after that step, validated, and can be continued from there. A training
-    that does nothing restarts, for the n-th time from `fresh(n)`, n from 0, where there is one.
+    that does nothing restarts, for the n-th time from `fresh(n)`, n from 0, if there is one.
     `bar` shows every step.
 
     It stops early where a callback returns True. On Ctrl-C they are called once more, and

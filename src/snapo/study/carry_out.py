@@ -70,7 +70,7 @@ def page_of(domain: Domain, folder: Path) -> str:
 
 
 def _logo(folder: Path, name: str | None) -> str:
-    """The picture that the case names, from its copy; nothing where it is gone."""
+    """The picture that the case names, from its copy; nothing if it is gone."""
     try:
         return logo(folder / run_folder.CASE, name) if name else ""
     except (OSError, ValueError):
@@ -105,10 +105,10 @@ def carry_out(
     """Does the parts of a study one after another; returns the content of result.json.
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
-    other work for this run, by name; `origin`: of a new run, for its report. A part that fails
-    leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts and
-    the best policy so far are reported, and `Interrupted`, a `KeyboardInterrupt`, has the content
-    of result.json.
+    other work for this run, by name; `origin`: the origin of a new run, for its report. A part that
+    fails leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts
+    and the best policy so far are reported, and `Interrupted`, a `KeyboardInterrupt`, has the
+    content of result.json.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))
@@ -154,7 +154,7 @@ def certify(
     """The bounds of a run that was carried out, saved with it; returns the new content of its
     result.json.
 
-    **Raises:** `CaseError` where the study has no bound, or the run no policy.
+    **Raises:** `CaseError` if the study has no bound, or the run no policy.
     """
     if isinstance(study.relaxation, str):
         raise CaseError(str(out), "", None, f"this run cannot be certified: {study.relaxation}")

@@ -38,14 +38,14 @@ class Chapter(Generic[Result]):
     """One question to a run.
 
     - `name`: a text; of its part, its file and the anchor of its section.
-    - `title`: of the section, or a function of the files of the run; `short`: in the menu, the name
-      where it is empty; `anchor`: if it differs from the name.
+    - `title`: the title of the section, or a function of the files of the run; `short`: in the
+      menu, the name where it is empty; `anchor`: if it differs from the name.
     - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses; under a `key`
       also `tuple[Row, ...]` of them.
     - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
     - `needs`: names of the parts that must be done before.
     - `key`: under which the file of the part has the result; "": the fields are keys of the file.
-    - `table`: of the case, without which the part is not among those of the study.
+    - `table`: the table of the case, without which the part is not among those of the study.
     - `optional`: whether a run without the part has no section on it; else one with the reason.
 
     No two chapters of a study may write the same key.

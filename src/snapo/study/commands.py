@@ -33,7 +33,7 @@ def kinds() -> list[tuple[str, str, tuple[str, ...]]]:
 def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]:
     """Writes the example of a kind as a workbook, case.xlsx, and the files that no sheet can hold.
 
-    **Raises:** `CaseError` as `new` does, and where openpyxl is missing.
+    **Raises:** `CaseError` as `new` does, and if openpyxl is missing.
     """
     from tempfile import TemporaryDirectory
 
@@ -61,7 +61,7 @@ def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]
 def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
     """Writes the commented example of a kind into `folder`; returns the files written.
 
-    **Raises:** `CaseError` where there is no such kind or size, the folder cannot be used, or a
+    **Raises:** `CaseError` if there is no such kind or size, the folder cannot be used, or a
     file of the same name is there already; then nothing is written.
     """
     templates = find(kind, "KIND", "").templates
@@ -123,7 +123,7 @@ def solve(
     Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
     `KeyboardInterrupt` is passed on to the caller.
 
-    **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
+    **Raises:** `CaseError` if the case has a mistake, or the policy does not fit it.
     """
     from .prepare import Wanted, carried_out, is_same, made_ready
     from .runs.reserve import reserved
@@ -156,7 +156,7 @@ def certify(
 ) -> dict[str, Any]:
     """Bounds the value of a run from both sides; returns the new content of its result.json.
 
-    **Raises:** `CaseError` where there is no such run, or nothing bounds its value, with the
+    **Raises:** `CaseError` if there is no such run, or nothing bounds its value, with the
     reason.
     """
     from . import run_folder
@@ -180,7 +180,7 @@ def domain_of_run(
 ) -> Domain:
     """The domain of a run, with the simulator that the command line names again.
 
-    **Raises:** `CaseError` where the run's simulator is code of its user, and is not named.
+    **Raises:** `CaseError` if the run's simulator is code of its user, and is not named.
     """
     from snapo.report.record import RunRecord, entries_of
 
@@ -213,7 +213,7 @@ def report(run: Path) -> Path:
 def printed(run: Path) -> Path:
     """Prints the report of a run as a PDF next to it; returns its path.
 
-    **Raises:** `CaseError` where no browser of this machine can.
+    **Raises:** `CaseError` if no browser of this machine can.
     """
     from snapo.report.page import BROWSERS, VARIABLE, browser, print_page
 
@@ -222,7 +222,7 @@ def printed(run: Path) -> Path:
     result, file = browser(), run / run_folder.PDF
     if result is None:
         names = ", ".join(BROWSERS[:3])
-        message = f"no browser was found that prints it ({names}); {VARIABLE} may name one"
+        message = f"no browser was found that can print it ({names}); {VARIABLE} may name one"
         raise CaseError("--pdf", "", None, message)
     try:
         print_page(run / run_folder.REPORT, file, result)
@@ -234,7 +234,7 @@ def printed(run: Path) -> Path:
 def tables(run: Path) -> Path:
     """Writes the tables of a run as a workbook next to its report; returns its path.
 
-    **Raises:** `CaseError` where openpyxl is missing, or the folder cannot be written.
+    **Raises:** `CaseError` if openpyxl is missing, or the folder cannot be written.
     """
     from . import run_folder
     from .workbook import write_run

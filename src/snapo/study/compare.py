@@ -25,10 +25,10 @@ SHARE = 0.01  # of an input: by so much it is moved where it does not say its `m
 class DerivativePair(NamedTuple):
     """The reported derivative in both runs, per one `unit` of the input.
 
-    - `standard_error`: of the difference, from sampling; `policy`: by how much the errors of both
-      policies may move it.
+    - `standard_error`: the standard error of the difference, from sampling; `policy`: by how much
+      the errors of both policies may move it.
     - `sources`: where either comes from (`Sensitivities.source`).
-    - `effect`: the difference of the effects of the input's usual move on the two values.
+    - `effect`: the difference of the effects of the input's standard move on the two values.
     """
 
     input: str
@@ -48,7 +48,7 @@ class Comparison:
     """The differences of the second run from the first.
 
     - `values`, `errors`: of the two; None if a run has no value.
-    - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.
+    - `difference`, `standard_error`: second minus first; `paired`: on the same scenarios.
     - `why`: one clause on why the runs are paired or not.
     - `settings`: everything that affects the numbers and differs.
     - `sensitivities`: those of inputs that both have, the largest differences first.
@@ -114,7 +114,7 @@ class Comparison:
 def compare(first: Path, second: Path) -> Comparison:
     """The second run against the first.
 
-    **Raises:** `CaseError` where one is no run of this version, or they are of different kinds.
+    **Raises:** `CaseError` if one is no run of this version, or they are of different kinds.
     """
     records = [run_folder.read(run) for run in (first, second)]
     kinds = [record["kind"] for record in records]
@@ -169,7 +169,7 @@ class Comparisons(NamedTuple):
     def _values(self) -> Iterator[str]:
         first = self.pairs[0]
         yield f"{first.kind}: ± is half of a 95 % interval"
-        yield f"{'':<4}{'value':>16}{'':>12}{'less the first':>18}{'':>12}  run"
+        yield f"{'':<4}{'value':>16}{'':>12}{'minus the first':>18}{'':>12}  run"
         yield _line(1, (first.values[0], first.errors[0]), (None, None), f"{first.runs[0]}")
         for number, pair in enumerate(self.pairs, 2):
             change = pair.difference, pair.standard_error
@@ -225,10 +225,10 @@ def compare_all(runs: Sequence[Path]) -> Comparison | Comparisons:
 
 
 def difference(first: Path, second: Path) -> tuple[float | None, float | None, bool]:
-    """The value of the second run less that of the first, its standard error, and whether the two
+    """The value of the second run minus that of the first, its standard error, and whether the two
     have the same scenarios.
 
-    **Raises:** `CaseError` where one of them has no result.
+    **Raises:** `CaseError` if one of them has no result.
     """
     results = [_result(run) for run in (first, second)]
     groups, _ = _groups(first, second)
@@ -290,7 +290,7 @@ def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePa
 def _of_input(
     inputs, name: str, first: Reported, second: Reported, paired: bool
 ) -> list[DerivativePair]:
-    """One input, entry by entry; nothing where it has another shape in the other run."""
+    """One input, entry by entry; nothing if it has another shape in the other run."""
     one, other = first.estimate, second.estimate
     if first.value.shape != second.value.shape:
         return []

@@ -58,7 +58,7 @@ class Case(Protocol):
 class Report:
     """How a run is reported, from the files of its folder only.
 
-    - `title`: where the run has none.
+    - `title`: if the run has none.
     - `folder`: reads the run; the class of a domain adds its units.
     - `about`: (name, value) pairs under the title.
     - `sections`: each makes a section of the page.

@@ -64,7 +64,7 @@ class SuppliedPolicy:
     def adopted_by(self, local: Policy) -> Policy:
         """The policy of a case, `local`, with the trained numbers of this one.
 
-        **Raises:** `CaseError` where it is another kind of policy, or has other sizes.
+        **Raises:** `CaseError` if it is another kind of policy, or has other sizes.
         """
         needed = described({"policy": local})
         for position, word in needed.items():
@@ -92,10 +92,10 @@ class SuppliedPolicy:
 def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     """The policy of a run folder or of a file.
 
-    - `kind`: of the case; `out`: the folder of the new run. If both folders are the same, the
-      policy is read before the new run removes it, and a resumed run reads its copy.
+    - `kind`: the kind of the case; `out`: the folder of the new run. If both folders are the same,
+      the policy is read before the new run removes it, and a resumed run reads its copy.
 
-    **Raises:** `CaseError` where there is none, or it is damaged, or of a run of another kind.
+    **Raises:** `CaseError` if there is none, or it is damaged, or of a run of another kind.
     """
     source = followed(source)
     value, file = None, source
@@ -196,7 +196,7 @@ KEPT, GAIN = "given policy", "gain over the initial policy"
 def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
     """The study with `values` in the place of its untrained policy; `file` is that of its case.
 
-    **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
+    **Raises:** `CaseError` if nothing is trained, or the policy does not fit.
     """
     if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
         message = f"{file} trains no policy, so an initial policy cannot be used"

@@ -80,7 +80,8 @@ class Kind:
         return self.loaded(self.timer)(engine, progress)
 
     def with_other_numbers(self, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The tables of a case whose numbers are moved, without checks of its own ones."""
+        """The tables of a case whose numbers are moved, without checks of the numbers in its
+        file."""
         return self.loaded(self.relaxed)(data) if self.relaxed else data
 
     def loaded(self, name: str) -> Any:

@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, Any]]:
     """The file of a run's case, and its tables with the keys that `--set` changed.
 
-    **Raises:** `CaseError` where the copy in the run folder is gone.
+    **Raises:** `CaseError` if the copy in the run folder is gone.
     """
     recorded = record["decides"]["case"]
     results = [load(file) for file in sorted((out / CASE).glob("*.toml"))]
     if not results:
-        message = "the copy of the case is gone: solve the case again"
+        message = "the copy of the case is missing: solve the case again"
         raise CaseError(str(out / CASE), "", None, message)
     file, data = min(results, key=lambda item: len(list(differences(_plain(item[1]), recorded))))
     return file, _as_recorded(data, recorded)
@@ -136,9 +136,9 @@ def decided(
 
 
 def is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
-    """Whether the folder `out` has the run to resume; False where it has none.
+    """Whether the folder `out` has the run to resume; False if it has none.
 
-    **Raises:** `CaseError` where it has another one.
+    **Raises:** `CaseError` if it has another one.
     """
     decides, _ = decided(loaded, out, requested)
     return run_folder.check_same(out, decides) is not None
@@ -174,7 +174,7 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
 def _over(study: "Study", workers: "Workers", file: str) -> "Study":
     """The study with workers that compute groups of paths.
 
-    **Raises:** `CaseError` where they cannot.
+    **Raises:** `CaseError` if they cannot.
     """
     from .study import Setup, with_change
 

@@ -61,7 +61,7 @@ def _traced(problem: Problem, simulator: Simulator) -> ProgramText:
 def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines of a run.
 
-    **Raises:** `CaseError` where the requested one cannot take the problem, with the reason.
+    **Raises:** `CaseError` if the requested one cannot take the problem, with the reason.
     """
     try:
         return choose(requested, problem, policy)
@@ -76,7 +76,7 @@ def with_auto(
     """The setup of a general policy, in which all defaults are chosen from the problem, as
     in `snapo.solve`.
 
-    **Raises:** `CaseError` where the engine cannot take the problem.
+    **Raises:** `CaseError` if the engine cannot take the problem.
     """
     policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
     engines = engines_for(engine, problem, policy)

@@ -7,7 +7,7 @@ case/               a copy of the case
 parts/NAME.json     the tables of one part
 checkpoint.npz, policy.npz, halfway.npz, solution.npz, history.csv, sensitivities.csv: of the
                     training; the policies as files of `policy.save`
-adjoints.csv        how adjoints grow by step, where training measured them
+adjoints.csv        how adjoints grow by step, if training measured them
 groups.npz          values of independent groups of paths, by which runs are compared
 start.npz           the policy with which training began, where one was given
 seeds.csv, seeds/   where several seeds were asked for: their values, and a run folder of each
@@ -53,7 +53,7 @@ PDF = "report.pdf"  # the report, printed
 TABLES = "tables.xlsx"  # its tables, as a workbook
 ONNX, PYTHON, DECIDED = "policy.onnx", "policy.py", "policy.csv"  # of `snapo export`
 START = "start.npz"  # the policy with which training began, where one was given
-SEEDS = "seeds.csv"  # one row for each seed, where several were asked for
+SEEDS = "seeds.csv"  # one row for each seed, if several were asked for
 WRITTEN = (
     RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, HALFWAY, SOLUTION, HISTORY,
     SENSITIVITIES, VERDICTS, GROWTH, ONNX, PYTHON, DECIDED, START, SEEDS, "profile.csv",
@@ -140,7 +140,7 @@ def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dic
 
     A new run removes the files of the previous one.
 
-    **Raises:** `CaseError` where a run to resume was started with something else.
+    **Raises:** `CaseError` if a run to resume was started with something else.
     """
     (out / PARTS).mkdir(parents=True, exist_ok=True)
     if resume and (old := check_same(out, decides)):
@@ -155,7 +155,7 @@ def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dic
 def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
     """The record of the run to resume in a folder, None if there is none yet.
 
-    **Raises:** `CaseError` where it was started with something else, or by an earlier version.
+    **Raises:** `CaseError` if it was started with something else, or by an earlier version.
     """
     if not any((out / name).exists() for name in (RUN, RESULT, CHECKPOINT)):
         return None
@@ -191,7 +191,7 @@ def save(out: Path, record: Mapping[str, Any]) -> None:
 def read(out: Path) -> dict[str, Any]:
     """The record of the run in a folder.
 
-    **Raises:** `CaseError` where there is no run, or one that an earlier version wrote.
+    **Raises:** `CaseError` if there is no run, or one that an earlier version wrote.
     """
     file = out / RUN
     try:
@@ -213,7 +213,7 @@ def read(out: Path) -> dict[str, Any]:
 
 
 def _check_record(record: Mapping[str, Any]) -> None:
-    """**Raises:** `ValueError` where a record of this layout is incomplete, or was changed."""
+    """**Raises:** `ValueError` if a record of this layout is incomplete, or was changed."""
     states = record["parts"]
     plain = (
         (record["kind"], str),
@@ -246,7 +246,7 @@ def decisive_settings(decides: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_whole(out: Path, record: Mapping[str, Any], names: tuple[str, ...]) -> None:
-    """**Raises:** `CaseError` where one of these files of the run was changed."""
+    """**Raises:** `CaseError` if one of these files of the run was changed."""
     files = {name: item for state in record["parts"].values() for name, item in files_of(state)}
     requested = {name: files[name] for name in names if name in files}
     for name in changed_files(out, requested):

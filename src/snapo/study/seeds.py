@@ -223,7 +223,7 @@ def solve_seeds(
 
     `seeds`: how many, from the seed of the case on, or the seeds themselves.
 
-    **Raises:** `CaseError` where the case trains nothing, or another run lies in the folder.
+    **Raises:** `CaseError` if the case trains nothing, or another run lies in the folder.
     """
     began = time.perf_counter()
     loaded = load(request)
@@ -309,7 +309,7 @@ def _is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
 
 
 def _check_same(out: Path, decides: Mapping[str, Any]) -> None:
-    """**Raises:** `CaseError` where RUN holds a run that differs by more than its seed."""
+    """**Raises:** `CaseError` if RUN holds a run that differs by more than its seed."""
     if not (out / run_folder.RUN).exists():
         return
     seeded = json.loads(json.dumps(decides))

@@ -30,9 +30,9 @@ ProgressCallback = Callable[[str], None]
 class Setup(NamedTuple):
     """All that training takes, settled: the arguments of `snapo.solve`.
 
-    `recipe`: of `policy`, where it is a general one, so that training begins as `snapo.solve` does;
-    None: training begins from `policy` itself.
-    `case`: the prepared one, where the problem's simulator does not hold it.
+    `recipe`: the recipe of `policy`, where it is a general one, so that training begins as
+    `snapo.solve` does; None: training begins from `policy` itself. `case`: the prepared one, if the
+    problem's simulator does not hold it.
     """
 
     problem: Problem
@@ -46,7 +46,7 @@ class Setup(NamedTuple):
     def solve(self, **options: Any) -> Solution:
         """`snapo.solve` with these arguments; `options`: its others.
 
-        **Raises:** `Interrupted` with the solution where Ctrl-C has ended the training.
+        **Raises:** `Interrupted` with the solution if Ctrl-C has ended the training.
         """
         solution = solve(
             self.problem,
@@ -196,7 +196,7 @@ class Part(NamedTuple):
 class Study:
     """What a run does.
 
-    - `kind`: of the domain.
+    - `kind`: the kind of the domain.
     - `about`: known before any work: title, currency, dates, notes …, for the report; "units" and
       "names" of series for report and live page: empty, not shown.
     - `parts`: in the order in which they are done.
@@ -251,11 +251,12 @@ class Study:
 class StudyRun:
     """A study while it runs: the results that its parts read, and the folder that they write.
 
-    - `folder`: of the run; `resume`: whether to continue from its checkpoint.
+    - `folder`: the folder of the run; `resume`: whether to continue from its checkpoint.
     - `progress`: takes one line of progress.
     - `results`: the tables of all finished parts by key, as they come back from JSON.
     - `troubles`: errors of writing files.
-    - `mark`: of everything that affects its numbers; a checkpoint with another mark is not used.
+    - `mark`: a hash of everything that affects its numbers; a checkpoint with another mark is not
+      used.
     """
 
     study: Study

@@ -100,7 +100,7 @@ def _with_room(result: RunResult, left: Room) -> dict[str, Any]:
 
 
 def _beaten(advantages: Iterable[Advantage]) -> str:
-    """The rule that is furthest above the trained policy, in a sentence; empty where none is."""
+    """The rule that is furthest above the trained policy, in a sentence; empty if none is."""
     available = [(name, -lead, error) for name, lead, error in advantages if lead is not None]
     certain = [item for item in available if item[1] > SIGNIFICANT * (item[2] or 0.0)]
     if not certain:
@@ -155,7 +155,7 @@ def _resumed(run: StudyRun, setup: Setup) -> Progress | None:
 def load_checkpoint(file: Path, fresh: Progress, mark: str = "") -> Progress:
     """The state of training in `file`, shaped like `fresh`.
 
-    **Raises:** `CaseError` where it is damaged, of another policy, or of a run with another `mark`.
+    **Raises:** `CaseError` if it is damaged, of another policy, or of a run with another `mark`.
     """
     try:
         return checkpoint.load(file, fresh, mark)

@@ -20,7 +20,7 @@ def wrong_derivatives(
 
     The problem is first moved away from round numbers, where limits tie and two derivatives are
     correct. The other arguments are those of `snapo.solver.certificate.bump_check`: without
-    `smooth` the recorded decisions are held, with `every` each number is bumped separately.
+    `smooth` the recorded decisions are held fixed, with `every` each number is bumped separately.
     """
     result = bump_check(
         nudged(problem), policy, paths=paths, smooth=smooth, every=every, engine=engine

@@ -18,10 +18,10 @@ CASE, RUN = "case", "run"
 
 
 class Miniature(NamedTuple):
-    """A case small enough to be solved in seconds: a template with less of it.
+    """A case small enough to be solved in seconds: a template with smaller numbers and fewer parts.
 
-    - `kind`: of the domain, which must be installed.
-    - `size`: of its template; the default one where it is None.
+    - `kind`: the kind of the domain, which must be installed.
+    - `size`: the size of its template; the default one where it is None.
     - `assignments`: keys with other values, as `snapo solve --set` takes them.
     - `simulator`: (module, class) next to the case, for a kind that runs the user's code.
     - `texts`: returns the files of the case, {name: text}, if it is not a template.

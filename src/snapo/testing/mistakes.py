@@ -50,7 +50,7 @@ def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Pat
 
     - `read`: a domain's reader, `read(file, data) -> case`.
     - `folder`: a correct case, `case.toml` and the files next to it; it is not changed.
-    - `mistakes`: of `spoilt_keys` or `spoilt_files`.
+    - `mistakes`: the mistakes of `spoilt_keys` or `spoilt_files`.
     - `scratch`: a folder for the spoilt copies.
     """
     scratch.mkdir(parents=True, exist_ok=True)
@@ -177,7 +177,7 @@ def _inside(data: Any, path: Route) -> Any:
 def spoilt_files(folder: Path, labels: Iterable[str] = ()) -> Iterator[Mistake]:
     """Mistakes in every CSV next to the case in `folder`: the file, its header, each column.
 
-    `labels`: columns of names, where any text is right though it may look like a number.
+    `labels`: columns of names, if any text is right though it may look like a number.
     """
     labels = set(labels)
     for file in sorted(folder.glob("*.csv")):

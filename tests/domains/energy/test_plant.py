@@ -175,7 +175,7 @@ def test_policy_and_bound_enclose_the_exact_value():
 @pytest.mark.prove
 def test_strip_of_exchange_options():
     """D9, Margrabe: 363,520.474, by power 12,680.109, by gas -21,889.380, by correlation
-    -11,945.55, with the rule and its decisions held."""
+    -11,945.55, with the rule and its decisions held fixed."""
     setup = make_setup(d9(**STRIP), "native")
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     value = evaluate(problem, rule, paths=16384, engine=engine)
@@ -219,7 +219,7 @@ def test_no_file_of_core_and_methods_names_a_contract():
 
 @pytest.mark.prove
 def test_every_derivative_is_that_of_differences():
-    """Eight hours with two classes of starts, decisions held."""
+    """Eight hours with two classes of starts, with decisions held fixed."""
     end = datetime.datetime(2026, 1, 5, 8)
     starts = [{"off": 1, "money": 250.0, "fuel": 6.0}, {"off": 2, "money": 520.0, "fuel": 14.0}]
     case = plant(end=end, min_up=1, min_down=1, before={"off": 2}, most_starts=2, starts=starts)

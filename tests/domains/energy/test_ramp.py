@@ -271,7 +271,7 @@ EIGHT |= {"starts": [{"off": 1, "money": 250.0, "fuel": 6.0}]}
 
 @pytest.mark.prove
 def test_every_derivative_is_that_of_differences():
-    """Eight hours with a limit of starts, decisions held."""
+    """Eight hours with a limit of starts, with decisions held fixed."""
     case = ramped(**EIGHT, before={"on": 2, "power": 70.0}, most_starts=2)
     setup = make_setup(case, "native")
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate

@@ -296,5 +296,5 @@ def test_coarse_nodes_are_refused(changes):
     """Nodes at the breakpoints of one level would be exact, but a policy of even rows between them
     was 27 % below the lattice."""
     case = battery(**DAY, reserve={"price": 5.0, "stock": [1.0, 3.0]}, **changes)
-    with pytest.raises(CaseError, match="a move needs levels between limits"):
+    with pytest.raises(CaseError, match="limits of moves and flows need a larger common divisor"):
         check_nodes(case, bare_problem(case).schedule)

@@ -60,7 +60,7 @@ def with_table(name: str, text: str, folder: Path) -> Path:
 
 
 def bare(case: StorageCase):
-    """Simulator without a guide, inputs and schedule: enough for any decisions."""
+    """Simulator without a value table, inputs and schedule: enough for any decisions."""
     simulator, inputs = StorageSimulator.of(case), storage_inputs(case)
     return simulator, inputs, prepare(simulator, inputs)
 

@@ -87,7 +87,7 @@ def test_rows_lie_on_corners_where_these_are_few(tmp_path, contract, step):
 @pytest.mark.parametrize(
     ("price", "model"), [(weekdays, (0.3, 12.0)), (wave, (0.9, 20.0))], ids=["weekdays", "wave"]
 )
-def test_the_rule_of_the_guide_is_near_the_exact_value(tmp_path, price, model):
+def test_the_rule_of_the_value_table_is_near_the_exact_value(tmp_path, price, model):
     """Slopes of both sides mixed gave away 0.98 % and 0.22 % of these values."""
     case = corners(tmp_path, price, *model)
     problem = bare_problem(case)

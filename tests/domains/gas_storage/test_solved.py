@@ -162,7 +162,7 @@ def test_flagship_quickly():
     assert_allclose(explained, np.mean(cash + costs), rtol=1e-9)
 
 
-# Central differences of the value by the month's price, the guide fitted again on both sides, on
+# Central differences of the value by the month's price, the value table fitted again on both sides, on
 # 786,432 common paths (standard errors 3.5): the published deltas are exact to about 1 % only.
 FINER = {"2021-06": -490.9, "2021-11": 1811.2, "2021-12": 535.4}
 

@@ -89,8 +89,8 @@ def test_parts_of_the_paths_have_the_same_bits(stored):
 def test_a_worker_asks_once_for_the_text_of_a_kernel(monkeypatch):
     answers, before = [], distributed.compute
 
-    def compute(order: bytes) -> bytes:
-        answers.append(before(order))
+    def compute(job: bytes) -> bytes:
+        answers.append(before(job))
         return answers[-1]
 
     monkeypatch.setattr(distributed, "compute", compute)
@@ -105,7 +105,7 @@ def test_a_worker_asks_once_for_the_text_of_a_kernel(monkeypatch):
 def test_without_workers_that_can_this_process_computes(reply, monkeypatch):
     """Of another processor, or that fail: the bits are the same, and a note says so."""
 
-    def compute(order: bytes) -> bytes:
+    def compute(job: bytes) -> bytes:
         if reply is None:
             raise MemoryError("too large")
         return reply
@@ -120,10 +120,10 @@ def test_without_workers_that_can_this_process_computes(reply, monkeypatch):
 def test_a_lost_answer_is_computed_again(monkeypatch):
     lost, before = [], distributed.compute
 
-    def compute(order: bytes) -> bytes:
-        answer = before(order)
+    def compute(job: bytes) -> bytes:
+        answer = before(job)
         if answer != UNKNOWN and not lost:
-            lost.append(order)
+            lost.append(job)
             raise BrokenProcessPool("killed")
         return answer
 

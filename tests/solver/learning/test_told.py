@@ -78,8 +78,8 @@ def ended(times, window=None, clip=None, keep=1.0):
 
 @pytest.mark.parametrize(
     "how, said",
-    [({"clip": 12.3}, "bounded, at 12.3 in the end (Training(clip=None) never does)"),
-     ({"window": 25}, "From step 20 of the training on it used windows of 25 steps"),
+    [({"clip": 12.3}, "bounded, at 12.3 in the end (Training(clip=None) turns this off)"),
+     ({"window": 25}, "From step 20 of the training on, windows of 25 steps"),
      ({"clip": 2.0, "keep": 0.9}, "every backward step kept only a share of 0.9 of it"),
      ({}, "Training did nothing about it")],
 )  # fmt: skip

@@ -12,8 +12,8 @@ from .kinds import MEASURED, PlantKind, PlantParameter, Variable
 
 PlantInputs = dict[str, dict[str, Any]]
 START_WORDS = {
-    "at": "first {}", "low": "lowest first {}", "high": "highest first {}",
-    "mean": "mean first {}", "deviation": "standard deviation of the first {}",
+    "at": "initial {}", "low": "lowest initial {}", "high": "highest initial {}",
+    "mean": "mean initial {}", "deviation": "standard deviation of the initial {}",
 }  # fmt: skip
 
 

@@ -16,8 +16,8 @@ from .kinds import PlantKind
 class ControlCase:
     """All that a study needs: the plant with its inputs, the objective, and how it is trained.
 
-    - `kind`: of the plant; `horizon`, `timer`: steps, and whether the policy sees how many are
-      left, None as the kind has them.
+    - `kind`: the kind of the plant; `horizon`, `timer`: steps, and whether the policy sees how many
+      are left, None as the kind has them.
     - `hidden`, `memory`, `window`: of the network that is trained, see `[policy]`.
     - `objective_words`: "mean reward".
     - `positions`: {input: the positions of its numbers in the file}.

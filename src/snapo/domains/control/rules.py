@@ -22,7 +22,8 @@ class LinearFeedback(Policy):
 
     - `gains`: [T, m, n] with one matrix for each step where the observation shows the time that is
       left, [1, m, n] otherwise; states in the order of their names, as a vector.
-    - `numbers`: of the plant; `target` [n]; `rest`, `unit` [m]: u = rest + unit x action.
+    - `numbers`: the numbers of the plant; `target` [n]; `rest`, `unit` [m]: u = rest + unit x
+      action.
     """
 
     plant: Plant

@@ -24,7 +24,7 @@ from .core.simulator import simulator_of
 from .core.tables import UnitValueTable
 from .methods.fitted import FittedContract, fit
 from .methods.grid import ContractGrid, grid_of
-from .methods.guide import guide_tables
+from .methods.value_tables import value_tables
 from .read.case import EnergyCase
 
 OUTPUT = "cash_flow"
@@ -97,9 +97,9 @@ def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Pr
         other = without_trades(problem, scheduled=True)
         scheduled = _value_functions(other, apart)
         assert scheduled is not None  # its prices have the same factors
-        table = guide_tables(layout, other.schedule, *scheduled, like).unit_values
+        table = value_tables(layout, other.schedule, *scheduled, like).unit_values
         simulator = replace(simulator, scheduled_values=table)
-    tables = guide_tables(layout, problem.schedule, *values, like)
+    tables = value_tables(layout, problem.schedule, *values, like)
     simulator = replace(simulator, **tables._asdict())
     return replace(problem, simulator=simulator)
 
@@ -112,7 +112,7 @@ class FactorFit(NamedTuple):
 
 
 def fitted_value(problem: Problem) -> FactorFit | None:
-    """The fitted value, where prices have at most three Gaussian factors that matter."""
+    """The fitted value, if prices have at most three Gaussian factors that matter."""
     values = _value_functions(problem)
     if values is None:
         return None

@@ -36,7 +36,7 @@ from .setup import bare_problem, make_setup, setup_at
 def study(case: EnergyCase, options: Options) -> Study:
     """All parts of a run.
 
-    **Raises:** `CaseError` where the contract cannot be met.
+    **Raises:** `CaseError` if the contract cannot be met.
     """
     ready, problem = _Prepared(case, options.engine), bare_problem(case)
     check_limits(case, problem.schedule)

@@ -18,7 +18,7 @@ from .read.case import EnergyCase
 def lines(case: EnergyCase) -> list[str]:
     """The case in a few lines: nothing is trained.
 
-    **Raises:** `CaseError` where it cannot be met, see `check_limits`.
+    **Raises:** `CaseError` if it cannot be met, see `check_limits`.
     """
     layout, schedule = case.contract.layout, known_schedule(case)
     check_limits(case, schedule)

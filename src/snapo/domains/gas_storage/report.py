@@ -170,7 +170,7 @@ def readme_picture(folder: Path, exact: float | None = None) -> str:
     `exact`: the contract's value by dynamic programming from another run, for a run without
     `--reference`.
 
-    Raises `ValueError` where the run has only one or none of them.
+    Raises `ValueError` if the run has only one or none of them.
     """
     run = StorageRun.read(Path(folder))
     values, deltas = VALUES.of(run), DELTAS.of(run)

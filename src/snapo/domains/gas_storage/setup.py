@@ -1,4 +1,4 @@
-"""A case made ready to solve: the problem with guide and hedge, its policy and its engines."""
+"""A case made ready to solve: the problem with value table and hedge, its policy and engines."""
 
 from dataclasses import replace
 
@@ -18,24 +18,24 @@ from snapo.solver.solve import Evaluation
 from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
-from .bounds.value_iteration import FittedValue, fit_guide, fitted_marginal, innovation_table
+from .bounds.value_iteration import FittedValue, fit_value_table, fitted_marginal, innovation_table
 from .contract.records import StorageCase, storage_inputs
 from .contract.schedule import of_prices
 from .contract.simulator import StorageSimulator, simulator_of
-from .policy.guide import FittedKnots, Innovations, ValueTable
 from .policy.network import StoragePolicy
+from .policy.value_table import FittedKnots, Innovations, ValueTable
 from .prices.process import GaussianFactors
 from .references.lattice import coordinates
 from .references.marginal import marginal_values
 
 OUTPUT = "cash_flow"
 HEDGE_PATHS = 2048
-MAX_FACTORS = 3  # of a fitted guide, next to those that move all prices in proportion
+MAX_FACTORS = 3  # of a fitted value table, next to those that move all prices in proportion
 BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures next to the value, of the hedge
 
 
 def bare_problem(case: StorageCase) -> Problem:
-    """The contract without a guide and without a hedge."""
+    """The contract without a value table and without a hedge."""
     simulator = StorageSimulator.of(case)
     return Problem(simulator, storage_inputs(case), make_objective(case.objective, OUTPUT))
 
@@ -43,14 +43,14 @@ def bare_problem(case: StorageCase) -> Problem:
 def make_setup(
     case: StorageCase, engine: EngineName = "auto", fit: FittedValue | None = None
 ) -> Setup:
-    """Simulator with its guide and its hedge, scenarios, policy and engines."""
+    """Simulator with its value table and its hedge, scenarios, policy and engines."""
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), case.training.seed
     problem = bare_problem(case)
     sources = case.model.sources(seed) or evaluation.sources(seed)
-    problem = _guided(replace(problem, sources=sources, rebuild=rebuilt), fit)
+    problem = _with_value_table(replace(problem, sources=sources, rebuild=rebuilt), fit)
     fitted = simulator_of(problem).innovations is not None and case.objective.kind == "mean"
     training = TrainingPlan.from_settings(case.training.model_dump(), fitted)
-    # Training begins with the guide: where margins are low, random corrections would lose.
+    # Training begins with the value table: where margins are low, random corrections would lose.
     policy = StoragePolicy(problem.features, key=jax.random.key(seed)).value_rule
     engines = engines_for(engine, problem, policy)
     return _hedged(Setup(problem, policy, training, evaluation, engines, case=case))
@@ -69,24 +69,24 @@ def setup_at(setup: Setup, case: StorageCase) -> Setup:
 
 
 def rebuilt(problem: Problem) -> Problem:
-    """The problem with the guide and the scales of features of its inputs.
+    """The problem with the value table and the scales of features of its inputs.
 
     The hedge, a control variate that no value depends on, is set to zero.
     """
     problem = _bare(problem)
     values = {name: inputs.value for name, inputs in problem.inputs_by_name.items()}
     problem = replace(problem, simulator=simulator_of(problem).scaled(values))
-    return _guided(problem, fitted_value(problem))
+    return _with_value_table(problem, fitted_value(problem))
 
 
 def _bare(problem: Problem) -> Problem:
-    """The problem without a guide and without a hedge."""
+    """The problem without a value table and without a hedge."""
     bare = replace(simulator_of(problem), value_table=None, hedge=None, innovations=None)
     return replace(problem, simulator=bare)
 
 
-def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
-    """The problem with its guide."""
+def _with_value_table(problem: Problem, fit: FittedValue | None) -> Problem:
+    """The problem with its value table."""
     simulator = simulator_of(problem)
     # No hedge yet, but room for it: the compiled code serves before and after.
     adjacent = {"innovations": _innovations(problem, fit), "hedge": np.zeros(simulator.horizon)}
@@ -96,7 +96,7 @@ def _guided(problem: Problem, fit: FittedValue | None) -> Problem:
 
 
 def _innovations(problem: Problem, fit: FittedValue | None) -> Innovations | None:
-    """The innovations of the fitted value, where prices have no other risks than its factors'."""
+    """The innovations of the fitted value, if prices have no other risks than its factors'."""
     result = factors(problem)
     if fit is None or result is None or not result.exact or len(fit.basis.selected) > MAX_FACTORS:
         return None
@@ -104,7 +104,7 @@ def _innovations(problem: Problem, fit: FittedValue | None) -> Innovations | Non
 
 
 def _hedged(setup: Setup) -> Setup:
-    """The setup with a hedge as its control variate, where it has no better one."""
+    """The setup with a hedge as its control variate, if it has no better one."""
     problem, simulator = setup.problem, simulator_of(setup.problem)
     if simulator.innovations is not None or not simulator.process.martingale:
         return setup
@@ -113,9 +113,9 @@ def _hedged(setup: Setup) -> Setup:
 
 
 def fitted_value(problem: Problem) -> FittedValue | None:
-    """The value for guide and control variate, where the prices have Gaussian factors."""
+    """The fitted value for the value table and the control variate, if factors are Gaussian."""
     result, kind = factors(problem), simulator_of(problem).interpolation
-    return None if result is None else fit_guide(problem.schedule, result, kind)
+    return None if result is None else fit_value_table(problem.schedule, result, kind)
 
 
 def value_table(problem: Problem, fit: FittedValue | None) -> ValueTable:
@@ -145,7 +145,7 @@ def factors(problem: Problem) -> GaussianFactors | None:
 
 
 def on_independent_paths(setup: Setup) -> Problem:
-    """The same problem on other scenarios than those of the value, where there are any."""
+    """The same problem on other scenarios than those of the value, if there are any."""
     seed = setup.training.seed
     if case_of(setup).model.sources(seed):
         return setup.problem
@@ -158,7 +158,7 @@ def _measured_on(problem: Problem, source: Pseudo) -> Problem:
 
 
 def _hedge(setup: Setup) -> np.ndarray:
-    """Forward volumes [T] for the control variate: the deltas of the guide's rule."""
+    """Forward volumes [T] for the control variate: the deltas of the value table's rule."""
     problem, policy, engine = setup.problem, setup.policy, setup.engines.evaluate
     assert isinstance(policy, StoragePolicy)
     plain = replace(problem, objective=Mean(OUTPUT))

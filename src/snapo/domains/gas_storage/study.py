@@ -84,7 +84,7 @@ class _Prepared:
 
     @cached_property
     def fitted_value(self) -> FittedValue | None:
-        """The value function of guide and control variate."""
+        """The value function of value table and control variate."""
         return fitted_value(bare_problem(self.case))
 
 

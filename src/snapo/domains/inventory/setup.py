@@ -73,7 +73,7 @@ def first_batch(case: InventoryCase) -> tuple[float, float]:
     """The distances of S above and s below the base-stock level, in standard deviations of demand.
 
     With an economic lot Q, stock runs short in the share h Q / (p mean + h Q) of its cycles; an
-    order is placed half a period's demand too late on average. S = s + Q less that half.
+    order is placed half a period's demand too late on average. S = s + Q minus that half.
     """
     item, mean, deviation = case.item, mean_demand(case), usual_deviation(case)
     lot, half = economic_lot(case), mean / 2

@@ -1,6 +1,6 @@
 """The report and the live page of a solution in Python.
 
-Its problem is a kind of case whose file has the inputs; a folder of its own is the run.
+Its problem becomes a kind of case whose file has the inputs; a separate folder is the run.
 """
 
 import atexit
@@ -122,7 +122,7 @@ class PythonDomain(Kind):
 def write_report(solution: Solution, file: Path, problem: Problem | None) -> Path:
     """Writes the report of a solution into an HTML file; returns its path.
 
-    **Raises:** `ValueError` for another ending, or where the solution has neither a problem nor
+    **Raises:** `ValueError` for another ending, or if the solution has neither a problem nor
     the folder of a run.
     """
     if file.suffix.lower() not in (".html", ".htm"):
@@ -161,14 +161,14 @@ def open_page(
 
 
 def _run_of(solution: Solution, problem: Problem | None) -> Path | None:
-    """The run folder that a solution was loaded from; None of any other solution."""
+    """The run folder that a solution was loaded from; None for any other solution."""
     folder = solution.folder
     is_run = folder is not None and (folder / run_folder.RUN).is_file()
     return folder if is_run and problem is None else None
 
 
 def _domain(solution: Solution, problem: Problem | None, verb: str) -> PythonDomain:
-    """The domain of a solution's problem. **Raises:** `ValueError` where something is missing."""
+    """The domain of a solution's problem. **Raises:** `ValueError` if something is missing."""
     problem = problem or solution.problem
     missing = f"{verb}: this solution was loaded without its"
     if problem is None:

@@ -28,7 +28,7 @@ class LoadedCode(NamedTuple):
 def load_class(module: str, name: str, folder: Path) -> LoadedCode:
     """The class `name` of `module`: next to the case, in the working directory, or installed.
 
-    **Raises:** `CaseError` where there is none, or the module cannot be run.
+    **Raises:** `CaseError` if there is none, or the module cannot be run.
     """
     position = Unquoted(f"{module}:{name}")
     if module in sys.stdlib_module_names:

@@ -17,7 +17,7 @@ class OwnCase:
 
     - `location`: module and class of the simulator; `code`: the file of the module, where it is
       one, and `code_hash`: of its bytes.
-    - `unit`: of the value; `units`: by name of a state, of the action, of an output.
+    - `unit`: the unit of the value; `units`: by name of a state, of the action, of an output.
     - `objective_words`: "mean of cash"; `outputs`: {place in the case: output} of all that is
       maximised.
     - `positions`: {input: the positions of its numbers in the files}.

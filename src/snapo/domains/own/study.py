@@ -45,7 +45,7 @@ class SimulatorError(CaseError):
 def checked(case: OwnCase) -> Findings:
     """The remarks of `snapo.check` on a simulator that can be trained.
 
-    **Raises:** `SimulatorError` where it cannot; `CaseError` where the case, or a limit of the
+    **Raises:** `SimulatorError` if it cannot; `CaseError` if the case, or a limit of the
     class, names no output of it.
     """
     findings = check(case.simulator, case.inputs)

@@ -1,6 +1,6 @@
-"""The quantities of a pension case: unit, range, usual move and group, declared once.
+"""The quantities of a pension case: unit, range, standard move and group, declared once.
 
-The usual moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
+The standard moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
 ratios one percentage point, quantities (money, members, death probabilities) one per cent of
 themselves. Groups, which reports and readers ask for: "curve" (nodes of a curve), "volatility",
 "premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan".
@@ -41,7 +41,7 @@ class FundQuantity(Quantity):
     """A number of a fund; by "from_year" each row of its CSV holds from its time on, and by
     "sex,age" from its age on, which its reader resolves.
 
-    - `blank`: the number of an empty cell, where a cell may be empty.
+    - `blank`: the number of an empty cell, if a cell may be empty.
     - `by_factor`: whether a list has one for each factor of a model; then several are read.
     """
 
@@ -144,5 +144,5 @@ def side_by_side(name: str, parts: Sequence[CaseInput], names: Sequence[str]) ->
     numbers = replace(stacked(name, parts), labels=tuple(labels))
     if len(set(numbers.positions)) == len(labels):
         return numbers
-    reason = "several of these numbers are one in the files of the case"
+    reason = "several of these numbers are a single number in the files of the case"
     return replace(numbers, positions=(NoPosition(reason),) * len(labels))

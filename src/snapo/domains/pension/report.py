@@ -115,7 +115,7 @@ def _trades(run: PensionRun) -> tuple[str, str]:
 
 
 def _facts(run: PensionRun) -> list[Facts]:
-    """Today's balance and the risk at the horizon; none of a part that was not asked for."""
+    """Today's balance and the risk at the horizon; none for a part that was not asked for."""
     by_part = _facts_of_pots(run) if run.personal else _facts_of_rights(run)
     facts = [fact for name, rows in by_part.items() if not run.left_out(name) for fact in rows]
     return [Facts(facts)] if facts else []

@@ -77,7 +77,7 @@ class RecipeCalculation:
     def stages(self, case: PharmaCase) -> Iterator[tuple[str, Any]]:
         """ "value", "sections" and "deltas"; see `snapo.study.study.Recalculated`.
 
-        **Raises:** `CaseError` where the batch cannot be integrated.
+        **Raises:** `CaseError` if the batch cannot be integrated.
         """
         process = self._at(case)
         one = process.run()

@@ -42,7 +42,7 @@ COLUMNS = (
 
 
 def study(case: PharmaCase, options: Options) -> Study:
-    """The recipe of the case, then, where there is something to decide, the closed loop."""
+    """The recipe of the case, then, if there is something to decide, the closed loop."""
     if options.reference:
         allowed = "a process has no exact reference to compute; its certificate is part of every "
         raise CaseError("--reference", "", None, allowed + "run")

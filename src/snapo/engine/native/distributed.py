@@ -1,9 +1,9 @@
 """Groups of paths computed by other processes: a part of a run of a kernel, as bytes.
 
-An order has the rows that some groups read. The kernel and the numbers of its steps, which are the
+A job has the rows that some groups read. The kernel and the numbers of its steps, which are the
 same at every step of training, are sent to a worker that does not know them. It needs neither the
 simulator nor the policy. The answer has the rows that the kernel wrote, with the sums of every
-group by themselves: they are added where all runs add them, so that the bits are those of one
+group by themselves: they are added in the same way in all runs, so that the bits are those of one
 process.
 """
 
@@ -29,8 +29,8 @@ from .kernel.kernel import KernelCode
 from .runtime import GroupRunner, KernelInputs, Runner
 
 MIN_SECONDS = 0.05  # seconds of a run on this machine from which on workers compute it
-RATE = 2e8  # bytes a second that orders and answers move
-UNKNOWN = b"unknown"  # the answer of a worker that needs the kernel, or the numbers of its steps
+RATE = 2e8  # bytes a second that jobs and results move
+UNKNOWN = b"unknown"  # the reply of a worker that needs the kernel, or the numbers of its steps
 LASTING = 16  # kernels that a worker keeps, and numbers of steps
 SHARED = ("table", "keys", "noise", "noise_initial")  # rows that belong to no block
 BY_COLUMN = ("weights", "start_cotangent")  # rows of all blocks, column after column
@@ -42,7 +42,7 @@ class Distributed:
     """Runs of kernels whose groups of paths workers compute, where that saves time.
 
     A kernel's first run is timed on this machine. Others go to workers where they would take
-    `MIN_SECONDS` here, and the time to move their rows. After the loss of an order this process
+    `MIN_SECONDS` here, and the time to move their rows. After the loss of a job this process
     computes everything.
     """
 
@@ -53,9 +53,9 @@ class Distributed:
 
     @property
     def note(self) -> str:
-        """Why workers computed nothing; empty where they did."""
+        """Why workers computed nothing; empty if they did."""
         if self.lost:
-            return f"Workers were not used after one order returned no result: {self.lost}."
+            return f"Workers were not used after one job returned no result: {self.lost}."
         if self.runs or not self.longest:
             return ""
         return (
@@ -99,22 +99,22 @@ class Distributed:
     def _from_workers(
         self, runner: Runner, inputs: KernelInputs, edges: np.ndarray
     ) -> KernelMemory | None:
-        """The rows of all blocks and groups; None if an order was lost."""
+        """The rows of all blocks and groups; None if a job was lost."""
         groups = len(edges) - 1
         count = min(groups, self.workers.parallel)
         cuts = (groups * np.arange(count + 1) // count).tolist()
         steps = _filled(runner, "steps", inputs.memory["steps"])
         steps_name = hashlib.blake2b(steps.data, digest_size=16).hexdigest()
         parts = {
-            _order(runner, steps_name, inputs, edges[first : last + 1]): (first, last)
+            _job(runner, steps_name, inputs, edges[first : last + 1]): (first, last)
             for first, last in pairwise(cuts)
         }
         memory = KernelMemory(runner.results(inputs, groups))
         waiting = deque(parts)
-        for order, result in self.workers.answers(partial(_next, waiting), compute):
-            first, last = parts[order]
+        for job, result in self.workers.results(partial(_next, waiting), compute):
+            first, last = parts[job]
             if result == UNKNOWN:
-                complete = order + _packed(asdict(runner.code), {"steps": steps})
+                complete = job + _packed(asdict(runner.code), {"steps": steps})
                 parts[complete] = first, last
                 waiting.append(complete)
             elif isinstance(result, Lost):
@@ -162,8 +162,8 @@ def _rows(runner: Runner, inputs: KernelInputs, first: int, last: int) -> dict[s
     return rows
 
 
-def _order(runner: Runner, steps: str, inputs: KernelInputs, edges: np.ndarray) -> bytes:
-    """The order of the groups between these edges."""
+def _job(runner: Runner, steps: str, inputs: KernelInputs, edges: np.ndarray) -> bytes:
+    """The job of the groups between these edges."""
     first, last = int(edges[0]), int(edges[-1])
     rows = _rows(runner, inputs, first, last)
     paths = rows["noise"].shape[1] if "noise" in rows else inputs.paths
@@ -173,9 +173,9 @@ def _order(runner: Runner, steps: str, inputs: KernelInputs, edges: np.ndarray) 
     return _packed(table, rows)
 
 
-def compute(order: bytes) -> bytes:
-    """The answer to an order: the same on all processors for which its kernel has the same name."""
-    table, rows, lasting = _unpacked(order)
+def compute(job: bytes) -> bytes:
+    """The result of a job: the same on all processors for which its kernel has the same name."""
+    table, rows, lasting = _unpacked(job)
     if lasting and not _learn(table, lasting):
         return OTHER
     runner, steps = _runners.get(table["kernel"]), _steps.get(table["steps"])
@@ -196,7 +196,7 @@ def compute(order: bytes) -> bytes:
 
 
 def _learn(table: Mapping[str, Any], lasting: bytes) -> bool:
-    """Keeps a kernel and the numbers of its steps; False where its bits would be others here."""
+    """Keeps a kernel and the numbers of its steps; False if its bits would be others here."""
     content, rows, _ = _unpacked(lasting)
     del content["rows"]
     code = KernelCode(**content)

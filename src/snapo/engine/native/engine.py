@@ -34,8 +34,8 @@ class Native(Engine):
 
     Results depend on neither.
 
-    Results are NumPy arrays. Raises `Unsupported` where a simulator or policy uses something that
-    cannot be compiled, or where nothing can be compiled (`unavailable`).
+    Results are NumPy arrays. Raises `Unsupported` if a simulator or policy uses something that
+    cannot be compiled, or if nothing can be compiled (`unavailable`).
     """
 
     threads: int | None = None

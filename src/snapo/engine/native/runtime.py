@@ -230,7 +230,7 @@ class Runner(GroupRunner):
 
 
 class Spare:
-    """Scratch memory between calls: of all kernels together, at most `SPARE` bytes less four times
+    """Scratch memory between calls: of all kernels together, at most `SPARE` bytes minus four times
     the inputs of the latest call: those of long paths are large, and the caller has them in several
     problems.
 

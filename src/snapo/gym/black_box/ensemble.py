@@ -26,7 +26,7 @@ class Fit(NamedTuple):
 
     - `layers`: [(weights [E, out, in], biases [E, out])] in the units of the environment, from
       observation and action to the difference of the observation, the reward of a step that does
-      not end the episode, that of one that does, and the log odds of the end.
+      not end the episode, the reward of a step that ends it, and the log odds of the end.
     - `raw`: the same between numbers of order one, from which to continue.
     - `error`: [k + 2] root mean squares on the rows held out, over the spread of each number, of
       the members' mean: differences, then the reward; last the share of ends that it misjudges.

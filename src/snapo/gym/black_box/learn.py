@@ -44,15 +44,16 @@ def learn(
     - `steps`: the maximum number of steps in the real environment, for all purposes together.
     - `policy`: the network's recipe, such as `MLP(hidden=(64, 64))`, or a policy to train further,
       such as that of an earlier result.
-    - `rounds`: of fit, training and real episodes.
+    - `rounds`: the number of rounds of fit, training and real episodes.
     - `hold`: steps of the environment for which a decision is held; by default such that an episode
       has at most 250 decisions. `limit`: the longest episode, in steps; by default that of the
       environment.
     - `horizon`: decisions of a path in training; by default half an episode, at most 125.
     - `members`, `hidden`: networks of the ensemble, and their layers.
-    - `training`: of the policy in the first and the last round; others take half its steps.
+    - `training`: the training of the policy in the first and the last round; others take half its
+      steps.
     - `reward`: `reward(observation, action, after)` in `jax.numpy`, if it is known; else it is
-      learned. `over`: `over(after)`, a number of order one that is above 0 where the episode ends;
+      learned. `over`: `over(after)`, a number of order one that is above 0 if the episode ends;
       else the end is learned.
     - `progress`: called with every `LearningRound`.
 
@@ -68,7 +69,7 @@ def learn(
     if rounds < 1 or steps < minimum:
         raise ValueError(
             f"learn: an episode takes up to {real.limit} steps; got steps={steps} and "
-            f"rounds={rounds}, allowed are at least {minimum} steps for them, and one round."
+            f"rounds={rounds}; use at least one round, and {minimum} steps for these rounds."
         )
     horizon = horizon or min(LONGEST, max(1, real.decisions // 2))
     plan = LearningPlan(

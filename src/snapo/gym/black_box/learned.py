@@ -17,7 +17,7 @@ class Compared(NamedTuple):
     """Episodes of one policy from the same initial observations, in environment and model.
 
     - `real`, `model`: mean sum of rewards of an episode, with standard errors.
-    - `gap`: real less model, paired by episode, with the error of the difference.
+    - `gap`: real minus model, paired by episode, with the error of the difference.
     """
 
     real: float
@@ -30,12 +30,12 @@ class Compared(NamedTuple):
 
     @property
     def episodes(self) -> int:
-        """The number of episodes; `rewards` [episodes] are the sums of each in the real one."""
+        """The number of episodes; `rewards` [episodes]: the sum of each, in the environment."""
         return len(self.rewards)
 
     @staticmethod
     def of(real: Sequence[float] | np.ndarray, model: np.ndarray) -> "Compared":
-        """From the sums of rewards of every episode."""
+        """The comparison, from the sums of rewards of every episode."""
         both = np.asarray(real, np.float64), np.asarray(model, np.float64)
         averages = [statistics.mean(item) for item in (*both, both[0] - both[1])]
         (a, da, _), (b, db, _), (c, dc, _) = averages
@@ -46,9 +46,10 @@ class LearningRound(NamedTuple):
     """One round: a fit, a training, and episodes of the new policy in the real environment.
 
     - `steps`: real steps up to its end, `rows`: transitions to which the model was fitted.
-    - `error`: of the model on held-out rows, over the spread of each number (see `Fit.error`).
+    - `error`: the error of the model on held-out rows, over the spread of each number (see
+      `Fit.error`).
     - `comparison`: the new policy without noise, from initial observations common to all rounds.
-    - `seconds`: of processor time.
+    - `seconds`: the seconds of processor time.
     """
 
     steps: int
@@ -97,12 +98,12 @@ class Learned:
 
     @property
     def model_value(self) -> float:
-        """The same in the model, from the same starts."""
+        """The mean sum of rewards in the model, from the same initial observations."""
         return self.comparison.model
 
     @property
     def gap(self) -> float:
-        """The value in the real environment less that in the model."""
+        """The value in the real environment minus that in the model."""
         return self.comparison.gap
 
     def play(self, starts: int | Sequence[int] = 100) -> "Played":

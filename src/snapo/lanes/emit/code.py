@@ -151,7 +151,8 @@ class Code:
         return Ref(self.raw(text), x.dtype, lanes)
 
     def shuffle(self, a: Ref, b: Ref, mask: str) -> Ref:
-        """Lanes of two vectors, as many as each has; those of the second count on."""
+        """Lanes of two vectors, in the number of lanes of each; the second vector continues the
+        count."""
         text = f"shufflevector {a.type} {a.text}, {b.type} {b.text}, <{a.lanes} x i32> <{mask}>"
         return Ref(self.raw(text), a.dtype, a.lanes)
 
@@ -335,7 +336,7 @@ class Code:
         self.block = exit
 
     def without_last(self, count: int, empty: Callable[[str], str]) -> str:
-        """`count` rounds less the last ones that are `empty`, by number; at least one is left."""
+        """`count` rounds minus the last ones that are `empty`, by number; at least one is left."""
         before, head, exit = self.block, self.fresh("head"), self.fresh("exit")
         self.do(f"br label %{head}")
         self.lines.append(f"{head}:")

@@ -91,7 +91,7 @@ def host() -> Processor:
 
 def use_processor(level: str) -> bool:
     """Makes all code of this process from now on for a level of `LEVELS`, so that it has the same
-    bits on every processor that has it; False where this one has not."""
+    bits on every processor that has it; False if this one has not."""
     if not actual().triple.startswith("x86_64") or actual().register < LEVELS[level]:
         return False
     if os.environ.get(PROCESSOR) != level:

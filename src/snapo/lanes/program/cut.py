@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_private import apply, called, is_literal, searched_side, traceback_of
+from .assembled import Assembled
 
 CONSTANT, CALL, STEP, PATH = range(4)
 # What comes after it is the same whatever comes before it: a number that arrives from memory in
@@ -79,12 +80,13 @@ def _plain_call(eqn) -> bool:
     return eqn.primitive.name in ("jit", "pjit", "closed_call") and searched_side(eqn) is None
 
 
-def evaluate(closed, values, caller=None):
-    """Applies a jaxpr's equations, and those of the plain calls in it.
+def evaluate(closed, values, caller=None, assembled: Assembled | None = None):
+    """Applies the equations of a jaxpr and of the plain calls in it.
 
     Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's.
+    Slices of `assembled` arrays read their parts.
     """
-    jaxpr = closed.jaxpr
+    jaxpr, assembled = closed.jaxpr, assembled or Assembled()
     env = dict(zip(jaxpr.constvars, map(_fresh, closed.consts)))
     env.update(zip(jaxpr.invars, values))
 
@@ -95,9 +97,12 @@ def evaluate(closed, values, caller=None):
         inputs = [read(a) for a in eqn.invars]
         line = traceback_of(eqn, caller)
         if _plain_call(eqn):
-            outputs = evaluate(called(eqn), inputs, line)
+            outputs = evaluate(called(eqn), inputs, line, assembled)
+        elif (part := assembled.result(eqn, inputs)) is not None:
+            outputs = [part]
         else:
             outputs = apply(eqn, inputs, line)
+            assembled.add(eqn, inputs, outputs)
         env.update(zip(eqn.outvars, outputs))
     return [read(a) for a in jaxpr.outvars]
 

@@ -3,14 +3,19 @@
 Each pass takes a program and gives one that computes the same, with fewer or cheaper operations.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from .program import Op, Program, ProgramValue, constant
 
+Replaced = dict[ProgramValue, ProgramValue]
 
-def optimize(program: Program) -> Program:
-    """Rewrites, shares, fuses and drops, in that order."""
-    return drop(fuse(share(rewrite(program))))
+
+def optimize(program: Program, equal: Replaced | None = None) -> Program:
+    """Rewrites, shares, fuses, simplifies and drops, in that order; `equal`: inputs that equal
+    other ones."""
+    return drop(simplify(fuse(share(rewrite(program), equal))))
 
 
 def rewrite(program: Program) -> Program:
@@ -48,7 +53,7 @@ def _multiply_instead(op: Op, maker: dict[ProgramValue, Op], ops: list[Op]) -> O
 
 
 def _inverse(value: ProgramValue) -> ProgramValue | None:
-    """1 / value, where it is known and neither it nor its inverse is near the ends of the range."""
+    """1 / value, if it is known and neither it nor its inverse is near the ends of the range."""
     available = value.constant
     if available is None or not np.all(np.isfinite(available)) or np.any(available == 0):
         return None
@@ -57,9 +62,12 @@ def _inverse(value: ProgramValue) -> ProgramValue | None:
     return constant((1 / available).astype(available.dtype))
 
 
-def share(program: Program) -> Program:
-    """Common subexpressions: one computation of each operation on the same inputs."""
-    replaced: dict[ProgramValue, ProgramValue] = {}
+def share(program: Program, equal: Replaced | None = None) -> Program:
+    """Common subexpressions: one computation of each operation on the same inputs.
+
+    Whatever reads an input that is among the `equal` ones reads the other one in its place.
+    """
+    replaced: Replaced = dict(equal or {})
     available: dict[tuple, Op] = {}
     ops = []
     for op in program.ops:
@@ -122,6 +130,55 @@ def _factors(op: Op | None) -> list[ProgramValue] | None:
         op.name == "square" or (op.name == "integer_pow" and op.params["y"] == 2)
     )
     return [*op.inputs, *op.inputs] if op is not None and squared else None
+
+
+def simplify(program: Program) -> Program:
+    """Without products with one, and selections by masks that are known.
+
+    After sums are fused: their terms, and with them the last place of every number, stay the same.
+    """
+    replaced: Replaced = {}
+    ops = []
+    for op in program.ops:
+        op = _without_one(replace(op, inputs=[replaced.get(v, v) for v in op.inputs]))
+        if (value := _unchanged(op)) is not None:
+            replaced[op.outputs[0]] = value
+        else:
+            ops.append(op)
+    return Program(program.inputs, ops, [replaced.get(v, v) for v in program.outputs])
+
+
+def _without_one(op: Op) -> Op:
+    """A multiply-add as a sum or a difference, where one factor is one."""
+    if op.name != "fma":
+        return op
+    first, second, other = op.inputs
+    factors = [x for x, y in ((first, second), (second, first)) if _is(y, 1)]
+    if not factors or factors[0].shape != op.outputs[0].shape:
+        return op
+    terms = [other, factors[0]] if op.params["minus_product"] else [factors[0], other]
+    name = "sub" if any(op.params.values()) else "add"
+    return Op(name, terms, op.outputs, {}, op.where)
+
+
+def _unchanged(op: Op) -> ProgramValue | None:
+    """The input that an operation returns as it is: the factor beside one, or the option that a
+    known mask takes everywhere."""
+    first, *others = op.inputs
+    options: list[ProgramValue] = []
+    if op.name == "mul":
+        options = [x for x, y in ((first, others[0]), (others[0], first)) if _is(y, 1)]
+    elif op.name == "select_n" and first.constant is not None and first.size:
+        position = int(first.constant.flat[0])
+        options = [others[position]] if _is(first, position) else []
+    out = op.outputs[0]
+    same = [x for x in options if (x.shape, x.dtype) == (out.shape, out.dtype)]
+    return same[0] if same else None
+
+
+def _is(value: ProgramValue, number: int) -> bool:
+    """Whether all elements are known to be this number."""
+    return value.constant is not None and bool(np.all(value.constant == number))
 
 
 def drop(program: Program) -> Program:

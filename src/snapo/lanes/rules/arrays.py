@@ -164,7 +164,7 @@ def _pad(values: EmittedValues, op: Op) -> None:
 
 
 def _cropped(values: EmittedValues, op: Op, x: ProgramValue, config):
-    """Negative padding takes elements away: from the input, where no gaps are put between them."""
+    """Negative padding takes elements away: from the input, if no gaps are put between them."""
     if any(gap and (low < 0 or high < 0) for low, high, gap in config):
         raise Unsupported(f"pad: negative padding with gaps, at {op.where}")
     limits = [

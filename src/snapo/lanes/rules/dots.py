@@ -15,7 +15,7 @@ from ..program.program import Op, ProgramValue
 
 WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
 LONG = 64  # elements of a row that is examined for zeros at its end
-ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; where there are 16 only
+ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; if there are 16 only
 
 
 # Takes each sum: its position in the flattened result, and its register.
@@ -236,7 +236,7 @@ def _flat(code: Code, position, order) -> int | str:
 
 
 class counted:
-    """A loop, or nothing where there is one round."""
+    """A loop, or nothing if there is one round."""
 
     def __init__(self, code: Code, count: int):
         self.loop = code.loop(count) if count != 1 else None

@@ -3,7 +3,7 @@
 import { below, drawn, element, frame, node } from "./draw.js";
 import { column, field, parsed, shown, unitWords } from "./numbers.js";
 
-const MOVES = 20; // of its usual moves that a slider reaches to either side
+const MOVES = 20; // of its standard moves that a slider reaches to either side
 const SHARE = 0.01; // of a number that does not say its move
 
 // Makes the controls of all inputs in `place`; `moved(done)` is called at every change, with
@@ -44,7 +44,7 @@ export function label(input) {
   return capital(input.name.replaceAll(/[_.]/g, " "));
 }
 
-// The size of one usual move of a number, in the unit of the case.
+// The size of one standard move of a number, in the unit of the case.
 export function usual(input, i) {
   if (input.move !== null) return Math.abs(input.move);
   const largest = Math.max(...input.values.map(Math.abs)) || 1;

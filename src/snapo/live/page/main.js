@@ -81,7 +81,7 @@ function starting(message) {
   compiled = new Set();
   idle("");
   status("starting", "busy");
-  lost = typeof page.policy === "number" && page.policy > 0 ? " The policy that was trained here ended with it; the run's is used." : "";
+  lost = typeof page.policy === "number" && page.policy > 0 ? " The policy that was trained on this page is lost; the policy of the run is used." : "";
   if (lost) page.policy = 0;
   trouble(message.message && message.message + lost);
   expect();
@@ -215,7 +215,7 @@ function expect() {
 function buttons() {
   const why = refusal ? "These inputs are refused: there is nothing to work on."
     : !page.ready ? "The calculation is starting."
-    : page.valued !== page.n ? "These inputs are being valued; then this works." : "";
+    : page.valued !== page.n ? "These inputs are being valued; please wait." : "";
   at("again").hidden = !page.about || !anything();
   at("train").hidden = !page.about?.trains;
   at("bound").hidden = !page.bounded;
@@ -224,7 +224,7 @@ function buttons() {
   withhold(why || (anything() ? "" : "These are the run's own numbers: move an input first."), [at("keep-now")], at("keep-why"));
   at("undo").disabled = !steps.past.length;
   at("redo").disabled = !steps.future.length;
-  at("undo").title = steps.past.length ? "Ctrl+Z" : "nothing was moved yet";
+  at("undo").title = steps.past.length ? "Ctrl+Z" : "no input was moved yet";
   at("redo").title = steps.future.length ? "Ctrl+Shift+Z" : "nothing was undone";
 }
 
@@ -336,7 +336,7 @@ function kept(message) {
 const work = (id, order, words) => at(id).addEventListener("click", () => {
   if (page.valued !== page.n) return;
   idle(words);
-  page.busy = "One calculation at a time: another is going on.";
+  page.busy = "Another calculation is running; only one can run at a time.";
   send({ do: order, n: page.n });
   buttons();
 });

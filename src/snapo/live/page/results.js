@@ -75,9 +75,9 @@ export function deltas(found) {
 // The unit of a derivative: "MWh" for EUR per EUR/MWh.
 const quotient = (top, per) => (per === "1" ? top : per.startsWith(`${top}/`) ? per.slice(top.length + 1) : `${top} per ${per}`);
 
-// Where the derivative of an input comes from, unless it is that with the decisions held.
+// Where the derivative of an input comes from, unless it is that with the decisions held fixed.
 const reported = (input) => ({
-  "through the policy": " A bump refuted the derivative with the decisions held: at the run's inputs the number is that of the bump, and it changes as the held one does.",
+  "through the policy": " A bump refuted the derivative with the decisions held fixed. At the run's inputs the number shown is that of the bump; at other inputs it changes as much as the derivative with the decisions held fixed.",
   "range": " At the run's inputs an increase and a decrease of this input have different effects: the interval contains both.",
   "not known": " The derivative with respect to this input is not known.",
 })[input.source] ?? "";

@@ -119,7 +119,8 @@ class Stop(Actions):
     Size: one hazard for each number of rights left, since the decision depends on it.
 
     - `rights`: the number of times it can be used, at most once per step.
-    - `hazard`: of an untrained network, 0 to 1; small enough that paths reach later steps.
+    - `hazard`: the hazard of an untrained network, 0 to 1; small enough that paths reach later
+      steps.
     - `scale`: scores count in units of temperature times `scale`.
     """
 
@@ -137,8 +138,8 @@ class Stop(Actions):
         return self.rights
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """(1 + u / (1 + u^2)^.5) / 2 of the score u: raw, shifted by that of the untrained hazard,
-        over temperature * scale; exact: 1 where it is above 0.
+        """(1 + u / (1 + u^2)^.5) / 2, where the score u is raw, shifted by the untrained hazard's
+        score, over temperature * scale; exact: 1 if it is above 0.
 
         Not the logistic curve: its slope vanishes like the hazard itself, so that a training whose
         first steps all lower the hazard never recovers.
@@ -158,7 +159,7 @@ class Stop(Actions):
         u = jnp.where(hot, score, 0.0) / jnp.where(hot, width, 1.0)
         size = jnp.where(u < 0, -u, u)  # not abs, whose slope at 0 is 0
         root = jnp.sqrt(1 + u * u)
-        # The smaller one of both probabilities: one less the larger would lose its digits.
+        # The smaller one of both probabilities: one minus the larger would lose its digits.
         minimum = 0.5 / (root * (root + size))
         return jnp.where(hot, jnp.where(u < 0, minimum, 1 - minimum), exact)
 
@@ -172,7 +173,7 @@ class Stop(Actions):
     def use(self, right: Float[Array, " rights"], action: Float[Array, " size"]):
         """(right, used): the weights after this step's decision, and the expected rights used.
 
-        `right` [rights] and `action` [rights] are for one right left up to all of them.
+        `right` [rights] and `action` [rights] have a number for one right left, two … up to all.
         """
         moved = right * action
         used = moved.sum()

@@ -116,7 +116,7 @@ class Box(Actions):
       be infinite, as in `Box(-math.inf, math.inf)`.
     - `size`: the number of components; by default that of the arrays, or 1.
 
-    **Raises:** `ValueError` where a `low` is not below its `high`, for NaN, and for other sizes.
+    **Raises:** `ValueError` if a `low` is not below its `high`, for NaN, and for other sizes.
 
     >>> box = snapo.Box([0.0, -1.0], 1.0)
     >>> box.bounds()

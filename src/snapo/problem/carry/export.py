@@ -42,7 +42,7 @@ def decision_table(
     - `file`: a CSV to write, a row for each pair; None: the table is only returned.
     - `x`, `y`: the index of the varied number, from 0, and its values.
     - `at`: all numbers of one observation; those of `x` and `y` are replaced.
-    - `names`: of the columns: the two numbers, then those of the action.
+    - `names`: the names of the columns: the two numbers, then those of the action.
     - `observe`: from raw numbers to one observation; `at`, `x` and `y` are then raw.
 
     >>> rule = snapo.Linear([[1.0, 10.0]])
@@ -99,7 +99,7 @@ MOVES = {
 def translated(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
     """The outputs of one such operation.
 
-    **Raises:** `ValueError` where an index depends on the observation, or leaves its array.
+    **Raises:** `ValueError` if an index depends on the observation, or leaves its array.
     """
     data = MOVES[equation.primitive.name]
     operands, first, start = [], [], 0
@@ -150,8 +150,8 @@ def to_onnx(
 ) -> Any:
     """The policy as an ONNX model: `observation` [states, features] to `action` [states, size].
 
-    The decision is that of the exact simulator: rounded, stopped, on one option. The graph follows
-    the JAX trace of the policy, so that user-defined classes can be exported too.
+    The decision is that of the exact simulator: whole numbers, stop or continue, one option. The
+    graph follows the JAX trace of the policy, so that user-defined classes can be exported too.
 
     **Arguments:**
 
@@ -159,9 +159,9 @@ def to_onnx(
     - `features`: the length of an observation; by default that of the policy's network.
     - `observe`: from one vector of raw numbers to one observation, `lambda raw: (raw - 50) / 20`;
       it becomes part of the graph, and `features` counts the raw numbers.
-    - `dtype`: of the graph. The policy's weights are float32 in both.
+    - `dtype`: the dtype of the graph. The policy's weights are float32 in both.
 
-    **Returns:** the `onnx.ModelProto`, checked by onnx. **Raises:** `ValueError` where the policy
+    **Returns:** the `onnx.ModelProto`, checked by onnx. **Raises:** `ValueError` if the policy
     uses an operation without a counterpart, which is named, or the number of features is unknown.
     """
     try:
@@ -191,7 +191,7 @@ def traced_graph(
     if count is None:
         raise ValueError(
             f"{verb}: the number of features is unknown for this policy; specify features=, the "
-            "length of one observation (of one raw vector, where you give observe=)."
+            "length of one observation (of one raw vector, if you give observe=)."
         )
     graph = Graph(count, dtype)
 

@@ -53,7 +53,7 @@ def decide(observation):
     observation = np.atleast_2d(states)
     if observation.shape[1] != {features}:
         got = observation.shape[1]
-        raise ValueError(f"an observation has {features} numbers, and here are {{got}}")
+        raise ValueError(f"an observation has {features} numbers, but got {{got}}")
     with np.errstate(all="ignore"):
 {lines}
     return action[0] if states.ndim == 1 else action
@@ -72,7 +72,7 @@ def to_python(
 
     The decision is that of the exact simulator; the arguments are those of `to_onnx`.
 
-    **Returns:** the text. **Raises:** `ValueError` where the policy uses an operation that cannot
+    **Returns:** the text. **Raises:** `ValueError` if the policy uses an operation that cannot
     be exported, which is named, or the number of features is unknown.
     """
     graph, action = traced_graph("to_python", policy, features, observe, dtype)

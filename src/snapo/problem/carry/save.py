@@ -315,7 +315,7 @@ def leaves_of(tree: Any) -> list[np.ndarray]:
 def stored(file: Path | str, base: type[eqx.Module]) -> StoredPolicy:
     """The content of a file that `save` wrote; nothing is executed.
 
-    **Raises:** `PolicyFileError` where the file is missing or damaged, holds something else, or
+    **Raises:** `PolicyFileError` if the file is missing or damaged, holds something else, or
     weights whose sizes do not fit each other.
     """
     try:
@@ -347,10 +347,10 @@ def stored(file: Path | str, base: type[eqx.Module]) -> StoredPolicy:
 
 def load(file: Path | str, base: type[AnyPolicy], like: AnyPolicy | None = None) -> AnyPolicy:
     """The policy written by `save`, of a subclass of `base`; with the numbers of the file in
-    `like`, where there is one.
+    `like`, if there is one.
 
-    **Raises:** `PolicyFileError` as `stored` does; where the file's policy is user code and there
-    is no `like`; and where it differs from `like` in shape, activation or any other setting.
+    **Raises:** `PolicyFileError` as `stored` does; if the file's policy is user code and there
+    is no `like`; and if it differs from `like` in shape, activation or any other setting.
     """
     content = stored(file, base)
     if like is not None:
@@ -368,7 +368,7 @@ def filled(
 ) -> Any:
     """The tree `like` with these arrays of a file, whose `text` describes the `policies` in it.
 
-    **Raises:** `PolicyFileError` where they are those of another policy.
+    **Raises:** `PolicyFileError` if they are those of another policy.
     """
     moving, fixed = eqx.partition(like, eqx.is_array)
     old, structure = jax.tree.flatten(moving)

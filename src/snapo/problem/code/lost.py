@@ -1,8 +1,8 @@
 """Inputs whose derivative is lost: outputs depend on them, but only by operations of slope zero.
 
 Rounding and comparisons have a derivative of zero: the derivative of `floor(size * uniform)` with
-respect to `size` is 0 on every path, but that of its mean is not. Where the input has another way
-to the output, as in `x - floor(x)`, nothing is reported here.
+respect to `size` is 0 on every path, but the derivative of its mean is not. Where the input has
+another way to the output, as in `x - floor(x)`, nothing is reported here.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     """The inputs that move an output, exact or smooth, and have no derivative, by name, each with
     the equations that cut it off.
 
-    Decisions are held: an input that only moves them rightly has derivative zero. Operands of
+    Decisions are held fixed: an input that only moves them rightly has derivative zero. Operands of
     `jax.lax.stop_gradient` are left out, since its author wants no derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]

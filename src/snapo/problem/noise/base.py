@@ -65,7 +65,7 @@ class Noise(eqx.Module):
 
 
 def uniform(normal: Float[Array, "..."]) -> Float[Array, "..."]:
-    """The uniform number between 0 and 1 at a standard normal; 1 less it is that at -normal."""
+    """The uniform number u between 0 and 1 at a standard normal; at -normal it is 1 - u."""
     return ndtr(normal)
 
 
@@ -86,10 +86,11 @@ def prepare(noises: PyTree) -> PyTree:
 
 
 def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTree:
-    """The values of one step, shaped like the tree: a dictionary of noises gives one of values.
+    """The values of one step, shaped like the tree: a dictionary of noises gives a dictionary of
+    values.
 
     `states` are those of noises with memory, by name: `draw(noises, normals, regime=regime)`. The
-    normals are dealt out in the order of the tree, a dictionary's in that of its sorted keys.
+    noises take the normals in the order of the tree; a dictionary has the order of its sorted keys.
     """
     result, structure = jax.tree_util.tree_flatten_with_path(noises, is_leaf=_is_noise)
     requested = size(noises)
@@ -131,7 +132,7 @@ def concrete(value: Any) -> np.ndarray | None:
 
 
 def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> None:
-    """Refuses a parameter outside low < x < high, where it is known."""
+    """Refuses a parameter outside low < x < high, if it is known."""
     value = concrete(getattr(noise, name))
     if value is None or (np.all(value > low) and np.all(value < high)):
         return

@@ -36,7 +36,7 @@ class Uniform(Noise):
 
 
 class Normal(Noise):
-    """Normal numbers: one, or K that are correlated. Derivatives by all parameters are pathwise.
+    """Normal numbers: one, or K that are correlated. All derivatives are pathwise.
 
     **Arguments:**
 
@@ -205,9 +205,9 @@ def _implicit(primals, tangents):
 
 
 class Gamma(Noise):
-    """Mean shape x scale, variance shape x scale^2. Derivatives by both are pathwise (implicit).
+    """Mean shape x scale, variance shape x scale^2. Its derivatives are pathwise (implicit).
 
-    Prepare it (`snapo.noise.prepare`): a draw from an unprepared one works its grid out at every
+    Prepare it (`snapo.noise.prepare`): a draw from an unprepared one computes its grid at every
     step, which the native engine leaves to XLA.
     """
 
@@ -234,7 +234,7 @@ class Student(Noise):
     """mean + scale t, where t is Student's with `df` degrees of freedom: a normal over the root of
     a gamma number. One number, or K that are correlated and share that root.
 
-    Derivatives by all parameters are pathwise. It takes one normal more than it gives numbers.
+    All derivatives are pathwise. It takes one normal more than it gives numbers.
 
     **Arguments:**
 

@@ -17,8 +17,8 @@ class Counter(eqx.Module):
     """Noise drawn inside the engine: `keys` [2, 2] for steps and initial states, `paths` [N].
 
     - `first`: the number of the simulator's first step in the calendar by which steps are counted.
-    - `before`: the noise of the calendar's first so many steps, one after another, is that of the
-      initial state; 0: that is drawn by itself.
+    - `before`: the initial state has the noise of this number of first steps of the calendar, one
+      after another; 0: its noise is drawn separately.
     """
 
     keys: UInt32[Array, "2 2"]

@@ -82,7 +82,7 @@ class Counts(Noise):
 
     `draw` gives a number whose derivative with respect to the parameters is exact if outcomes are
     quadratic without corners, and nearly so if the positions of corners differ between paths;
-    `weigh` gives a number and its likelihood, which is right always. `maximum` is static, and
+    `weigh` gives a number and its likelihood, which is always right. `maximum` is static, and
     follows from the parameters where these are known.
     """
 
@@ -111,7 +111,7 @@ class Counts(Noise):
 
 
 class Poisson(Counts):
-    """p(k) = e^-mean mean^k / k!. Inside `step` with a mean of that step: specify `maximum`.
+    """p(k) = e^-mean mean^k / k!. If the mean is computed inside `step`, specify `maximum`.
 
     >>> [float(snapo.noise.Poisson(4.0).draw(np.array([z]))) for z in (-2.0, 0.0, 2.0)]
     [1.0, 4.0, 8.0]

@@ -388,7 +388,7 @@ def as_constraints(limits: Sequence[Limit] | Limit) -> tuple[Limit, ...]:
 
 
 def priced(objective: Objective, limits: Sequence[Limit], prices: Sequence[float]) -> Objective:
-    """The objective less the price of every limit's measure, in the direction of its excess.
+    """The objective minus the price of every limit's measure, in the direction of its excess.
 
     Its derivatives are those of the best value within the limits; its value is without the constant
     `price * level`.

@@ -219,7 +219,7 @@ class Target(ByPath):
     target: float = 0.0
 
     def describe(self) -> str:
-        return f"minus mean square of {self.output} less {self.target:g}"
+        return f"minus mean square of {self.output} minus {self.target:g}"
 
     def _slope(self, x):
         return -2 * (x - self.target)

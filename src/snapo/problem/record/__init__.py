@@ -178,7 +178,7 @@ class Input(TreeRecord):
     **Arguments:**
 
     - `value`: numbers, kept as float64 NumPy.
-    - `unit`: of the value, such as "EUR/MWh"; a sensitivity is per this unit.
+    - `unit`: the unit of the value, such as "EUR/MWh"; a sensitivity is per this unit.
     - `labels`: one per entry, in C order (dates, tenors, species); numbered by default.
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
       number (see `step`).

@@ -2,9 +2,9 @@
 
 The bump B = [V(x + h) - V(x - h)] / 2h, with the policy reacting, and the held derivative C, with
 the decisions replayed, share all their noise. Their difference block by block, the reaction
-R = B - C, is therefore known far better than either: where the policy is optimal it is zero.
-Everything that a domain builds from the inputs (guide, hedge, tables of a rule) is built again for
-the moved input (`Problem.moved`); with the old table a good policy would look bad.
+R = B - C, is therefore known far better than either: if the policy is optimal it is zero.
+Everything that a domain builds from the inputs (value table, hedge, tables of a rule) is built
+again for the moved input (`Problem.moved`); with the old table a good policy would look bad.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,7 +32,7 @@ WIDE = 3.0  # times that: the second size, with less noise and more curvature
 FEW = 16  # a share of the paths, one in 16, is enough where the reaction is plainly nothing
 FEWEST = 4  # blocks in any case
 COARSE = 0.03  # of the held derivative: a standard error at which a reaction may be nothing
-PRECISE = 0.0025  # that at which it needs no more paths, where there is time for them
+PRECISE = 0.0025  # that at which it needs no more paths, if there is time for them
 NEGLIGIBLE = 2e-5  # of the value: a smaller reaction to one percent of an input is not looked at
 CURVED = 3.0  # standard errors between both sizes, above which the difference is curvature
 THIRD = WIDE**2 - 1.0  # of the third-order term, between both sizes
@@ -46,13 +46,13 @@ ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
 class Reaction(NamedTuple):
     """One input bumped: the change of the value along `by`, a move of one percent.
 
-    - `held`: [B] the held derivative along `by`, by block; `reaction`: [b] bump less held, of the
+    - `held`: [B] the held derivative along `by`, by block; `reaction`: [b] bump minus held, of the
       first b blocks, to first order; `extra`: the error of taking the curvature out of it.
-    - `up`, `down`: value after the bump less that before, and that before less that after the
+    - `up`, `down`: value after the bump minus that before, and that before minus that after the
       opposite one, with their standard error `side_error`.
     - `tested`: whether the bump differs from the held derivative at all, beyond round-off: an input
       that only affects costs changes no decision.
-    - `corner`: "kink" or "jump", where both sides differ and half the move shows the same; else "".
+    - `corner`: "kink" or "jump", if both sides differ and half the move shows the same; else "".
     """
 
     held: np.ndarray
@@ -93,7 +93,7 @@ class Reaction(NamedTuple):
 
 
 def one_percent(values: Input) -> np.ndarray:
-    """The bump: 1 % of every number, where the input states no other; where all are zero, of its
+    """The bump: 1 % of every number, if the input states no other; where all are zero, of its
     `move`."""
     if values.judge_bump is not None:
         return np.full(values.value.shape, values.judge_bump)
@@ -105,7 +105,7 @@ def one_percent(values: Input) -> np.ndarray:
 def block_means(objective: Objective, totals: Totals, blocks: list[np.ndarray]) -> np.ndarray:
     """[B]: the objective by block of paths; their mean is the objective, where blocks are equal.
 
-    Paths that are non-finite are left out; all are NaN where more than a few are not.
+    Paths that are non-finite are left out; all are NaN if more than a few are not.
     """
     valid = finite(totals, objective.outputs)
     if np.sum(~valid) > DROPPED * valid.size:
@@ -132,7 +132,7 @@ def reactions(
 
     Every input is bumped on a few of the blocks. If the reaction is inaccurate, all blocks and a
     wider move follow, the least certain input first, until about `rollouts` paths were valued.
-    `centre`: the totals of these paths, and possibly more, where they are known.
+    `centre`: the totals of these paths, and possibly more, if they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
     are all if the value is non-finite, as after a ruin. A held derivative that is NaN, such as one
@@ -167,7 +167,7 @@ def settled(reaction: Reaction, precise: float, negligible: float = 0.0) -> bool
 
 
 def _uncertainty(reaction: Reaction) -> float:
-    """The error of the reaction relative to the held derivative; above 1 where that is surely
+    """The error of the reaction relative to the held derivative; above 1 if that is surely
     wrong, and the bump will be reported."""
     value, error = reaction.estimate
     if not np.isfinite(value):
@@ -252,7 +252,7 @@ class _Bumper:
         return settled(still, COARSE, negligible) and not self._two_sided(still)
 
     def refined(self, name: str, by: np.ndarray, result: Reaction) -> Reaction:
-        """The same with all paths and, where that is not enough, with a wider move; of an input
+        """The same with all paths and, if that is not enough, with a wider move; of an input
         that changes the value by next to nothing the first move is enough."""
         held, count = result.held, len(self.blocks)
         if len(result.reaction) < count:
@@ -282,7 +282,7 @@ class _Bumper:
         """Both bumps on the first `count` blocks.
 
         `at_values` by default rebuilds the problem; `mirrored`: for one side only, see `on_line`.
-        `more`: the problem at more of the input, where it is known; it is taken from the list.
+        `more`: the problem at more of the input, if it is known; it is taken from the list.
         `final`: no other move of the input follows, so that its memory is free.
         """
         blocks, objective = self.blocks[:count], self.problem.objective
@@ -324,7 +324,7 @@ class _Bumper:
         return abs(reaction.up - reaction.down) > max(SIGNIFICANT * reaction.side_error, minimum)
 
     def cornered(self, name: str, by: np.ndarray, reaction: Reaction) -> Reaction:
-        """With the kind of a corner, where both sides differ by much."""
+        """With the kind of a corner, if both sides differ by much."""
         if not self._two_sided(reaction):
             return reaction
         gap = abs(reaction.up - reaction.down)

@@ -68,7 +68,7 @@ class PassResult(NamedTuple):
 
     @property
     def of_others(self) -> Callable[[Problem], dict[str, Estimate]] | None:
-        """Derivatives with respect to the inputs of another problem with this schedule; None where
+        """Derivatives with respect to the inputs of another problem with this schedule; None if
         they would keep more than `LARGE` bytes."""
         return self.schedule.of_inputs if self.schedule.bytes <= LARGE else None
 
@@ -86,8 +86,8 @@ class Pulled(NamedTuple):
 class DerivativePass(NamedTuple):
     """One way to differentiate: with the decisions recorded and replayed, or through the policy.
 
-    `recorded` [T, paths, A]: the decisions by number of the path, where they are known already.
-    `totals` {output: [paths]}: those of the policy in the same way, where they are known already.
+    `recorded` [T, paths, A]: the decisions by number of the path, if they are known already.
+    `totals` {output: [paths]}: those of the policy in the same way, if they are known already.
     `inputs`: whether derivatives with respect to the inputs are found, in addition to those of the
     policy.
     """
@@ -179,7 +179,7 @@ class DerivativePass(NamedTuple):
         return self.problem.sources.evaluation.draws(paths, self.problem.simulator)
 
     def _passes(self, blocks: list[np.ndarray], weights: list[list[Weights]]) -> list[list[Pulled]]:
-        """One pass for each block: several in one call of an engine, where there is one column."""
+        """One pass for each block: several in one call of an engine, if there is one column."""
         if len(weights[0]) > 1:
             return [self._pull(*part) for part in zip(blocks, weights)]
         return [
@@ -305,7 +305,7 @@ def _cut(weights: list[Weights], paths: slice) -> list[Weights]:
 
 
 def _columns(weights: list[Weights], paths: int) -> Weights:
-    """{output: [N]} of one, or {output: [K, N]} of several, zero where one has no such output."""
+    """{output: [N]} of one, or {output: [K, N]} of several, zero if one has no such output."""
     if len(weights) == 1:
         return weights[0]
     names = dict.fromkeys(name for weight in weights for name in weight)

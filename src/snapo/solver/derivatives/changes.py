@@ -43,7 +43,8 @@ class BlockPlan(NamedTuple):
     def estimate(self, sums: np.ndarray, further: np.ndarray) -> np.ndarray:
         """[B, *shape]: numbers whose mean is the derivative and whose spread is its error.
 
-        `sums`: of w_i dX_i by block [B, *shape]; `further`: those of the pieces [K, *shape].
+        `sums`: the sums of w_i dX_i by block [B, *shape]; `further`: those of the pieces [K,
+        *shape].
         """
         blocks, shape = len(sums), (len(sums), *(1,) * (sums.ndim - 1))
         value = sums.sum(0)
@@ -78,7 +79,7 @@ def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> BlockPl
 
 
 def _changes(objective: Objective, totals, weights: Weights, endpoints: np.ndarray) -> np.ndarray:
-    """[B, outputs, N]: weights without block b, less N / (N - n_b) times the old ones."""
+    """[B, outputs, N]: weights without block b, minus N / (N - n_b) times the old ones."""
     names, count = list(weights), int(endpoints[-1])
     change = np.zeros((len(endpoints), len(names), count))
     for b, (first, last) in enumerate(zip([0, *endpoints[:-1]], endpoints)):

@@ -134,7 +134,7 @@ class Reported(NamedTuple):
         ]  # fmt: skip
 
     def capped(self, gap: float) -> "Reported":
-        """With this bound on the policy's gap, if it is smaller than the present one."""
+        """The same with this bound on the policy's gap, if it is less than the present one."""
         minimum = min(gap, self.curvature.gap)
         return self._replace(curvature=self.curvature._replace(gap=minimum))
 

@@ -154,7 +154,7 @@ def _random(
         direction = surface.coordinates._replace(policy=policy).random(rng)
 
         def loss(length: float, along: np.ndarray = direction) -> float:
-            """The loss of both sides together: where the policy is not at the top, one of them
+            """The loss of both sides together: if the policy is not at the top, one of them
             gains."""
             sides = [on.value(shifted_policy(policy, s * length * along)) for s in (1, -1)]
             return top - sum(sides) / 2

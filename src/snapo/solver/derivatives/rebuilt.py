@@ -21,8 +21,8 @@ FEWEST = 512  # paths, for all that is measured next to the value
 
 
 def fewer(paths: int, horizon: int) -> int:
-    """As many of a number of paths as make no more steps than all would with `LONG` of them; at
-    least 512, where there are so many.
+    """The number of paths that together make no more steps than all paths with `LONG` steps each;
+    at least 512, if there are so many.
 
     A path of a year by the hour has as many days as four of three months: what is a mean over days
     is known as well from a quarter of the paths.
@@ -40,7 +40,7 @@ def problems_at(problem: Problem) -> Callable[[dict[str, Any]], Problem]:
 
 
 def forget(at_values: Callable[[dict[str, Any]], Problem]) -> None:
-    """Frees the problem that `problems_at` remembers, where no other move of its input follows."""
+    """Frees the problem that `problems_at` remembers, if no other move of its input follows."""
     if isinstance(at_values, _RebuiltOnce):
         at_values.last = None
 
@@ -72,7 +72,7 @@ def on_line(
     problem: Problem, other: Problem, values: Mapping[str, Any], share: float
 ) -> Problem | None:
     """The problem at `values`, a share of the way to `other`, with all that depends on the inputs
-    on that line: x + share (y - x) for a number that is x in `problem` and y in `other`. None where
+    on that line: x + share (y - x) for a number that is x in `problem` and y in `other`. None if
     `other` has a different structure.
 
     Building a problem takes longer than a few paths. The line neglects curvature, whose effect on

@@ -178,7 +178,7 @@ class Surface(NamedTuple):
 
 
 class _Value:
-    """The exact value at places of the coordinates, less that at their origin, by block."""
+    """The exact value at places of the coordinates, minus that at their origin, by block."""
 
     def __init__(
         self,

@@ -29,8 +29,8 @@ COLUMNS = (
 class Verdict(NamedTuple):
     """One input bumped by one percent: the change of the value, and the derivatives along it.
 
-    - `source`: of the reported derivative, see `Reported`.
-    - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump less held, paired.
+    - `source`: the source of the reported derivative, see `Reported`.
+    - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump minus held, paired.
     - `up`, `down`: the change of the value for an increase and a decrease of the input;
       `side_error` of their difference.
     - `probability`: the p-value of the reaction; `tested`: whether there is one.
@@ -136,7 +136,7 @@ def reported(
 
 
 def held_alone(problem: Problem, held: Mapping[str, Estimate]) -> dict[str, Reported]:
-    """{input: the held derivative}, where nothing was bumped."""
+    """{input: the held derivative}, if nothing was bumped."""
     return {name: plain(held[name], one_percent(x)) for name, x in problem.inputs_by_name.items()}
 
 

@@ -41,7 +41,7 @@ from snapo.problem.smooth import Smooth
 
 from ..statistics import rounded
 
-FIRST = 20  # steps of training after which the norms are judged
+FIRST = 20  # steps of training after which the norms are tested
 ERRATIC = 0.3  # typical change of a norm's logarithm: below .15 on tame problems, above .4 in chaos
 GROWTH = 100.0  # times that the adjoint grows from the last step to where it is largest
 LEFT = 1 / 3  # of an adjoint after the steps in which it would grow so much
@@ -95,7 +95,7 @@ def grows(norms: np.ndarray) -> bool:
 
 def share_kept(norms: np.ndarray) -> float:
     """The share of an adjoint that is passed on at each backward step (`Clip.keep`), from norms [T,
-    N]: a third is left after the steps in which they grow a hundredfold; 1 where they do not.
+    N]: a third is left after the steps in which they grow a hundredfold; 1 if they do not.
 
     A third, not 0.01: a cart that swings its pole up ends at -63 to -66 with a third and at
     -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and -39.7 (-37.7).
@@ -184,9 +184,9 @@ TAME = 100.0  # times: less growth than this needs no word
 
 
 class Growth(NamedTuple):
-    """Norms of the adjoint before every step, of a few paths of training, at one policy.
+    """Norms of the adjoint before every step, on a few paths of training, for one policy.
 
-    - `step`: of training, at which they were measured.
+    - `step`: the step of training, at which they were measured.
     - `usual`, `largest`: [T] the median over the paths, and the largest of them.
     - `leaves`: {name: [T]} the root mean square over the paths, by part of the state.
     """
@@ -213,14 +213,15 @@ class Growth(NamedTuple):
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
         if not self.large:
-            return f"Adjoints grow {rounded(times, 3)}-fold on their way back: no more than usual."
+            return f"Backward in time adjoints grow {rounded(times, 3)}-fold: no more than usual."
         half = _explodes(largest, position)
         state = max(self.leaves, key=lambda name: self.leaves[name][position], default="state")
         apart = largest[position] / max(self.usual[position], np.finfo(float).tiny)
         return (
-            f"Adjoints grow {rounded(times, 2)}-fold on their way back from the last step to step "
-            f"{position} of {largest.size}, a hundredfold before step {half}, most in the state "
-            f"{state!r}; there the largest of the paths is {rounded(apart, 2)} times the usual one."
+            f"Backward in time adjoints grow {rounded(times, 2)}-fold, from the last step to step "
+            f"{position} of {largest.size}, a hundredfold before step {half}, mainly in the state "
+            f"{state!r}. There the largest adjoint of a path is {rounded(apart, 2)} times the "
+            "typical one."
         )
 
     def table(self) -> list[tuple]:
@@ -240,7 +241,7 @@ class Growth(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Growth | None":
-        """From plain data, as read from JSON."""
+        """The record, from plain data as JSON has it."""
         if stored is None:
             return None
         step, usual, largest, leaves = stored

@@ -46,7 +46,7 @@ MOVED = (-0.7, 0.3, 1.9)  # where numbers that a decision moves are set to see w
 
 
 class FeatureScale(NamedTuple):
-    """Mean and deviation of every feature; 0 and 1 where a decision moves it.
+    """Mean and deviation of every feature; 0 and 1 if a decision moves it.
 
     A network's first layer has weights for unscaled features. Training moves those for scaled
     features, which are equivalent: `scaled` and `plain` are inverse to each other. So do all first
@@ -71,7 +71,7 @@ class FeatureScale(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "FeatureScale | None":
-        """From plain data, as read from JSON."""
+        """The record, from plain data as JSON has it."""
         return None if stored is None else cls(*map(tuple, stored))
 
     def _applied(self, policy: Policy, work: Callable[..., tuple[Any, Any]]) -> Policy:

@@ -36,7 +36,7 @@ def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Pr
 
 
 def start_notes(progress: Progress) -> tuple[str, ...]:
-    """Which start went on, and where training restarted; by how much adjoints grow, where they do,
+    """Which start went on, and where training restarted; by how much adjoints grow, if they do,
     and how training went back; the steps that broke."""
     raced = (describe(progress.raced),) if progress.raced else ()
     if progress.redrawn:
@@ -64,8 +64,8 @@ def went_back(progress: Progress) -> str:
     if progress.window is not None:
         since = _before(record.window > 0 for record in history)
         return (
-            f"From step {since} of the training on it used windows of "
-            f"{progress.window} steps with a critic (Training(window=None) never does)."
+            f"From step {since} of the training on, windows of {progress.window} steps with a "
+            "critic were used (Training(window=None) turns this off)."
         )
     ways = []
     clips = [record.clip > 0 for record in history]
@@ -76,7 +76,7 @@ def went_back(progress: Progress) -> str:
             until, end = f" to step {lifted}, after which they grew no more,", ""
         ways.append(
             f"from step {_before(clips)} of the training on{until} each path's adjoint was "
-            f"bounded{end} (Training(clip=None) never does)"
+            f"bounded{end} (Training(clip=None) turns this off)"
         )
     if progress.keep < 1:
         since = _before(record.keep < 1 for record in history)

@@ -71,7 +71,7 @@ class Round(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Round":
-        """From plain data, as read from JSON."""
+        """The record, from plain data as JSON has it."""
         step, values = stored
         return cls(step, tuple((number, value) for number, value in values))
 
@@ -82,14 +82,15 @@ class Progress:
 
     `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
     steps / 2, steps: whenever a run stops, the first is from its second quarter, or its middle.
-    `window`, `critic`: of training on windows, specified or chosen. `clip` is the current bound, if
-    any, and `keep` the share; `since` the step at which the optimiser began, or restarted after
-    exploding gradients. `growth`: the adjoints, where they were measured. `dual`: the prices of the
-    problem's limits. `raced`: the rounds in which starts were dropped, if there were several.
-    `slowed`: the steps that failed, after each of which the rate is lower (see `train`). `redrawn`:
-    the steps at which it restarted from other initial weights (see `verdict.constant`);
-    `unchanged`: the validations in a row in which every path earned the same. `scale`: of the
-    features that no decision affects, for which the first layer is trained.
+    `window`, `critic`: the length and the critic of training on windows, specified or chosen.
+    `clip` is the current bound, if any, and `keep` the share; `since` the step at which the
+    optimiser began, or restarted after exploding gradients. `growth`: the adjoints, where they were
+    measured. `dual`: the prices of the problem's limits. `raced`: the rounds in which starts were
+    dropped, if there were several. `slowed`: the steps that failed, after each of which the rate is
+    lower (see `train`). `redrawn`: the steps at which it restarted from other initial weights (see
+    `verdict.constant`); `unchanged`: the validations in a row in which every path earned the same.
+    `scale`: the scale of the features that no decision affects, for which the first layer is
+    trained.
     """
 
     step: int

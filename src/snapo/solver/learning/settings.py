@@ -19,7 +19,7 @@ to 97.7 % with both; of the first five with exploration only, one earned 94.4 %.
 known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with both; .45 and .48 %
 with a decay of .2, seven times as large.
 
-A `Choice`, `Integers` or a `Stop` decides between few values, so that the initial weights matter
+A `Choice`, `Integers` or `Stop` decides between few values, so that the initial weights matter
 more: training begins from several of them and continues with the better half (`starts`).
 
 A rule fitted to the best mean is at the optimum up to the error of its fit, and the smooth problem
@@ -42,7 +42,7 @@ from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
 Auto = Literal["auto"]
-RATE = 0.01  # of Adam, where nothing else is chosen
+RATE = 0.01  # of Adam, if nothing else is chosen
 FOLLOWING = (  # settings that may be "auto"
     "steps", "paths", "learning_rate", "decay", "exploration", "validation_every", "starts",
 )  # fmt: skip
@@ -60,9 +60,10 @@ class Training:
       horizon and the size of the policy.
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
-    - `decay`: of weights, per step and times the rate (AdamW). "auto": 0, or if the steps are
-      "auto" too, above 0 for more than eight decisions in one step.
-    - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
+    - `decay`: the decay of weights, per step and times the rate (AdamW). "auto": 0, or if the steps
+      are "auto" too, above 0 for more than eight decisions in one step.
+    - `temperature_start`, `temperature_end`: the temperature of the smooth constraints falls
+      geometrically from one to the other.
     - `average`: the policy is averaged over about this share of the steps.
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every
       `validation_every` steps ("auto": every 50, in a short training at every quarter); after
@@ -81,7 +82,7 @@ class Training:
       after every tenth of the steps it continues with the better half (`solver.learning.starts`).
       "auto": four where `solve` draws them, `steps` is "auto" too and the action is a `Choice`,
       `Integers` or `Stop`; else one.
-    - `seed`: of the network's initial weights and of all scenarios.
+    - `seed`: the seed of the network's initial weights and of all scenarios.
     """
 
     steps: int | Auto = "auto"
@@ -222,7 +223,7 @@ WIDTH = 32  # of hidden layers at which it is
 MANY = 8  # numbers decided in one step, above which weights decay and decisions explore
 LEFT = 1 / 4  # of a weight that nothing holds, after all steps
 EXPLORED = 0.1  # share of a decision
-SEVERAL = 4  # initial weights, where decisions are of few values
+SEVERAL = 4  # initial weights, if decisions are of few values
 LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
 RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
@@ -275,7 +276,7 @@ def _explores(action: Actions, training: Training) -> bool:
 
 
 def _width(policy: Policy) -> int:
-    """The number of units in the widest layer of all networks; 1 where there is none."""
+    """The number of units in the widest layer of all networks; 1 if there is none."""
     nodes = jax.tree.leaves(policy, is_leaf=lambda node: isinstance(node, Network))
     networks = [node for node in nodes if isinstance(node, Network)]
     return max((bias.size for network in networks for bias in network.biases[:-1]), default=1)

@@ -108,7 +108,7 @@ def imitate(
 
 
 def _ranges(problem: Problem) -> tuple[float, ...]:
-    """The range of every component of a decision; 1 where it is not bounded."""
+    """The range of every component of a decision; 1 if it is not bounded."""
     action = problem.action
     if not isinstance(action, Box):
         return (1.0,) * action.size
@@ -145,7 +145,8 @@ def race(
     """The start that is left, and the rounds in which the others fell out.
 
     - `started`: the starts before their first step.
-    - `steps`: of a whole run; `run(progress, until)` trains up to step `until` and validates.
+    - `steps`: the steps of a whole run; `run(progress, until)` trains up to step `until` and
+      validates.
     """
     every = max(1, round(ROUND * steps))
     left, rounds = dict(enumerate(started)), []
@@ -188,7 +189,7 @@ def describe(rounds: tuple[Round, ...]) -> str:
         else ""
     )
     return (
-        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} continued: "
+        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} remained: "
         f"{metadata}.{more}"
     )
 

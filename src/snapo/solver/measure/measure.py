@@ -161,7 +161,7 @@ def measure(run: MeasuredRun) -> dict[str, Any]:
 
 
 def _compiled_meanwhile(run: MeasuredRun) -> AbstractContextManager:
-    """Compiles the smooth derivatives during the work of the block, where the engine's programs
+    """Compiles the smooth derivatives during the work of the block, if the engine's programs
     serve any number of paths and the objective is known already.
 
     Of long paths later: their tables need much memory, and other threads are busy.
@@ -219,7 +219,7 @@ def _sensitivities(
     decisions: np.ndarray | None,
 ) -> tuple[Sensitivities | None, Totals | None]:
     """The table of the reported policy, whose totals are `exact` and whose first decisions are
-    known, unless they are many, and the totals of the smooth simulator, where they are known.
+    known, unless they are many, and the totals of the smooth simulator, if they are known.
 
     None if no paths are given to it.
     """
@@ -257,8 +257,8 @@ def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Su
 
 
 def _spread(progress: Progress) -> float:
-    """The difference of the last two starts, less the gain of the better one since: the other would
-    have gained as much too, unless it is in another optimum."""
+    """The difference of the last two starts, minus the gain of the better one since: the other
+    would have gained as much too, unless it is in another optimum."""
     values = progress.last_two
     if not values or not np.isfinite([*values, progress.best_value]).all():
         return 0.0
@@ -273,8 +273,8 @@ def _smoothing_gap(
     smooth: Smooth,
     engine: Engine,
 ) -> tuple[float, float]:
-    """Exact less smooth with its standard error, on the first of the paths whose exact totals are
-    known; `soft`: the smooth totals on as many, where the derivatives have them."""
+    """Exact minus smooth with its standard error, on the first of the paths whose exact totals are
+    known; `soft`: the smooth totals on as many, if the derivatives have them."""
     objective, source = problem.objective, problem.sources.evaluation
     maximum = fewer(GAP_PATHS, problem.simulator.horizon)
     paths = min(maximum, len(exact[objective.outputs[0]]))
@@ -299,8 +299,8 @@ def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
     measures = problem.objective, *(limit.measure for limit in problem.constraints)
     return [
-        f"Few paths in the tail: the {item.describe()} is that of {item.tail * paths:.0f} of "
-        f"{paths:,} paths, and its error is rough below {TAIL}; take "
+        f"Few paths in the tail: the {item.describe()} uses {item.tail * paths:.0f} of {paths:,} "
+        f"paths, and its error is inaccurate with fewer than {TAIL}; take "
         f"{int(np.ceil(round(TAIL / item.tail, 6))):,} paths."
         for item in measures
         if item.tail < 1 and item.tail * paths < TAIL
@@ -313,12 +313,12 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
         return []
     notes = [
         f"Paths have more than {LONG:,} steps: derivatives were measured on {run.held_paths:,} of "
-        f"them, with no more steps together than the paths asked for would have with {LONG:,}."
+        f"them, which together have at most as many steps as the requested paths with {LONG:,}."
     ]
     if run.evaluation.judge_paths:
         notes.append(
             "The part of the intervals of derivatives that is due to the policy was measured on "
-            f"{run.effort.fewest} paths (of shorter ones {FEWEST})."
+            f"{run.effort.fewest} paths ({FEWEST} if they were shorter)."
         )
         if rebuilt_once(run.problem):
             notes.append(

@@ -41,7 +41,7 @@ class Evaluation:
     """The settings for the evaluation of a policy. With zero paths a result is omitted.
 
     - `paths`: fresh scenarios for the value.
-    - `sensitivity_paths`: for the derivatives with decisions held; `smooth_paths`: for those
+    - `sensitivity_paths`: for the derivatives with decisions held fixed; `smooth_paths`: for those
       through the smooth policy, and 0 omits the change of held ones during training too.
     - `judge_paths`: maximum for bumps of every input, which test the held derivatives.
     - `search_paths`: maximum for the value around the policy, from which the part of every interval
@@ -130,7 +130,7 @@ class Selection(NamedTuple):
 
     - `kind`: "start", "newest" (the average at the end of training), "highest" (of the validation)
       or "top of the surface" (see `derivatives.surface`); `policy`: the policy itself.
-    - `gain`, `error`: of the best candidate over the starting rule, paired; NaN where they were not
+    - `gain`, `error`: of the best candidate over the starting rule, paired; NaN if they were not
       compared.
     - `search`: gain of the top of the surface over the newest policy, and its standard error.
     """
@@ -143,7 +143,7 @@ class Selection(NamedTuple):
 
     @property
     def description(self) -> str:
-        """One sentence for the report; empty where nothing was compared."""
+        """One sentence for the report; empty if nothing was compared."""
         if not np.isfinite(self.gain):
             return ""
         half = statistics.half_width(self.error)
@@ -285,5 +285,5 @@ def fresh(source: Scenarios) -> Scenarios:
 
 
 def _error(result: statistics.Sampled) -> float:
-    """Its standard error; 0 where there is one path, as without noise."""
+    """Its standard error; 0 if there is one path, as without noise."""
     return result.standard_error if np.isfinite(result.standard_error) else 0.0

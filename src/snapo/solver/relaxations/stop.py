@@ -31,14 +31,14 @@ FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every ste
 FITTING = 258  # stream of the paths of the regression
 SHIFTS = 259  # seed of the shifts of nested draws
 TOGETHER = 32  # paths whose nested draws are in memory at once
-NOT_DRAWN = "its scenarios are supplied: from a state nothing can be drawn"
+NOT_DRAWN = "its scenarios are supplied, so that nothing can be drawn from a state"
 
 
 class StopRelaxation:
     """See `snapo.Relaxation`. `paths` are those of the regression, `inner` the
     nested draws of every path and step.
 
-    **Raises:** `NotStopping` where the problem has no such bound, with the reason.
+    **Raises:** `NotStopping` if the problem has no such bound, with the reason.
     """
 
     terms = 1
@@ -65,7 +65,7 @@ class StopRelaxation:
         with jax.enable_x64(True):
             ahead = self._end(rollout.state)
             for earned, innovation in zip(earnings[::-1], innovations[::-1]):
-                # `better` adds the continuation value to the earnings of a decision less its
+                # `better` adds the continuation value to the earnings of a decision minus its
                 # penalty.
                 ahead = self._better(earned - scale[0] * innovation, ahead)
             return np.asarray(ahead)[:, -1]
@@ -188,7 +188,7 @@ def bounded(problem: Problem) -> bool:
 def relaxation_of(problem: Problem) -> Relaxation:
     """The relaxation of a simulator that has one, or of a problem whose only action is a `Stop`.
 
-    **Raises:** `ValueError` where there is none, with the reason.
+    **Raises:** `ValueError` if there is none, with the reason.
     """
     if isinstance(problem.simulator, Relaxable):
         return problem.simulator.relaxation(problem)

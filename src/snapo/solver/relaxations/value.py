@@ -174,7 +174,7 @@ def exponents(numbers: int) -> list[tuple[int, ...]]:
 
 
 class Scale(NamedTuple):
-    """How the numbers [d] of one step are measured: less `centre`, times `per`."""
+    """How the numbers [d] of one step are measured: minus `centre`, times `per`."""
 
     centre: Float[Array, " d"]
     per: Float[Array, " d"]

@@ -52,7 +52,7 @@ def caught(progress: Progress, training: TrainingPlan) -> bool:
 
 
 def exploring(training: TrainingPlan, action: Actions) -> TrainingPlan:
-    """The training with more of every decision drawn, where decisions have bounds."""
+    """The training with more of every decision drawn, if decisions have bounds."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     if not (bounded and action.exploration_size and training.cools):
         return training
@@ -141,7 +141,7 @@ def describe(constants: list[ConstantDecision], of: int) -> str:
 
 def never_taken(action: Actions, actions: np.ndarray) -> str:
     """A sentence on the options that no `Choice` of several ever takes in the recorded decisions
-    [T, paths, size]; empty where all are taken, or one only, which is a constant decision."""
+    [T, paths, size]; empty if all are taken, or one only, which is a constant decision."""
     messages = []
     for name, first, size in _choices(action):
         idle = np.flatnonzero(actions[..., first : first + size].max((0, 1)) < 0.5)

@@ -103,9 +103,9 @@ def ending(
 
     - `progress`: its `best` is the reported policy; `training`: with "auto" settings resolved.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
-    - `held_paths`: of the held derivatives; 0 leaves out the checks that need decisions.
+    - `held_paths`: the paths of the held derivatives; 0 leaves out the checks that need decisions.
     - `decisions` [T, held_paths, A] of that policy on these paths, where they were recorded before.
-    - `gradient`: the norm of the policy's gradient and that of its noise, where they are known.
+    - `gradient`: the norm of the policy's gradient and that of its noise, if they are known.
     """
     if not np.isfinite(value_of(problem.objective, exact)):
         return Ending("")
@@ -149,7 +149,7 @@ def ending(
             word = CONSTANT
         elif short := _short(progress, training, more, gradient):
             word = SHORT
-            notes.append(f"{TELLS_NOT}whether more steps would bring more: {short}.")
+            notes.append(f"{TELLS_NOT}whether more steps would help: {short}.")
         else:
             word = CONVERGED
     return Ending(word, tuple(notes))
@@ -196,8 +196,8 @@ def _further(
 def _improving(progress: Progress, training: TrainingPlan, more: Further) -> str:
     return (
         f"{STILL}the steps after {compared_step(progress, training)} of "
-        f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many steps again would "
-        f"bring about {statistics.rounded(more.more, 2)}; try steps={2 * progress.step}."
+        f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many more would gain "
+        f"about {statistics.rounded(more.more, 2)}; try steps={2 * progress.step}."
     )
 
 
@@ -207,7 +207,7 @@ def _short(
     more: Further,
     gradient: tuple[float, float] | None,
 ) -> str:
-    """Why it is unknown whether a training has converged; empty where it has."""
+    """Why it is unknown whether a training has converged; empty if it has."""
     if too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
     if not more.is_small:

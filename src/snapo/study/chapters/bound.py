@@ -53,7 +53,7 @@ class ValueBounds:
 def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> ValueBounds:
     """The bounds of the run's value: upper is never below the value that the run reports.
 
-    **Raises:** `ValueError` where the study has no bound, with the reason.
+    **Raises:** `ValueError` if the study has no bound, with the reason.
     """
     relaxation, setup = run.study.relaxation, run.setup
     if isinstance(relaxation, str):
@@ -85,9 +85,9 @@ def value_bounds(run: RunFiles) -> Section:
 
 
 def optimum(run: RunFiles, cost: bool = False) -> str:
-    """The bound as a sentence for the first screen; empty where there is none, or it is too wide.
+    """The bound as a sentence for the first screen; empty if there is none, or it is too wide.
 
-    `cost`: whether the value is less a cost, of which the bound is the least possible one.
+    `cost`: whether the value is minus a cost, of which the bound is the least possible one.
     """
     result = BOUND.of(run)
     top = finite(result.upper.high) if result else None
@@ -165,9 +165,9 @@ def _chart(
 
     svg = draw("bounds", f"Two points with 95 % intervals. {texts}.", paint, 120)
     caption = (
-        "The upper bound is the value and the gap: the mean over fresh paths of the earnings"
-        " of the best decisions with perfect foresight, less those of the policy."
-        f" The penalty on foresight has mean zero for policies without it ({result.words})."
+        "The upper bound is the value plus the gap. The gap is the mean over fresh paths of the"
+        " earnings of the best decisions with perfect foresight, minus those of the policy."
+        f" For policies without foresight the penalty on it has mean zero ({result.words})."
     )
     return Chart(svg, caption)
 

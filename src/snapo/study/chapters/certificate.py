@@ -97,7 +97,7 @@ def certificate(
 
     **Arguments:**
 
-    - `bump_paths`: of the differences.
+    - `bump_paths`: the paths of the differences.
     - `tolerance`: by how much a limit may be missed; `near`: the problem at a small distance from
       kinks.
     - `problem_of`: the problem to certify.
@@ -150,7 +150,7 @@ def bump_table(
         (
             name_of(row.family),
             _direction(row.inputs),
-            evidence.verdict(row.passed, "holds", "fails", "at kinks: see nearby"),
+            evidence.verdict(row.passed, "holds", "fails", "at kinks: see the row “nearby”"),
             power(row.worst_error),
             power(row.allowed),
             percent(row.crossing) if row.crossing else "",

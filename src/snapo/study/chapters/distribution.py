@@ -35,8 +35,8 @@ COLUMNS = (
 class OutputTotal:
     """The total of an output over a path: moments, quantiles and a histogram, in its `unit`.
 
-    - `paths`: those with a finite total; the other numbers are NaN or empty where there is none.
-    - `tail_mean`: of the smallest 5 % of the totals.
+    - `paths`: those with a finite total; the other numbers are NaN or empty if there is none.
+    - `tail_mean`: the mean of the smallest 5 % of the totals.
     - `quantiles`, `quantile_errors`: {"p05": number}; errors are standard errors.
     - `edges` [B + 1], `counts` [B]: the outermost bins have the paths outside of the edges too.
     """
@@ -79,7 +79,8 @@ def measure(run: StudyRun) -> OutputTotals:
 def distributed(
     total: np.ndarray, groups: np.ndarray, name: str = "", unit: str = ""
 ) -> OutputTotal:
-    """The distribution of totals [paths] that are finite; `groups` [paths]: of dependent paths."""
+    """The distribution of totals [paths] that are finite; `groups` [paths]: the groups of dependent
+    paths."""
     finite = np.isfinite(total)
     total, groups = total[finite], groups[finite]
     if not total.size:
@@ -129,7 +130,7 @@ def show(run: RunFiles, result: OutputTotals) -> list[Block]:
 CLOSE = 0.1  # of the value: further apart, the total is another quantity, such as a sum over weeks
 PLAIN = (
     "The means here are plain means over the paths. The value on the first screen is of the same "
-    "paths, less control variates, which remove a part of the noise."
+    "paths, minus control variates, which remove a part of the noise."
 )
 
 

@@ -47,7 +47,7 @@ def headline(run: RunFiles) -> Section:
 
 def common_paths(run: RunFiles) -> list[Text]:
     """How the trained policy compares with its starting rule on the same paths, as their values in
-    a table come from different ones; nothing where they were not compared."""
+    a table come from different ones; nothing if they were not compared."""
     gain, error = (finite(run.get(f"solution.{name}")) for name in ("gain", "gain_error"))
     if run.get("solution.selected") == "start":
         text = "The policy of this run is its starting rule, which training did not improve on"
@@ -76,5 +76,5 @@ def _facts(run: RunFiles, value: float, digits: int) -> list[tuple[str, str, str
     gap = run.result.smoothing_gap
     if gap is not None:
         share = f"{part_of(gap / abs(value))} of the value; " if value else ""
-        facts.append(("Smoothing gap", number(gap), f"{share}exact less smooth simulator"))
+        facts.append(("Smoothing gap", number(gap), f"{share}exact minus smooth simulator"))
     return [*facts, *gradient(run)]

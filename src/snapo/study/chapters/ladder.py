@@ -51,9 +51,10 @@ ROUNDING = 1e-5  # of the largest value: of methods without sampling
 class MethodRow:
     """The value by one method.
 
-    - `standard_error`: of sampling, or the last move of a grid; None of an exact one.
-    - `seconds`: that it took. `share`: of the extrinsic value, from the intrinsic value by day (0)
-      to the lattice, or without one to the policy (1).
+    - `standard_error`: the standard error of sampling, or the last move of a grid; None for an
+      exact one.
+    - `seconds`: that it took. `share`: the share of the extrinsic value, from the intrinsic value
+      by day (0) to the lattice, or without one to the policy (1).
     - `difference`: to the trained policy, on the same paths.
     """
 
@@ -174,7 +175,7 @@ def _estimated(value: np.ndarray | Estimated, groups: np.ndarray) -> Estimated:
 
 
 def _difference(one: Any, other: Any, groups: np.ndarray) -> Estimated:
-    """One value less the other, path by path where both have paths."""
+    """One value minus the other, path by path where both have paths."""
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
         return _estimated(one - other, groups)
     (a, error_a), (b, error_b) = (_estimated(x, groups) for x in (one, other))
@@ -230,7 +231,7 @@ def show(run: RunFiles, result: MethodLadder) -> Sequence[Block]:
         "are 95 % intervals."
     )
     blocks: list[Block] = [ladder("methods-ladder", bars, caption), table(rows, columns)]
-    right = "Every method is in its order: no bound from below is above any from above."
+    right = "All methods are in the right order: no lower bound is above an upper bound."
     blocks += [Text(f"Warning: {x}.") for x in result.warnings] or [Text(right)]
     return blocks + [Text(f"{x.method}: no value, for {x.reason}.") for x in result.missing]
 

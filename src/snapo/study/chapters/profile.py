@@ -30,7 +30,8 @@ HEADINGS = {"state": "state", "action": "decision", "outputs": "output of one st
 class BandSeries:
     """Bands of one number over time: of states [T + 1], of decisions and outputs [T].
 
-    - `name`: "water", "stock.0"; `kind`: "state", "action" or "outputs"; `unit`: of its numbers.
+    - `name`: "water", "stock.0"; `kind`: "state", "action" or "outputs"; `unit`: the unit of its
+      numbers.
     - `mean`, `p01` …: mean and quantiles over the paths, NaN at steps where no path is finite.
     """
 
@@ -157,7 +158,7 @@ def leaves(tree: Any) -> dict[str, Any]:
 
 
 def bands(values: np.ndarray) -> dict[str, np.ndarray]:
-    """Mean and quantiles over the finite paths of numbers [T, paths]; NaN where there is none."""
+    """Mean and quantiles over the finite paths of numbers [T, paths]; NaN if there is none."""
     if values.size and np.isfinite(values).all():  # at once, and not row by row
         return {"mean": values.mean(1), **dict(zip(QUANTILES, _quantiles(values)))}
     masked = np.where(np.isfinite(values), values, np.nan)

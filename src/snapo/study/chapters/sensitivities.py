@@ -1,4 +1,4 @@
-"""Sensitivities: the effect of a usual move of each input, and every derivative with its error."""
+"""Sensitivities: the effect of each input's standard move, and every derivative with its error."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -36,14 +36,14 @@ SHARE = 0.01  # of every number of an input that does not specify its `move`
 LONGEST = 15  # bars of the tornado
 ROWS = 400  # derivatives in the table; sensitivities.csv has all of them
 CAVEAT = (
-    "To first order. The derivative is that of the best policy's value. Held: the exact simulator "
-    "with the decisions held, which is that derivative where decisions are optimal, see the full "
-    "state and cause no jump. Through the policy: a bump of the exact simulator by one percent, "
-    "or by the step of the input, with the policy reacting, where it refutes the held one (at a "
-    "level of 1 % for all inputs together). Range: at a kink, between the derivatives for less and "
-    "for more of the input. The 95 % interval adds two parts: the sampling error of finitely many "
-    "paths, and the error of the policy, which is near the best one. "
-    "Drift: by how much the held derivative changed in the second half of training."
+    "To first order; of the value of the best policy. Held: from the exact simulator with the "
+    "decisions held fixed; this is correct if decisions are optimal, depend on the full state and "
+    "cause no jump. Through the policy: from a bump of the exact simulator by one percent, or by "
+    "the step of the input, with the policy reacting; it is reported if it refutes the held "
+    "derivative (at a level of 1 % for all inputs together). Range: at a kink, between the "
+    "derivatives for a decrease and for an increase of the input. The 95 % interval adds the "
+    "sampling error of finitely many paths and the error of the policy, which is near the best "
+    "one. Drift: by how much the held derivative changed in the second half of training."
 )
 
 
@@ -55,7 +55,7 @@ class ReportedInterval:
 
     @property
     def half_width(self) -> float:
-        """Half the width of the interval; 0 where it has none."""
+        """Half the width of the interval; 0 if it has none."""
         return 0.0 if self.low is None or self.high is None else (self.high - self.low) / 2
 
 
@@ -65,14 +65,14 @@ class InputMove(ReportedInterval):
 
     - `words`, `group`: of the input; `numbers`: how many it has.
     - `amount`, `unit`: by how much every number moves, in the unit of the trade; `amount` is None
-      where each moves by `share` of itself.
+      if each moves by `share` of itself.
     - `effect`, `low`, `high`: the effect to first order, with the reported derivative and its 95 %
       interval, of whose half-width `sampling` is due to finitely many paths and `policy` to the
       policy's error; `source`: see `solver.derivatives.interval.Reported`.
-    - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
-      reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to the size of
-      this move, where it is along the same direction; `more`, `less`: of the move and of its
-      opposite separately, where they differ.
+    - `held`, `held_error`: with the decisions held fixed; `smooth`, `smooth_error`: through the
+      policy's reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to
+      the size of this move, where it is along the same direction; `more`, `less`: of the move and
+      of its opposite separately, where they differ.
     """
 
     input: str
@@ -170,7 +170,7 @@ def _move(name: str, entry: Input, table: Sensitivities) -> InputMove:
 def _bump(
     entry: Input, verdicts: Mapping[str, Verdict] | None, name: str, along: np.ndarray
 ) -> Verdict | None:
-    """The bump scaled to this move, where it has the same or the opposite direction."""
+    """The bump scaled to this move, if it has the same or the opposite direction."""
     verdict = (verdicts or {}).get(name)
     if verdict is None:
         return None
@@ -203,7 +203,7 @@ def sensitivities(run: RunFiles) -> Section:
 
 
 def show(run: RunFiles, result: InputMoves) -> Sequence[Block]:
-    """The tornado and the table of moves; nothing where no effect is known."""
+    """The tornado and the table of moves; nothing if no effect is known."""
     moves = [move for move in result.moves if move.effect is not None]
     return [_tornado(run, moves), _moves(run, moves)] if moves else []
 

@@ -66,7 +66,7 @@ class ChangedCase(NamedTuple):
 class InputPositions:
     """The positions of a case's inputs.
 
-    - `of`: gives the inputs of a case by name, where the domain gives them; else they are found
+    - `of`: gives the inputs of a case by name, if the domain gives them; else they are found
       among its records.
     - `case`: the records, where they are read already.
     """
@@ -117,7 +117,7 @@ class InputPositions:
         """The case in which the inputs named have these values; `files`: another case to put them
         into.
 
-        **Raises:** `CaseError` where the case's own reader refuses them, or an input has no place
+        **Raises:** `CaseError` if the case's own reader refuses them, or an input has no place
         in its files.
         """
         files = self.files if files is None else files

@@ -25,7 +25,7 @@ class RunRow(NamedTuple):
 
     - `run`: its name; `folder`; `latest`: whether `run` points to it; `began`: the date and time.
     - `value`, `low`, `high`: with its 95 % interval, None if there is none.
-    - `status`: of result.json; or "running", or the reason why there is none.
+    - `status`: the status of result.json; or "running", or the reason why there is none.
     - `changes`: the settings that differ from the run before.
     """
 
@@ -49,7 +49,7 @@ class RunRow(NamedTuple):
 def listed(path: Path) -> list[RunRow]:
     """The runs of the case that `path` names, the oldest first.
 
-    **Raises:** `CaseError` where there is no such folder.
+    **Raises:** `CaseError` if there is no such folder.
     """
     home = _home(path)
     latest, rows = target(home / LATEST), []
@@ -139,7 +139,7 @@ def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> l
     A name may be its last four letters. Those that are running, and the one to which `run` points,
     are kept in any case. Where the latest is removed, `run` points to the one before it.
 
-    **Raises:** `CaseError` where there is no such run, or it is running; then nothing is removed.
+    **Raises:** `CaseError` if there is no such run, or it is running; then nothing is removed.
     """
     home = _home(path)
     adopt(home)

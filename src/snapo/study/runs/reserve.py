@@ -21,7 +21,7 @@ def reserved(home: Path, out: Path | None, same: Callable[[Path], bool] | None) 
 
     A folder into which nothing was written is removed again.
 
-    **Raises:** `CaseError` where the folder cannot be written, is that of the case, or has a run
+    **Raises:** `CaseError` if the folder cannot be written, is that of the case, or has a run
     that no other one may replace.
     """
     _check_links(home, out)
@@ -66,7 +66,7 @@ def _explicit(home: Path, out: Path, resume: bool) -> Path:
 def _to_resume(home: Path, same: Callable[[Path], bool]) -> Path | None:
     """The latest run that the command describes; None if there is no run at all.
 
-    **Raises:** `CaseError` where all runs are of another description, or it is being worked on.
+    **Raises:** `CaseError` if all runs are of another description, or it is being worked on.
     """
     errors: list[CaseError] = []
     for folder in reversed(folders(home)):

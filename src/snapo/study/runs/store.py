@@ -33,7 +33,7 @@ BUSY = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 def locked(file: Path, seconds: float = 0.2) -> Iterator[None]:
     """Holds the lock of `file`, which is made for it and removed after it.
 
-    **Raises:** `BlockingIOError` where another process holds it for longer than these seconds.
+    **Raises:** `BlockingIOError` if another process holds it for longer than these seconds.
     """
     stream = _taken(file, seconds)
     try:
@@ -109,7 +109,8 @@ def new_folder(home: Path) -> Path:
 
 
 def home_of(folder: Path) -> Path | None:
-    """The folder of the case of which `folder` is one of the runs in `runs`; None of any other."""
+    """The folder of the case, if `folder` is one of the runs in its `runs`; None for any other
+    folder."""
     is_run = folder.parent.name == RUNS and NAME.fullmatch(folder.name)
     return folder.parent.parent if is_run else None
 
@@ -128,7 +129,7 @@ def folders(home: Path) -> list[Path]:
 
 
 def _began(folder: Path) -> str:
-    """When a run began, as text that sorts; empty where nothing was written."""
+    """When a run began, as text that sorts; empty if nothing was written."""
     record = entries_of(RunRecord, run_folder.read_table(folder / run_folder.RUN))
     exact = record.origin.began_utc
     if isinstance(exact, str):
@@ -195,7 +196,7 @@ def only_one(home: Path) -> Iterator[None]:
 def adopt(home: Path) -> None:
     """Moves a run of an earlier version, in a plain folder `run`, to the others, and points to it.
 
-    **Raises:** `CaseError` where `run` is something else, which must stay as it is.
+    **Raises:** `CaseError` if `run` is something else, which must stay as it is.
     """
     plain = home / LATEST
     if target(plain) is not None or not os.path.lexists(plain):
@@ -259,7 +260,7 @@ def is_busy(folder: Path) -> bool:
 def working_in(folder: Path) -> Iterator[None]:
     """Only this process writes into a run folder.
 
-    **Raises:** `CaseError` where another one does.
+    **Raises:** `CaseError` if another one does.
     """
     missing = [item for item in (folder, *folder.parents) if not item.exists()]
     try:

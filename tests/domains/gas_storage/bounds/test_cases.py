@@ -1,4 +1,4 @@
-"""The published cases between their bounds: the guide's rule below, hindsight above."""
+"""The published cases between their bounds: the value table's rule below, hindsight above."""
 
 from pathlib import Path
 
@@ -57,7 +57,7 @@ def test_the_flagship_is_bounded_within_a_fifth_of_a_percent():
     assert found.lower.low <= exact + 10 and found.upper.high >= exact - 10
     assert found.upper.high <= 1.002 * exact
     assert found.gap.high <= 0.0025 * exact
-    # The guide alone is within .05 % of exact, paired with a bound that is at most .2 % above.
+    # The value table alone is within .05 % of exact, paired with a bound that is at most .2 % above.
     assert abs(found.lower.value - exact) <= 0.0005 * exact + 3 * found.lower.standard_error
 
 

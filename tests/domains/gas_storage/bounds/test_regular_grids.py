@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 from tests.domains.gas_storage.references import reference_schedules as cases
 
-from snapo.domains.gas_storage.bounds.value_iteration import fit_guide, fit_value, regular_grids
+from snapo.domains.gas_storage.bounds.value_iteration import (
+    fit_value,
+    fit_value_table,
+    regular_grids,
+)
 
 G3 = cases.dated_ratchets()  # sixteen days, ratchets that change
 EXACT = 24_808.2  # with volumes between the extremes
@@ -38,17 +42,17 @@ def test_another_contract_has_other_grids(name):
         np.testing.assert_array_equal(one.cost, two.cost)
 
 
-def test_the_guide_s_value_is_near_the_finer_one_and_the_exact_one():
+def test_the_value_of_the_table_is_near_the_finer_one_and_the_exact_one():
     fine = fit_value(G3, G3.factors, "linear").value
-    guide = fit_guide(G3, G3.factors, "linear").value
-    assert abs(guide - fine) < 2e-3 * EXACT
-    assert abs(guide - EXACT) < 5e-3 * EXACT
+    table = fit_value_table(G3, G3.factors, "linear").value
+    assert abs(table - fine) < 2e-3 * EXACT
+    assert abs(table - EXACT) < 5e-3 * EXACT
 
 
 def test_louder_prices_are_not_those_of_the_last_fit():
     """Loadings are no part of the functions, whose regression is kept, but of the spot price."""
-    quiet = fit_guide(G3, G3.factors, "linear").value
+    quiet = fit_value_table(G3, G3.factors, "linear").value
     of = G3.factors
     louder = of._replace(loading=2 * of.loading, variance=4 * of.variance)
-    assert fit_guide(G3, louder, "linear").value != quiet
-    assert fit_guide(G3, of, "linear").value == quiet
+    assert fit_value_table(G3, louder, "linear").value != quiet
+    assert fit_value_table(G3, of, "linear").value == quiet

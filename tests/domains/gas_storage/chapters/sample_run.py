@@ -97,7 +97,7 @@ def sample_details() -> dict:
         "notes": ["Gas settles on day 20 of the month after delivery; costs on the flow day."],
         "value_ladder": [
             _rung("Intrinsic", 40992.1, None, "the best plan fixed today on the forward curve"),
-            _rung("Guide (one-factor rule)", 76102.9, 41.0, "lattice rule of the spot factor"),
+            _rung("One-factor rule", 76102.9, 41.0, "lattice rule of the spot factor"),
             _rung("Trained policy", 78241.6, 38.4, "can be followed: a lower bound"),
             _rung("Dynamic programming", 78370.0, None, "reference on a lattice"),
             _rung("After fixed costs", 64241.6, 38.4, "trained policy less fixed costs"),

@@ -126,8 +126,8 @@ def test_the_sliders_hold_the_stored_sensitivities(full):
     assert slopes[0] == pytest.approx(sum(slopes[5:]), rel=1e-12)
     assert slopes[0] == pytest.approx(4201.0, rel=1e-12)
     assert 421.7 in [pytest.approx(slope) for slope in slopes]
-    assert "First order only, with the decisions held" in full
-    assert "What if: inputs moved, decisions held" in full
+    assert "First order only, with the decisions held fixed" in full
+    assert "What if: inputs moved, with decisions held fixed" in full
 
 
 def test_inputs_say_their_meaning_and_move_in_the_unit_of_their_trade(full):
@@ -159,7 +159,9 @@ def test_the_change_of_a_delta_in_training_is_folded_and_explained(full):
     shown, by_day, folded = section.split("<details>")
     assert "<summary>Deltas by delivery day</summary>" in by_day and "<svg" in by_day
     assert "Moved" not in section and "Change in training" not in shown
-    assert "Change in training" in folded and "the error of the policy is in the interval" in folded
+    assert (
+        "Change in training" in folded and "the interval includes the error of the policy" in folded
+    )
     assert "not the gas in store" in shown
 
 

@@ -1,7 +1,7 @@
 """Every input's derivative, entry by entry, against central differences on the same paths.
 
 In float64, to 1e-6 of the largest derivative of the input's family plus the round-off that
-`certificate.bump_check` states. Decisions held, exact; and through the policy, smooth. Round
+`certificate.bump_check` states. Decisions held fixed, exact; and through the policy, smooth. Round
 numbers are moved off their ties first; a kink that stays is compared with one side.
 """
 
@@ -17,8 +17,8 @@ from tests.domains.gas_storage.storage_cases import changed, read
 
 from snapo.domains.gas_storage.chapters.certificate import off_ties
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
-from snapo.domains.gas_storage.policy.guide import Knots, ValueTable, readings
 from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.policy.value_table import Knots, ValueTable, readings
 from snapo.domains.gas_storage.references.marginal import marginal_values
 from snapo.domains.gas_storage.setup import bare_problem, factors
 from snapo.engine import Xla
@@ -96,7 +96,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.prove) for name in ("G3", "everythi
 
 @pytest.fixture(scope="module", params=["quick", *SLOW])
 def contract(request, tmp_path_factory):
-    """A problem with its guide, off its ties, and a policy that is not trained."""
+    """A problem with its value table, off its ties, and a policy that is not trained."""
     if request.param == "everything":
         return prepared(everything(tmp_path_factory.mktemp("everything")))
     return prepared(read(request.param))
@@ -184,7 +184,7 @@ def test_on_a_tie_the_adjoint_is_one_side():
     assert rate.down > 5
 
 
-def test_the_guide_keeps_a_slope_at_its_knots():
+def test_the_value_table_keeps_a_slope_at_its_knots():
     """An empty and a full store stand on the end rows; the line goes on beyond them."""
     levels = np.array([3.0, 2.0, 1.0, 0.5])
     coefficients = np.stack([levels, 0.1 * levels, 0.0 * levels], axis=1)

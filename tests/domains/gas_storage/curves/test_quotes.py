@@ -118,7 +118,7 @@ def test_a_month_that_a_quarter_and_two_months_imply_is_made_from_them(tmp_path)
     [
         ({"2025-12": 31.5}, "", "2026-01-01: no quoted product contains this day"),
         ({"2025-12": 31.5, "Dec 25": 31.0}, "", "line 3, column product"),
-        ({"2025-12": 31.5, "2025-12-01/2025-12-31": 31.0}, "", "line 2 has a price of the same"),
+        ({"2025-12": 31.5, "2025-12-01/2025-12-31": 31.0}, "", "line 2 has a price for the same"),
         (QUOTES, 'curve = { smoother = "cubic" }', 'smoother "daily" or "spline"'),
         (QUOTES, "curve = { factors = { sunday = 0.0 } }", "above 0"),
         (QUOTES, "curve = { factors = { sun = 0.9 } }", "day of the week"),

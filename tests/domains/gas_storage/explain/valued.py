@@ -1,4 +1,4 @@
-"""Run folders as `snapo explain` reads them, without a training: the rule of the guide decides."""
+"""Run folders as `snapo explain` reads them, without a training: the rule of the value table decides."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -31,7 +31,7 @@ NOTES = {
     "paid late": (
         MARKET,
         f"{MARKET}\nsettlement = {{ months = 1200, day = 20 }}",
-        ["market.settlement the flow of 2025-01-01 is paid on 2125-01-20, 100 years later"],
+        ["market.settlement: the flow of 2025-01-01 is paid on 2125-01-20, 100 years later"],
     ),
     "an injection that pays": (
         COST,

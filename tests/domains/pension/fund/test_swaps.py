@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 from tests.domains.pension.market_cases import cash_flows, full, given
 
-from snapo.domains.pension.chapters.sensitivities import usual_move
+from snapo.domains.pension.chapters.sensitivities import standard_move
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.policies.allocation import (
     AllocationLimits,
@@ -95,7 +95,7 @@ def test_headroom_of_receivers_of_payers_and_of_nothing():
 
 
 def test_one_per_cent_of_nothing_is_a_unit():
-    move = usual_move(Input(np.zeros(2)))
+    move = standard_move(Input(np.zeros(2)))
     assert move.size.tolist() == [1, 1]
     assert move.words == "1 unit"
 

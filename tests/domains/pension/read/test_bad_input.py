@@ -178,7 +178,7 @@ MISTAKES = {
         "assets.csv", None,
         "name,kind,weight,low,high,maturity\nCash,cash,-0.4,-0.4,-0.3,\n"
         "Bonds,bond,1,0,1.2,10\nLong,bond,0.4,0,0,20\n",
-        ["assets.file", "add up to -0.4 to 0.9", "lower bounds to no more, upper to no less"],
+        ["assets.file", "add up to -0.4 to 0.9", "lower bounds add up to at most 1"],
     ),
     "bounds that cannot sum to one": (
         "assets.csv", "0,0.3,,,,0,,,,1\nBonds 10y,bond,,,0.25,0,0.7,Matching,0.2,0.9",

@@ -9,7 +9,7 @@ import pytest
 from tests.domains.pension.results.test_frontier import fund
 
 from snapo.domains.pension.chapters import outputs
-from snapo.domains.pension.chapters.sensitivities import usual_move
+from snapo.domains.pension.chapters.sensitivities import standard_move
 from snapo.domains.pension.policies.classical import ConstantMix
 from snapo.domains.pension.results.setup import FUNDING, make_setup
 from snapo.solver.evaluate import path_totals
@@ -18,7 +18,7 @@ from snapo.solver.sensitivity import sensitivities
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A constant mix, whose decisions are held of themselves."""
+    """A constant mix, whose decisions are held fixed of themselves."""
     setup = make_setup(fund(), "native")
     small = replace(setup.evaluation, paths=256, sensitivity_paths=256)
     setup = setup._replace(evaluation=small, policy=ConstantMix(fund()))
@@ -64,7 +64,7 @@ def test_each_output_moves_as_its_own_differences_say(run):
     for name in ("asset_mean", "zero_rate"):
         (row,) = [each for each in found.families if each.input == name]
         given = problem.inputs[name]
-        size, step = usual_move(given).size.reshape(given.value.shape), 0.01
+        size, step = standard_move(given).size.reshape(given.value.shape), 0.01
         for key, value in goals.items():
             either = []
             for sign in (1, -1):

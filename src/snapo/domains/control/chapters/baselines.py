@@ -35,7 +35,7 @@ STARTS = 2000
 class Baseline:
     """A rule: its `value`, and the advantage of the trained policy over it on the same paths.
 
-    - `less`, `less_error`: the policy's value less that of the rule, and its standard error.
+    - `less`, `less_error`: the policy's value minus that of the rule, and its standard error.
     """
 
     name: str

@@ -17,7 +17,7 @@ class MountainCar(MountainCarKind, Plant):
     """A car in a valley; at the goal the episode ends with a prize (Gymnasium 1.4).
 
     speed' = clip(speed + power a - gravity cos(3 position)), position' = clip(position + speed'),
-    speed' = 0 where it runs into the left wall. A step costs 0.1 a^2 until the car arrives.
+    speed' = 0 if it runs into the left wall. A step costs 0.1 a^2 until the car arrives.
 
     The exact reward gives no hint of the goal. In training the goal counts as reached by energy:
     each step ends the episode with a probability that is 1/2 where the energy, v^2 / 2 + gravity

@@ -35,7 +35,7 @@ from .reference import measure as measure_reference
 
 
 def no_flat_volumes(layout: ContractLayout) -> str:
-    """Why the volumes of a contract have no flat ones over products; "" where they do."""
+    """Why the volumes of a contract have no flat ones over products; "" if they do."""
     if layout.indexed:
         return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()
@@ -50,8 +50,8 @@ def no_flat_volumes(layout: ContractLayout) -> str:
 class FlatVolumes:
     """See `FlatContract`; of a schedule with NumPy leaves.
 
-    A volume above zero is one of the flow that raises the level, or of the only flow; one below
-    zero is one of the other.
+    A volume above zero belongs to the flow that raises the level, or to the only flow; a volume
+    below zero to the other flow.
     """
 
     every = False  # the value is concave in the level
@@ -185,7 +185,7 @@ class EnergyMethods(ContractMethods):
     def desk(self) -> DeskMethods:
         setup = self.run.setup
         if self.intraday:
-            raise ValueError("this method has no schedules with trades of the differences")
+            raise ValueError("this method does not trade differences from a schedule")
         case, schedule = case_of(setup), setup.problem.schedule
         contract, (spots, states) = FlatVolumes(self.layout, schedule), self.on_paths
         return DeskMethods(
@@ -236,7 +236,7 @@ class EnergyMethods(ContractMethods):
 
     def lattice(self) -> Estimated:
         if self.intraday:
-            raise ValueError("a schedule and the levels are too many for a lattice")
+            raise ValueError("a lattice cannot hold a schedule in addition to the levels")
         return super().lattice()
 
     def reference(self) -> ReferenceValue:

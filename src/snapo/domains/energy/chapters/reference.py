@@ -49,7 +49,7 @@ def measure(run: StudyRun) -> ExactValue:
 
 def around(problem: Problem) -> tuple[float, float] | None:
     """The exact values that a contract with schedules and trades is between: of schedules that are
-    never left, and without auctions; None of other contracts."""
+    never left, and without auctions; None for other contracts."""
     if not isinstance(problem.simulator, IntradaySimulator):
         return None
     layout = problem.simulator.layout

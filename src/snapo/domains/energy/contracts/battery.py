@@ -64,7 +64,7 @@ class CyclesTable(CaseTable):
     """{ day = 1.5, term = 60.0 }: limits of each calendar day, and of the whole term."""
 
     day: CaseInput | None = CYCLES("limit of a calendar day", None, name="cycles_day")
-    term: CaseInput | None = CYCLES("most of the whole term", None, name="cycles_term")
+    term: CaseInput | None = CYCLES("limit of the whole term", None, name="cycles_term")
 
 
 class IntradayTable(CaseTable):

@@ -5,9 +5,9 @@
 
 S is the price of power, G that of the fuel, c that of emissions, e of which a unit of fuel needs,
 which may move as the others do (`gas_storage/prices/trio.py`); q is the power of an hour on,
-between two limits. A start is of the last class whose hours off have passed. Modes are the hours
-off so far, up to those of the last class, and the hours on so far, up to `min_up`; with a ramp the
-latter are combined with the power of the hour, see `ramp.py`.
+between two limits. A start belongs to the last class whose hours off have passed. Modes are the
+hours off so far, up to those of the last class, and the hours on so far, up to `min_up`; with a
+ramp the latter are combined with the power of the hour, see `ramp.py`.
 """
 
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ class PlantContract(EnergyContract):
 
     - `min_power`, `max_power`: MW on. `idle`, `rate`: fuel of an hour on, and for a MWh of power.
     - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price
-      (None where it moves: it is then in the index), and other money for each MWh.
+      (None if it moves: it is then in the index), and other money for each MWh.
     - `start_money`, `start_fuel` [classes]: of a start; None if starts are free.
     - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
       is on.
@@ -98,7 +98,7 @@ class PlantContract(EnergyContract):
         return Terms(xp.zeros(counted), self._ramped(at, steps, xp))
 
     def _ramped(self, at: NumbersOf, terms: StepTerms, xp: Any) -> StepTerms:
-        """With the power of each move, where there is a ramp. No number is known where other inputs
+        """With the power of each move, if there is a ramp. No number is known where other inputs
         would have other steps: all are NaN then."""
         if self.ramp is None or self.steps is None:
             return terms
@@ -147,7 +147,7 @@ def layout_of(
     steps: PowerSteps | None = None,
 ) -> tuple[ContractLayout, tuple[int, ...], tuple[bool, ...], tuple[int, ...]]:
     """Modes and moves; of each move the class where it is a start (else -1), whether it is on, and
-    its power by number of a step (0 where it is off or there are no steps).
+    its power by number of a step (0 if it is off or there are no steps).
 
     - `off`: the hours off from which each class of starts holds; `counted`: whether starts are.
     - `first`: whether the plant is on before the first hour, and for how many hours.

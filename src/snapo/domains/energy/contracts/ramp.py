@@ -40,7 +40,7 @@ class PowerStep(NamedTuple):
 class PowerSteps(NamedTuple):
     """All steps of a plant.
 
-    - `steps`; `of_before`: the one before the first hour, -1 where the plant is off.
+    - `steps`; `of_before`: the one before the first hour, -1 if the plant is off.
     - `at_ends` [steps]: whether a plant may start at it and stop from it.
     - `next` [steps]: the steps that can follow each.
     - `conditions`: rows that, times (min, max, ramp, before), are at least zero as long as the
@@ -55,7 +55,7 @@ class PowerSteps(NamedTuple):
 
 
 def power_steps(low: float, high: float, ramp: float, before: float | None) -> PowerSteps:
-    """The steps of these limits; none where the ramp never binds, as it is at least `high`."""
+    """The steps of these limits; none if the ramp never binds, as it is at least `high`."""
     if ramp >= high:
         return PowerSteps((), -1, (), (), (_plain(RAMP - HIGH),))
     numbers = np.array([low, high, ramp, before or 0.0])

@@ -35,7 +35,7 @@ from ..core.contract import (
 
 JOINT_FLOW = "joint flow"  # its level
 STORES = 2  # with their joint flow three volumes are counted
-# Joint limits, by transfers: of both inventories together, of the second one less the joint flow,
+# Joint limits, by transfers: of both inventories together, of the second one minus the joint flow,
 # each from both sides; without transfers from above, and of the second one alone.
 SUMS = {
     True: ((1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (0.0, 1.0, -1.0), (0.0, -1.0, 1.0)),
@@ -47,9 +47,9 @@ class Store(TreeRecord):
     """The terms of one store on T days.
 
     - `inventory`: index []; `limits`: least and most in store, index [T + 1]; `end`: owed at the
-      end, index [], None where any inventory is allowed and worthless.
+      end, index [], None if any inventory is allowed and worthless.
     - `rates`: most injected and most withdrawn, before `factors` [T, 2]; `costs`, `fuel`: of both;
-      `holding`: of a unit in store, None where it is free; each index [T].
+      `holding`: the cost of a unit in store, None if it is free; each index [T].
     """
 
     inventory: CaseInput
@@ -81,7 +81,7 @@ class DailyFlows(NamedTuple):
 
 
 class StoresContract(EnergyContract):
-    """The terms of both stores, and of their joint flow; None where it has no limit."""
+    """The terms of both stores, and of their joint flow; None if it has no limit."""
 
     stores: tuple[Store, Store]
     net_injection: CaseInput | None

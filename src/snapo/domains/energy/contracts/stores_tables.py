@@ -42,7 +42,7 @@ class StoresTable(CaseTable):
     inventory: list[float] | None = Field(
         None,
         description="gas in store today in each of the stores, a list like [2000.0, 8000.0]; "
-        "without it that of their files",
+        "by default as in their files",
     )
 
 

@@ -50,7 +50,7 @@ class SwingContract(EnergyContract):
       `older`: from the year before, None if units are lost after one year; `carry_max`,
       `carried`: the most that is carried forward, and the amount by which this year's minimum is
       lower. None without that clause.
-    - `sign`: 1 where the volume is bought at the strike, -1 where it is sold.
+    - `sign`: 1 if the volume is bought at the strike, -1 if it is sold.
     - `at_strike`: whether what is short is paid at the strike of the last day.
     - `firm`: whether the minimum is met on every path; `most_rights`: 0 without rights.
     """

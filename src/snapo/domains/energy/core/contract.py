@@ -55,7 +55,7 @@ class ContractMove(NamedTuple):
     - `name`: in reports; `before`, `after`: modes.
     - `flows`: indices of those that may flow, at most one of them on a step of a method that
       compares volumes; the others are zero.
-    - `changes`: of each level, for all flows.
+    - `changes`: the changes of each level, for all flows.
     """
 
     name: str
@@ -110,8 +110,8 @@ class ContractLayout(NamedTuple):
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """(move, flow) of every volume that a policy decides; that of a flow without effect on the
-        levels is the same in all moves, and is with the first of them."""
+        """(move, flow) of every volume that a policy decides; a flow without effect on the levels
+        has the same volume in all moves, listed with the first of them."""
         result: list[tuple[int, int]] = []
         for m, move in enumerate(self.every_move):
             decided = [flow for _, flow in result if not any(self.flows[flow].effects)]
@@ -147,7 +147,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def flow_of(self) -> np.ndarray:
-        """[flows, moves] 1 where the flow is the one of the move, else 0."""
+        """[flows, moves] 1 if the flow is the one of the move, else 0."""
         flows = range(len(self.flows))
         return np.array([[float(flow in move.flows) for move in self.every_move] for flow in flows])
 
@@ -171,8 +171,8 @@ class Promises(NamedTuple):
     The minimum that they serve is `owed` where a level restarts, and is met on every path. Methods
     that compare values charge a missed unit more than any unit costs.
 
-    With `missed` the sums are those of the layout, joint limits: a flow that lowers one is limited
-    by it, and methods charge each unit missed after a step, `missed` times more than any costs.
+    With `missed` the sums of the layout are joint limits: they limit the flows that lower them, and
+    methods charge each unit missed after a step, `missed` times more than any cost.
     """
 
     weights: Float[Array, "T promises levels"]
@@ -181,7 +181,7 @@ class Promises(NamedTuple):
 
 
 class LevelMoney(NamedTuple):
-    """Money of the levels: a step earns `after` of those after its move, less `before` of those at
+    """Money of the levels: a step earns `after` of those after its move, minus `before` of those at
     its start. The last axis has money for each unit below zero, and for each unit above it.
 
     Equal numbers in both are money for a change: of each unit by which a level moves away from
@@ -216,7 +216,7 @@ class MoveLimits(NamedTuple):
 class Intraday(NamedTuple):
     """Trades of differences from a schedule, see `intraday.py`; in units of a market.
 
-    - `half_spread`: money for each unit of the difference; `discount`: of it.
+    - `half_spread`: money for each unit of the difference; `discount`: its discount factor.
     - `sold`: units sold for each unit of a flow, negative where they are bought.
     """
 
@@ -234,7 +234,7 @@ class StepTerms(NamedTuple):
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
     - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
-      none. `fixed_volume`: that of the flow of a move, None where policies decide the volumes.
+      none. `fixed_volume`: that of the flow of a move, None if policies decide the volumes.
     - `promises`, `bank`, `of_levels`, `intraday`, `of_moves`: None without any.
     """
 
@@ -308,9 +308,10 @@ class EnergyContract(TreeRecord):
     @abc.abstractmethod
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         """{key of `[contract]`: value} of a case that begins with these levels, by name, in this
-        mode; "a.b" is a key of a table. `index`: of the first step, where it was fixed before.
+        mode; "a.b" is a key of a table. `index`: the index of the first step, where it was fixed
+        before.
 
-        **Raises:** `ValueError` where no case begins so.
+        **Raises:** `ValueError` if no case begins so.
         """
 
     @property
@@ -322,6 +323,6 @@ class EnergyContract(TreeRecord):
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         """The prices that its cash depends on, from those of the case: here the same.
 
-        **Raises:** `CaseError` where it cannot be priced so; `where`: the table `[contract]`.
+        **Raises:** `CaseError` if it cannot be priced so; `where`: the table `[contract]`.
         """
         return prices

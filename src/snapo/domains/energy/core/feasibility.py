@@ -180,7 +180,7 @@ def of_fixed_moves(
 def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None:
     """(step, level) at which no decision can keep the limits; None if all can be met.
 
-    The step is -1 where only the start is the reason.
+    The step is -1 if only the start is the reason.
     """
     result, terms = schedule.steps.intervals, schedule.steps.terms
     tolerance = 1e-9 * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))

@@ -40,7 +40,8 @@ class FlowRows(NamedTuple):
     """The rows along a flow from levels `start`, in the table of a step.
 
     `pair`: of a move and the flow, whose `effects` on the levels are not all zero; `banks`: so many
-    last levels are balances, between whose rows values are linear; `signs`: of the layout.
+    last levels are balances, between whose rows values are linear; `signs`: the signs of the
+    layout.
     """
 
     table: UnitValues
@@ -60,7 +61,7 @@ class FlowRows(NamedTuple):
                 return self._compared(self.table.every[self.pair], forced, free, read, unit)
             if self.table.between is not None:
                 return self._between_rows(self.table.between[self.pair], forced, free, read, unit)
-        positions = [forced + free * j / SEGMENTS for j in range(SEGMENTS + 1)]
+        positions = [forced + free * (j / SEGMENTS) for j in range(SEGMENTS + 1)]
         rows = [self._slope(x, x is positions[-1]) for x in positions]
         return VolumeGains.even([unit + jnp.sum(row * read) for row in rows])
 
@@ -249,4 +250,4 @@ def _between(position: Array, count: int) -> tuple[Array, Array]:
 def position_of(table: UnitValues, levels: Array) -> Array:
     """[levels] where levels are, in rows."""
     rows = table.rows
-    return (levels - rows.low) / jnp.where(rows.spacing > 0, rows.spacing, 1.0)
+    return (levels - rows.low) * (1 / jnp.where(rows.spacing > 0, rows.spacing, 1.0))

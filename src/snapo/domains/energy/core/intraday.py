@@ -1,7 +1,7 @@
 """Schedules that are fixed at auctions, and trades of the differences from them.
 
 At an auction the flows of all steps up to the next one are scheduled, at forward prices. In each
-step the flows may still differ: the difference is sold at the spot price less half a spread, or
+step the flows may still differ: the difference is sold at the spot price minus half a spread, or
 bought at the spot price plus it. With the units sold s of the schedule, m of the flows,
 
     earnings of a step = s F(auction, step) + (m - s) S - half spread x |m - s| + other money.
@@ -12,7 +12,7 @@ value is therefore that without auctions, and at any spread it is between that a
 schedule that is never left.
 
 The action has three shares of each volume: scheduled, at the forward price; and wanted where a
-unit is worth the spot price less and plus a multiple of the half spread. The flow is the
+unit is worth the spot price minus and plus a multiple of the half spread. The flow is the
 scheduled volume, moved to the nearer of the other two where it is not between them.
 """
 
@@ -43,7 +43,7 @@ from .tables import UnitValueTable, of_step
 
 TRADED = "traded intraday"  # an output: units that differ from the schedule
 GAIN = "schedule_gain"  # an output: money of the schedule over the spot price, of mean zero
-VIEWS = 3  # the schedule; the spot price less, and plus, half a spread
+VIEWS = 3  # the schedule; the spot price minus, and plus, half a spread
 ONLY_MOVE = 0
 # Half spreads by which a unit must gain before it is traded: one that is moved within a block pays
 # two of them, one that is moved beyond it pays one.

@@ -122,7 +122,7 @@ def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolic
     """The same policy of a contract that begins in another mode: `layout` has the modes in another
     order.
 
-    **Raises:** `ValueError` where anything else differs.
+    **Raises:** `ValueError` if anything else differs.
     """
     own, count = policy.layout, len(layout.modes)
     if own.plain() == layout.plain():

@@ -11,7 +11,7 @@ from .feasibility import Intervals
 class Step(NamedTuple):
     """One step, the same for all paths; leaves have a leading axis T in the schedule.
 
-    - `time`: years from the valuation date; `forward`: of the commodity.
+    - `time`: years from the valuation date; `forward`: the forward price of the commodity.
     - `price`: the row of the price process; `ahead`: the shape of the curve.
     - `unit_values`, `surprise`: tables of the fitted value, None without one.
     - `auction`, `begins`, `scheduled_values`: where flows are scheduled at auctions and the
@@ -33,8 +33,8 @@ class Step(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """`start`: of the levels; `price`, `auction`: constants of the price processes; scales of the
-    features."""
+    """`start`: the initial levels; `price`, `auction`: constants of the price processes;
+    scales of the features."""
 
     start: Float[Array, " levels"]
     price: PyTree

@@ -1,7 +1,7 @@
 """One path of any contract: prices, feasible volumes, cash.
 
 The action has a share for each volume that may flow (`ContractLayout.pairs`), of what is feasible
-beyond the forced volume, and, where there is a choice of moves, a weight for each of these. In
+beyond the forced volume, and, if there is a choice of moves, a weight for each of these. In
 training moves may be mixed: levels, modes and cash are then means over them.
 """
 
@@ -327,7 +327,7 @@ class EnergySimulator(PricedSimulator):
 
 
 def simulator_of(problem: Problem) -> EnergySimulator:
-    """The simulator of a contract of this room."""
+    """The simulator of an energy contract."""
     simulator = problem.simulator
     if not isinstance(simulator, EnergySimulator):
         raise TypeError(f"{type(simulator).__name__} is not a contract of energy.")

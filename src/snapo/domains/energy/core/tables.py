@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ...gas_storage.bounds.basis import REACH, hinges, powers
-from ...gas_storage.policy.guide import Reading, functions
+from ...gas_storage.policy.value_table import Reading, functions
 
 
 class LevelRows(NamedTuple):
@@ -26,9 +26,9 @@ class LevelRows(NamedTuple):
 class UnitValues(NamedTuple):
     """One step: the value of one more unit of each volume after the step, and of each move.
 
-    - `slopes` [pairs, rows …, n]: of one more unit along the flow from a row.
-    - `moves` [moves, rows …, n]: of the mode and the levels to which a move leads, less those of
-      the first move of its mode; None if there is no choice.
+    - `slopes` [pairs, rows …, n]: the slopes of one more unit along the flow from a row.
+    - `moves` [moves, rows …, n]: for the mode and the levels to which a move leads, relative to the
+      first move of its mode; None if there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow; the last row that gains is
       found in that number of searches. None if one row is enough, since no volume is longer.
     - `between`: the same for levels between rows: the number of searches for the last piece between
@@ -121,7 +121,7 @@ class Surprises(eqx.Module):
 
 
 def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
-    """The value at the start of a step less its expectation for the start of the next one.
+    """The value at the start of a step minus its expectation for the start of the next one.
 
     Summed over the steps, and less `first`, it is the sum of the innovations. The value is 0 when
     the last step is over.

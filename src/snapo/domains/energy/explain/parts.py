@@ -49,9 +49,9 @@ def explained_change(
     flows: Any = None,
     cash: float | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value; `cash`: of the days between, as it was.
+    """The parts of the change of value; `cash`: the cash of the days between, as it was.
 
-    **Raises:** `CaseError` where the second run cannot follow the first one.
+    **Raises:** `CaseError` if the second run cannot follow the first one.
     """
     if flows is not None:
         message = "--flows is for a gas store; use --cash for the cash flow of this contract"
@@ -215,7 +215,7 @@ def _same_state(one: PlannedSteps, other: PlannedSteps) -> bool:
 def _policy(run: ValuedRun, setup: Setup) -> Policy:
     """The trained policy of a run.
 
-    **Raises:** `CaseError` where the run has none of the shape of `setup`.
+    **Raises:** `CaseError` if the run has none of the shape of `setup`.
     """
     features, layout = setup.problem.features, run.case.contract.layout
     like = UnitValuePolicy(layout, features, key=jax.random.key(0))

@@ -3,7 +3,7 @@
 Backwards in time, on nodes of the levels and quadrature nodes of the factors. The expectation of
 the functions a step later is known in closed form, so that only the fit is an approximation
 (Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12, 2001). From it come the tables of
-`guide.py` for the policy, and the penalty of the upper bound.
+`value_tables.py` for the policy, and the penalty of the upper bound.
 """
 
 import math

@@ -69,7 +69,7 @@ class ContractGrid:
 def grid_of(
     layout: ContractLayout, schedule: Any, parts: int = 1, apart: np.ndarray | None = None
 ) -> ContractGrid:
-    """The grid of a schedule with NumPy leaves; `parts`: of the measure, for a finer one.
+    """The grid of a schedule with NumPy leaves; `parts`: the parts of the measure, for a finer one.
 
     `apart` [levels]: a coarse grid suffices, and its nodes are at least so far apart.
     """
@@ -99,7 +99,7 @@ def grid_of(
 def check_nodes(case: Any, schedule: Any) -> None:
     """Refuses limits of moves and joint limits between coarse nodes; `schedule`: with NumPy leaves.
 
-    **Raises:** `CaseError` where volumes have no common divisor with few enough nodes.
+    **Raises:** `CaseError` if volumes have no common divisor with few enough nodes.
     """
     layout = case.contract.layout
     limited = schedule.steps.terms.of_moves is not None
@@ -109,17 +109,14 @@ def check_nodes(case: Any, schedule: Any) -> None:
     divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
     count = int(min(TOGETHER, 2 * LONG / len(case.days)))
     message = (
-        f"{_VOLUMES[limited]} need a common divisor with at most about {count:,} multiples "
-        f"together: {_TOGETHER[limited]}; theirs is {divisor}"
+        f"{_VOLUMES[limited]} need a larger common divisor: at most about {count:,} combinations "
+        f"of levels {_LEVELS[limited]}, each in multiples of it; theirs is {divisor}"
     )
     raise CaseError(str(case.file), "contract", None, message)
 
 
-_VOLUMES = {False: "inventories, limits and rates", True: "levels, their limits and flows"}
-_TOGETHER = {
-    False: "of the inventories of both stores, times those of the joint flow",
-    True: "of all levels, where a move needs levels between limits",
-}
+_VOLUMES = {False: "inventories, limits and rates", True: "levels, limits of moves and flows"}
+_LEVELS = {False: "of both stores and of the joint flow", True: "between which the value jumps"}
 
 
 def best(
@@ -155,7 +152,7 @@ def best(
 
 
 def _completed(step: StepGrid, value: np.ndarray) -> np.ndarray:
-    """The value of the best move, less the money of the levels at the start of the step.
+    """The value of the best move, minus the money of the levels at the start of the step.
 
     With joint limits a node from which no move keeps the limits has the value of the worst node.
     """

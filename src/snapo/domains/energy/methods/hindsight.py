@@ -127,7 +127,7 @@ class EnergyRelaxation:
         return np.stack([of.index.at(of, t, factors[t]) for t in range(len(self.grid.steps))])
 
     def _innovations(self, states, scale: np.ndarray) -> np.ndarray | None:
-        """[T + 1, K, N] functions of the prices less their expectation a step before."""
+        """[T + 1, K, N] functions of the prices minus their expectation a step before."""
         if self.fitted is None:
             return None
         basis = self.fitted.basis

@@ -51,7 +51,7 @@ def _best_plan(layout: ContractLayout, schedule: Any) -> float:
     terms: StepTerms = schedule.steps.terms
     count, flows = terms.most.shape
     levels = len(layout.levels)
-    # Levels after a step less its flows are those before it, or zero after a restart.
+    # Levels after a step minus its flows are those before it, or zero after a restart.
     before = sparse.diags_array(1.0 - terms.restarts[:-1].ravel(), offsets=-levels)
     effects = sparse.kron(sparse.eye_array(count), layout.effects.T)
     every, none = sparse.eye_array(count * levels), sparse.csr_array((count * levels,) * 2)

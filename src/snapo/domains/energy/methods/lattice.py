@@ -139,7 +139,7 @@ class PairTransition(NamedTuple):
 class PairGrid:
     """Nodes of two correlated factors, that of the spot price and that of a second commodity.
 
-    Columns run over those of the second x those of the spot price.
+    Columns run over the nodes of the second x the nodes of the spot price.
     """
 
     of: GaussianFactors
@@ -168,7 +168,7 @@ class PairGrid:
         return PairTransition(self.both.after(t))
 
     def start(self) -> PairTransition:
-        """From the valuation date, where both factors are 0, to the first date."""
+        """From the valuation date, if both factors are 0, to the first date."""
         return PairTransition(self.both.start())
 
 

@@ -19,8 +19,8 @@ class Settling(NamedTuple):
     - `arrive`: the number of the node of the next step for each node after; `lost`: the
       money that settling takes there.
     - `corners`: such nodes and their weights, where balances are between nodes.
-    - `held`: money of the nodes before and after a step, which earns the second less the first:
-      that of the levels, and of the units made up so far; None without either.
+    - `held`: money of the nodes before and after a step, which earns the second minus the first:
+      money of the levels, and of the units made up so far; None without either.
     - `missed` [modes, nodes after]: the charge for joint limits that are not kept; None without.
     """
 

@@ -31,7 +31,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
     """The hours, each decided at its auction; the same without `auction` in the table `[contract]`,
     here `table`.
 
-    **Raises:** `CaseError` where the times of the auctions are not allowed.
+    **Raises:** `CaseError` if the times of the auctions are not allowed.
     """
     if table.auction is None:
         if table.intraday is not None:
@@ -44,8 +44,8 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
         raise where.error("auction.at", auction.at, message)
     if table.intraday is None:
         where.notes.append(
-            "contract.auction: flows are fixed at the auctions. Prices and money on paths are "
-            "those at that time, and vary less than the spot prices of the hours."
+            "contract.auction: flows are fixed at the auctions. Prices and money on paths are as "
+            "of that time, and vary less than the spot prices of the hours."
         )
     zone, step = ZoneInfo(table.time_zone), int(auction.step[:-1])
     instants = (*hours.instants, hours.instants[-1] + datetime.timedelta(hours=1))
@@ -79,10 +79,10 @@ def auction_of(instant: datetime.datetime, zone: ZoneInfo, at: int, step: int) -
 
 
 def check_auction(where: TableContext, table: Any, objective: str) -> None:
-    """Raises `CaseError` where the objective needs the spot prices of the hours."""
+    """Raises `CaseError` if the objective needs the spot prices of the hours."""
     if table.auction is not None and table.intraday is None and objective != "mean":
         message = (
-            "the money of an hour counts at the forward price of its auction, so that the "
-            f'objective "{objective}" is not known; the objective must be "mean"'
+            "the cash flow of an hour is counted at the forward price of its auction, so that "
+            f'"{objective}" cannot be computed; the objective must be "mean"'
         )
         raise where.error("auction", None, message)

@@ -97,8 +97,8 @@ class ContractKind(NamedTuple):
     The reader takes its decision days, or its `Hours`.
 
     `hourly`: whether its steps are hours of the local calendar, not days; `pair`: whether its cash
-    depends on two commodities; `steps`: of a day, at one price; `opened`: its table with those of
-    other files that it names.
+    depends on two commodities; `steps`: the steps of a day, at one price; `opened`: its table with
+    those of other files that it names.
     """
 
     table: type[CaseTable]
@@ -189,7 +189,7 @@ KINDS: dict[str, ContractKind] = {
 class EnergyCase:
     """All data of a case.
 
-    - `kind`: of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
+    - `kind`: the kind of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
       [T]: in years; `first_step`: steps from the valuation date to the first.
     - `products`: the traded products; None if the case names none.
@@ -231,7 +231,7 @@ class EnergyCase:
 def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     """The case in the TOML file `file`, whose tables were read already: `data`.
 
-    **Raises:** `CaseError` where a table, a file or a number is wrong.
+    **Raises:** `CaseError` if a table, a file or a number is wrong.
     """
     name, notes = str(file), []
     top = parse(EnergyTable, data, name, "")

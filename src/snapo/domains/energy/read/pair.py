@@ -46,7 +46,7 @@ class PairMarketTable(CaseTable):
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     power: dict = Field(description="the table [market.power]")
     gas: dict = Field(description="the table [market.gas]")
-    co2: dict | None = Field(None, description="the table [market.co2], where emissions need it")
+    co2: dict | None = Field(None, description="the table [market.co2], if emissions need it")
 
 
 class PairModelTable(CaseTable):
@@ -54,7 +54,7 @@ class PairModelTable(CaseTable):
 
     power: dict = Field(description="the table [model.power]")
     gas: dict = Field(description="the table [model.gas]")
-    co2: dict | None = Field(None, description="the table [model.co2], where emissions need it")
+    co2: dict | None = Field(None, description="the table [model.co2], if emissions need it")
     correlation: list[Any] = Field([], description=CORRELATIONS)
 
 
@@ -119,7 +119,7 @@ def read_pair_model(
     rho = np.eye(3)
     rho[np.triu_indices(3, 1)] = correlation.values
     if np.linalg.eigvalsh(rho, "U")[0] <= 0:
-        message = "three such shocks cannot be: their correlation matrix must be positive definite"
+        message = "no three shocks are so correlated: the matrix must be positive definite"
         raise section.error("correlation", table.correlation, message)
     return CommodityTrio(*both, third_curve=others[1], share=share)  # pyright: ignore[reportCallIssue]
 

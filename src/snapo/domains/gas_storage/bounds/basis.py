@@ -83,7 +83,7 @@ class PolynomialBasis:
         return self._assemble(ahead, self._level(states, days))
 
     def increments(self, states: np.ndarray) -> np.ndarray:
-        """[T + 1, K, paths] functions less their expectation a day before: of mean zero, given it.
+        """[T + 1, K, paths] functions minus their expectation a day before: of mean zero, given it.
 
         `states` [T + 1, F, paths]. The first row is against the valuation date.
         """
@@ -111,7 +111,7 @@ class PolynomialBasis:
         """[days, n + hinges, paths] the part without g, from whitened factors [days, kept, paths].
 
         A factor that does not vary on a day counts as zero, and functions of it as nothing.
-        `polynomials`: those of y, where they are known.
+        `polynomials`: those of y, if they are known.
         """
         available = self.polynomials(y) if polynomials is None else polynomials
         plain = available * self._alive[days][:, :, None]
@@ -156,7 +156,7 @@ class PolynomialBasis:
     def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
         """[T, levels, n] of the expectation a day before of polynomials [T, levels, n].
 
-        Of the dates after the first, times the exponential; then the constant, where there is one.
+        Of the dates after the first, times the exponential; then the constant, if there is one.
         """
         size, moves = len(self.powers), self._moves[1:]
         plain = after[:, :, :size]

@@ -1,8 +1,8 @@
 """A day of a store in machine code, with the bits of `day_grid.best_value` in NumPy.
 
 Code takes some columns at a time, so that their values stay in the fastest cache. Of one block of
-columns and one direction of flow, scratch memory has rows: the value after the day less that of the
-gas, at each node; maxima of 2, 4, 8 … nodes that follow one another; and minus infinity.
+columns and one direction of flow, scratch memory has rows: the value after the day minus that of
+the gas, at each node; maxima of 2, 4, 8 … nodes that follow one another; and minus infinity.
 """
 
 from collections.abc import Iterator
@@ -184,7 +184,7 @@ class _Day:
                 self._set_row("value", row.i, code.sub(self._row("value", row.i), cost))
 
     def _lines(self, side: str) -> None:
-        """The value less that of the gas, and maxima of rows."""
+        """The value minus that of the gas, and maxima of rows."""
         code, scratch = self.code, f"{side}_scratch"
         price = self._row(f"{side}_price", "0")
         with code.loop("%goals") as node:

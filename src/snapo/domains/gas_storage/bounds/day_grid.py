@@ -176,7 +176,7 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
 
 
 def _less(after: np.ndarray, nodes: np.ndarray, price: np.ndarray) -> np.ndarray:
-    """The value after the day less that of the gas at a price: [m, columns]."""
+    """The value after the day minus that of the gas at a price: [m, columns]."""
     value = np.multiply.outer(nodes, price)
     return np.subtract(after, value, out=value)
 

@@ -28,7 +28,7 @@ class Bends(NamedTuple):
 
     Sorted by cell, which lies between nodes `left` and `right`; `share` of the way to the right,
     `target` the node met, `keep` the inventory without any flow. `cells` are those with bends,
-    `starts` the first bend of each, None where each has one.
+    `starts` the first bend of each, None if each has one.
     """
 
     left: GridRows

@@ -163,7 +163,8 @@ class Regression:
 
 
 class SpikeRegression:
-    """The same of a basis with spikes; nodes run over those of the factors x those of spikes."""
+    """The same for a basis with spikes; nodes run over the nodes of the factors x the nodes of
+    spikes."""
 
     def __init__(self, basis: SpikeBasis):
         self.basis, self.inner = basis, regression(basis.inner)

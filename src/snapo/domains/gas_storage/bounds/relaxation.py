@@ -53,8 +53,8 @@ class Hindsight:
     def best(self, spots: np.ndarray, states: np.ndarray, scale: PenaltyScale = 1.0) -> np.ndarray:
         """[paths] the maximum penalised earnings of each path.
 
-        `spots` [T + 1, paths], `states` [T + 1, F, paths] of the price factors; `scale`: of the
-        penalty, a number or one for each function of the basis.
+        `spots` [T + 1, paths], `states` [T + 1, F, paths] of the price factors; `scale`: the scale
+        of the penalty, a number or one for each function of the basis.
         """
         blocks = [slice(i, i + BLOCK) for i in range(0, spots.shape[1], BLOCK)]
 
@@ -91,7 +91,7 @@ class Hindsight:
         return total
 
     def _surprises(self, states: np.ndarray, scale: PenaltyScale) -> np.ndarray | None:
-        """[T + 1, K, paths] functions of the prices less their expectation a day before."""
+        """[T + 1, K, paths] functions of the prices minus their expectation a day before."""
         if self.fitted_value is None:
             return None
         moved = self.fitted_value.basis.increments(states)
@@ -117,8 +117,8 @@ PARTS = 3  # of the penalty: polynomials, hinges, the constant
 class StoreRelaxation:
     """See `snapo.Relaxation`.
 
-    `fitted_value` is the value function of the penalty, where the price process has Gaussian
-    factors; it is a finer one than that of the policy's guide.
+    `fitted_value` is the value function of the penalty, if the price process has Gaussian factors;
+    it is finer than the one behind the policy's value table.
     """
 
     def __init__(self, problem: Problem, inventories: int = INVENTORIES):

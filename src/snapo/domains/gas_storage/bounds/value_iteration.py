@@ -61,7 +61,7 @@ def _numbers(schedule) -> list[bytes]:
 
 
 INVENTORIES = 101
-FEWEST, A_DAY = 51, 2  # of a guide: inventories, and nodes that the largest flow of a day passes
+FEWEST, A_DAY = 51, 2  # in a value table: inventories, and nodes passed by a day's largest flow
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,9 @@ def fit_value(
     return _fitted(schedule, factors, days)
 
 
-def fit_guide(schedule, factors: GaussianFactors, interpolation: Interpolation) -> FittedValue:
+def fit_value_table(
+    schedule, factors: GaussianFactors, interpolation: Interpolation
+) -> FittedValue:
     """The same on half as many nodes, and none at bends: where slopes over many nodes are enough.
 
     A policy that reads it loses nothing (of the flagship store less than 1e-5 of its value), but a
@@ -147,9 +149,9 @@ class FittedMarginal(NamedTuple):
 
     - `low`, `high`: [T] of the table, see `SlopeTable`.
     - `above`, `below`: [T, rows, n] on either side: of the polynomials of the basis times its
-      exponential and, where there is one, of the constant.
+      exponential and, if there is one, of the constant.
     - `whiten`: [T, kept, F], `common` [T, F], `shift` [T]: y = whiten f, ln g = common f - shift.
-    - `exponents`, `exponents_ahead`: of functions of spikes, where there are any, see `SpikeBasis`.
+    - `exponents`, `exponents_ahead`: of functions of spikes, if there are any, see `SpikeBasis`.
     """
 
     low: np.ndarray

@@ -25,7 +25,7 @@ TRIES = 16  # at finding inputs nearby that still can be met
 
 
 def off_ties(problem: Problem) -> Problem:
-    """The problem at slightly moved inputs, where the contract can still be met.
+    """The problem at slightly moved inputs, if the contract can still be met.
 
     With round numbers a store fills or empties on the very day that its rates allow, and a full
     one without losses stays exactly full: kinks on every path.
@@ -61,9 +61,10 @@ class StorageCertificate(Certificate):
 
 
 def homogeneity(setup: Setup, solution: Solution) -> Homogeneity | None:
-    """Sum of F x delta = value + present value of costs, decisions held, on the same paths.
+    """Sum of F x delta = value + present value of costs, with decisions held fixed, on the same
+    paths.
 
-    It holds path by path for any policy, where prices are the forward curve times noise and all
+    It holds path by path for any policy, if prices are the forward curve times noise and all
     of the value is paid in gas and proportional costs.
     """
     table, case = solution.sensitivities, case_of(setup)
@@ -101,7 +102,7 @@ def _facts(run: StorageRun, result: StorageCertificate) -> list[tuple[str, str, 
     if (gap := finite(result.smoothing_gap)) is not None:
         value = run.result.value
         share = f" ({percent(gap / abs(value), 2)})" if value else ""
-        facts.append(("Smoothing gap", run.money(gap), f"exact less smooth{share}"))
+        facts.append(("Smoothing gap", run.money(gap), f"exact minus smooth{share}"))
     facts += evidence.gradient(run)
     if (sums := result.homogeneity) is not None:
         digits = decimals([sums.left, sums.right])
@@ -160,7 +161,8 @@ def _glossary(run: StorageRun) -> Table:
         ("Value", money, "present value on the valuation date, contract as written"),
         ("Price", run.price, "forward and spot prices, trigger prices, undiscounted"),
         ("Volume", gas, "inventory, and volume per day for flows and rates"),
-        ("Delta", gas, "change of value for a rise of 1 in one forward price, decisions held"),
+        ("Delta", gas, "change of value for a rise of 1 in one forward price, with decisions held"
+         " fixed"),
         ("Discounted delta", gas, "delta of the present value; divided by the discount factor of"
          " the month's settlement it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),

@@ -242,9 +242,9 @@ def _parts_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
     rows.append(("All months", total, "", "", "", ""))
     heads = ("Discounted", "Half-width: sampling", "policy", "Change in training", "Smooth")
     caption = (
-        "Deltas of the present value, the two parts of the half of their 95 % intervals, by how "
-        "much training still changed them in its second half (a diagnostic: the error of the "
-        "policy is in the interval), and the deltas through the policy's reaction"
+        "Deltas of the present value; the two parts of the half-width of their 95 % intervals; "
+        "their change in the second half of training (a diagnostic: the interval includes the "
+        "error of the policy); and the deltas through the policy's reaction"
     )
     head = [("Delivery", ""), *((name, run.volume) for name in heads)]
     folded = "Discounted deltas, parts of the intervals, change in training"

@@ -46,7 +46,7 @@ class HedgeRow:
     - `value_at_risk`, `expected_shortfall`: by how much the 5 % quantile, and the mean of the paths
       below it, are less than the mean.
     - `not_hedged`: variance over that of the contract without a hedge; `traded`: mean volume of all
-      trades; `cost`: of the bid-offer, a present value.
+      trades; `cost`: the cost of the bid-offer, a present value.
     """
 
     hedge: str

@@ -51,7 +51,7 @@ class ContractMethods(abc.ABC):
 
     @property
     def traded(self) -> DeskMethods:
-        """The methods that trade the products; `ValueError` where a contract has none."""
+        """The methods that trade the products; `ValueError` if a contract has none."""
         return self.desk
 
     @abc.abstractmethod
@@ -78,7 +78,7 @@ class ContractMethods(abc.ABC):
         return np.concatenate(spots, axis=-1), np.concatenate(states, axis=-1)
 
     def policy(self) -> np.ndarray:
-        """[N] its earnings less the penalties on its way, whose mean is zero."""
+        """[N] its earnings minus the penalties on its way, whose mean is zero."""
 
         def charged(draws, rollout) -> np.ndarray:
             return self.relaxation.charged(rollout, draws, self.scale)
@@ -97,9 +97,9 @@ class ContractMethods(abc.ABC):
         return self.paths.joined(lambda draws, rollout: self.relaxation.best(rollout, draws, scale))
 
     def measured(self) -> MethodLadder:
-        """All of them; the bound first, whose penalty the others share."""
+        """All methods; the bound comes first, and its penalty is shared by the others."""
         methods = [
-            ValuationMethod(ladder.UPPER, "foresight less a penalty", lambda: self.best(1.0)),
+            ValuationMethod(ladder.UPPER, "foresight minus a penalty", lambda: self.best(1.0)),
             ValuationMethod(
                 ladder.FORESIGHT, "each path known from the start", lambda: self.best(0.0)
             ),
@@ -107,12 +107,12 @@ class ContractMethods(abc.ABC):
             ValuationMethod(ladder.BY_DAY, "all flows fixed today", self.by_day),
             ValuationMethod(
                 ladder.IN_PRODUCTS,
-                "the same, flat over each product, less the spread",
+                "the same, flat over each product, minus the spread",
                 lambda: Estimated(self.traded.intrinsic()),
             ),
             ValuationMethod(
                 ladder.ROLLING,
-                "planned again each day, less the spread",
+                "planned again each day, minus the spread",
                 lambda: self.traded.rolling(),
             ),
             ValuationMethod(ladder.LEAST_SQUARES, "regression on other paths", self.least_squares),

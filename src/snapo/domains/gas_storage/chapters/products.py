@@ -1,4 +1,4 @@
-"""Deltas by traded product, where a case has a table [products]."""
+"""Deltas by traded product, if a case has a table [products]."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ TEXT = (
 class ProductDelta:
     """The derivative with respect to the price of a product, with its 95 % interval.
 
-    - `days`: of delivery within the contract, from `first` to `last`.
+    - `days`: the days of delivery within the contract, from `first` to `last`.
     - `undiscounted`: the volume of futures; `daily`: the same on a day.
     """
 

@@ -2,7 +2,7 @@
 
 At a limit the value of one unit more and of one unit less differ: an inventory that is exactly full
 can use more room, and must give up room that is taken away. Both shadow prices come from the exact
-simulator with the decisions held, on the same paths, one unit up and one unit down.
+simulator with the decisions held fixed, on the same paths, one unit up and one unit down.
 """
 
 import math
@@ -30,15 +30,15 @@ UNITS = 1.0  # of the capacity; small against it, large against rounding
 # Families of inputs; every input has one.
 CURVE, RATE, MODEL = "price", "interest rate", ("volatility", "price model")
 CAVEAT = (
-    "First order only, with the decisions held: the change is each shift times its reported"
+    "First order only, with the decisions held fixed: the change is each shift times its reported"
     " derivative, without an interval."
     " {bound}For other inputs the curvature may have either sign. For large moves,"
     " change the case and solve again."
 )
 # Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
 BOUND = (
-    "For a move of the forward curve the change is that with the present decisions; with"
-    " re-optimised decisions the value is at least that, and the gap grows with the square of the"
+    "For a move of the forward curve the change assumes the present decisions; with re-optimised"
+    " decisions the value is at least as high, and the difference grows with the square of the"
     " move. "
 )
 
@@ -225,7 +225,7 @@ def _moves(run: StorageRun, rows, caption: str, folded: str = "") -> Table:
 
 def sliders(run: StorageRun) -> Section:
     """Sliders for the whole curve, each delivery month, and the model numbers."""
-    title, short = "What if: inputs moved, decisions held", "What if"
+    title, short = "What if: inputs moved, with decisions held fixed", "What if"
     value = run.result.value
     curve, months = _curve_sliders(run)
     groups = (
@@ -284,7 +284,7 @@ def _model_sliders(run: StorageRun) -> list[Slider]:
 
 
 def _slider(metadata: ReportedInput, label: str, slope: float) -> Slider:
-    """A slider over ten usual moves to either side; `slope` is per unit of the input."""
+    """A slider over ten standard moves to either side; `slope` is per unit of the input."""
     span = SPAN * metadata.trade_move
     step = span / 20
     slope *= metadata.move / metadata.trade_move

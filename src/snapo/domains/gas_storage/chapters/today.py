@@ -30,7 +30,7 @@ class LevelDecision:
     """The first day's decision at one inventory and the forward price.
 
     - `inject_below`, `withdraw_above`: trigger prices; `action`: "inject", "withdraw" or "hold";
-      `volume`: of the action, not negative.
+      `volume`: the volume of the action, not negative.
     """
 
     inventory: Number = np.nan
@@ -44,8 +44,9 @@ class LevelDecision:
 class FirstDecision(LevelDecision):
     """The decision at the inventory in store, and in `ladder` at others over the reachable ones.
 
-    - `date`: of the first decision, ISO; `spot`: the price that it refers to.
-    - `marginal_value`: of one more unit in store, from the adjoint; NaN without sensitivities.
+    - `date`: the date of the first decision, ISO; `spot`: the price that it refers to.
+    - `marginal_value`: the marginal value of one more unit in store, from the adjoint; NaN without
+      sensitivities.
     """
 
     date: str = ""

@@ -20,7 +20,7 @@ from snapo.study.study import Setup, StudyRun
 
 from ..contract.records import StorageCase
 from ..contract.simulator import simulator_of
-from ..policy.guide import FittedKnots
+from ..policy.value_table import FittedKnots
 from ..references.intrinsic import intrinsic
 from ..references.lattice import refined
 from ..setup import OUTPUT, case_of, factors, on_independent_paths, policy_of
@@ -60,7 +60,7 @@ def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicP
 
 
 def measure_reference(run: StudyRun) -> Reference:
-    """By dynamic programming, where the price process has a lattice."""
+    """By dynamic programming, if the price process has a lattice."""
     setup = run.setup
     lattice = factors(setup.problem)
     if lattice is None or not lattice.exact:
@@ -119,9 +119,9 @@ def measure(run: StudyRun) -> ContractValues:
 
 
 def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
-    """Intrinsic, the guide's rule, the trained policy, the reference, and after fixed costs."""
+    """Intrinsic, the starting rule, the trained policy, the reference, and after fixed costs."""
     engine = run.setup.engines.evaluate
-    guide = evaluate(
+    starting = evaluate(
         on_independent_paths(run.setup), policy_of(solution).value_rule, paths=PATHS, engine=engine
     )
     plan, error = INTRINSIC.of(run), solution.standard_error
@@ -129,7 +129,7 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
         ContractValue("Intrinsic", plan.value, None, "best fixed plan against today's curve")
         if plan
         else ContractValue("Intrinsic", np.nan),
-        _guide_value(run.setup, guide),
+        _starting_value(run.setup, starting),
         ContractValue("Trained policy", solution.value, error, "exact simulator, fresh paths"),
     ]
     reference = REFERENCE.of(run)
@@ -144,15 +144,15 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
         above = bounds.upper
         ladder.append(ContractValue("Upper bound", above.value, above.standard_error, note))
     if fees := run.get("fixed_costs"):
-        note = "less their present value"
+        note = "minus their present value"
         ladder.append(ContractValue("After fixed costs", solution.value - fees, error, note))
     return ladder
 
 
-def _guide_value(setup: Setup, value: Value) -> ContractValue:
-    """The value of the guide before any training."""
-    guide = simulator_of(setup.problem).value_table
-    if guide is not None and isinstance(guide.knots, FittedKnots):
+def _starting_value(setup: Setup, value: Value) -> ContractValue:
+    """The value of the starting rule, before any training."""
+    table = simulator_of(setup.problem).value_table
+    if table is not None and isinstance(table.knots, FittedKnots):
         name, note = "Fitted rule", "value iteration, before training; other paths"
     else:
         name, note = "One-factor rule", "dynamic program in the fastest factor; other paths"

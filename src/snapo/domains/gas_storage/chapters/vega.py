@@ -35,8 +35,8 @@ TEXT = (
     "unit of the column, while the volatility of other months and the decisions stay the same. A "
     "factor that moves all prices changes the prices of this month only. The sum over the months "
     "is the derivative with respect to the volatility of all days. The interval contains the "
-    "sampling error only; that of the sum in the table of sensitivities also contains the error "
-    "of the policy."
+    "sampling error only; the table of sensitivities has the sum with an interval that also "
+    "contains the error of the policy."
 )
 
 
@@ -46,7 +46,7 @@ class MonthVega:
 
     - `parameter`: the input; `factor`: its number where there are several, else 0.
     - `month`: "2021-04", or "" of all months; `volatility`: the mean over its days.
-    - `vega`, `standard_error`: with the decisions held, per `unit` of the volatility.
+    - `vega`, `standard_error`: with the decisions held fixed, per `unit` of the volatility.
     - `points`: volatility points, or other units of a report, in a `unit`; `point`: their name.
     """
 

@@ -70,7 +70,7 @@ def attainable(case: StorageCase) -> list[list[FlowInterval]]:
     """The inventories that can be in store at the start of each day and on the end date, [T + 1].
 
     Seen forward from the inventory given; the demand of the end is applied to the last only.
-    **Raises:** `CaseError` where there are none.
+    **Raises:** `CaseError` if there are none.
     """
     sets = [_start(case)]
     tolerance = slack(case)

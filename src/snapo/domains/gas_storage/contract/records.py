@@ -230,9 +230,10 @@ class StorageCase:
     - `day`: [T] the same as integer days since the valuation date; `end_day`: of the end date.
     - `expired`: the valuation date lies after the end date; the value is zero.
     - `notes`: remarks for the user of the case, one sentence each.
-    - `quotes`: those from which the forward curve is made; None of a curve by day and month.
-    - `products`: the traded products; None if the case names none. `hedges`: of its [hedge].
-    - `backtest`: of its [backtest].
+    - `quotes`: those from which the forward curve is made; None for a curve by day and month.
+    - `products`: the traded products; None if the case names none. `hedges`: the hedges of its
+      [hedge].
+    - `backtest`: the plan of its [backtest].
     """
 
     file: Path

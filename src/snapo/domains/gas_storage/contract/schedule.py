@@ -38,7 +38,7 @@ class Discount(eqx.Module):
     """Discount factors of n payments: continuous zero rates, linear in days, flat outside.
 
     - `day` [n]: of each payment since the valuation date, not negative.
-    - `weight` [n, nodes]: of each node's rate in that of the payment.
+    - `weight` [n, nodes]: the weight of each node's rate in that of the payment.
     """
 
     day: Float[np.ndarray, " n"]
@@ -92,7 +92,7 @@ def of_prices(schedule: Schedule) -> Schedule:
 
 
 class PricedSimulator(Simulator):
-    """A simulator whose only noise is that of the prices of its `process`."""
+    """A simulator whose only noise is the noise of its price `process`."""
 
     process: eqx.AbstractVar[PriceProcess]
 

@@ -131,7 +131,7 @@ def per_day(
 
 
 def discount(market: GasMarket, days: np.ndarray) -> np.ndarray:
-    """exp(-r(d) d / 365) for payments on integer days since the valuation date; 1 where d <= 0."""
+    """exp(-r(d) d / 365) for payments on integer days since the valuation date; 1 if d <= 0."""
     later = np.maximum(np.asarray(days, np.float64), 0)
     rates = np.interp(later, market.zero_rate_day, market.zero_rate.used())
     return np.exp(-rates * later / 365)
@@ -177,8 +177,8 @@ def known_schedule(case: StorageCase) -> KnownSchedule:
 def value_without_decisions(case: StorageCase) -> float:
     """The value, before fixed costs, of a case with no decision days.
 
-    Zero after the end date; else that of the inventory on the end date, discounted from it: its
-    level is met (or the case would have been refused), and its price is the forward price.
+    Zero after the end date; else the value of the inventory on the end date, discounted from it:
+    its level is met (or the case would have been refused), and its price is the forward price.
     """
     if case.days:
         raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")

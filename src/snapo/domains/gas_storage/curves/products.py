@@ -48,7 +48,7 @@ PATTERNS: dict[str, Callable[..., tuple[datetime.date, datetime.date]]] = {
 def delivery(name: str) -> tuple[datetime.date, datetime.date]:
     """The first and the last day of a product, both included; in any case of letters.
 
-    **Raises:** `ValueError` where there is no such product, or no such day.
+    **Raises:** `ValueError` if there is no such product, or no such day.
 
     >>> delivery("winter 2026")
     (datetime.date(2026, 10, 1), datetime.date(2027, 3, 31))
@@ -72,7 +72,7 @@ def delivery(name: str) -> tuple[datetime.date, datetime.date]:
 def delivery_of(row: Row) -> tuple[datetime.date, datetime.date]:
     """The first and the last day of the product of a row, written as its table writes dates.
 
-    **Raises:** `CaseError` where there is no such product.
+    **Raises:** `CaseError` if there is no such product.
     """
     try:
         return delivery(row.label("product"))

@@ -77,10 +77,11 @@ def read_quotes(
 ) -> QuotedCurve:
     """The quotes in a CSV with columns product,price, and the prices of these days.
 
-    `declaration`: of a price. Quotes that others imply are compared with them and left out.
+    `declaration`: the declaration of a price. Quotes that others imply are compared with them and
+    left out.
 
-    **Raises:** `CaseError` where a product is unknown or quoted twice, where quotes of the same
-    days disagree, where a day is in no product, and where more than one curve is as smooth.
+    **Raises:** `CaseError` if a product is unknown or quoted twice, if quotes of the same
+    days disagree, if a day is in no product, and if more than one curve is as smooth.
     """
     reference = FileReference(section, "quotes", name)
     from .smooth import Undetermined, prices_of_means  # SciPy: most cases are read without it
@@ -91,7 +92,7 @@ def read_quotes(
     if implied := [product.name for product in others]:
         section.notes.append(
             f"In {name} {', '.join(implied)} agree{'s' if len(implied) == 1 else ''} with the "
-            "other quotes of the same days, which determine the curve."
+            "other quotes for the same days, which determine the curve."
         )
     start = min(product.first for product in products)
     periods = [((x.first - start).days, (x.after - start).days) for x in products]
@@ -101,7 +102,7 @@ def read_quotes(
     try:
         matrix = prices_of_means(periods, scale, table.smoother, table.end == "flat")
     except Undetermined:
-        message = "more than one curve is as smooth; add a quote of other days"
+        message = "several curves are equally smooth; add a quote for other days"
         raise CaseError(name, "", None, message) from None
     matrix = matrix[[(day - start).days for day in days]]
     quotes, implied = (_numbers(x, declaration) for x in (products, others))
@@ -135,7 +136,7 @@ def _products(rows: Sequence[Row], declaration: Quantity) -> list[_Product]:
         product = _Product(row, price, first, last + datetime.timedelta(1))
         if products.setdefault((first, last), product) is not product:
             earlier = products[first, last].row.line
-            raise row.error("product", f"line {earlier} has a price of the same days already")
+            raise row.error("product", f"line {earlier} has a price for the same days already")
     return list(products.values())
 
 
@@ -162,7 +163,7 @@ def _independent(
 
     Short products count first: a quarter is implied by its months.
 
-    **Raises:** `CaseError` where an implied price is not the quoted one.
+    **Raises:** `CaseError` if an implied price is not the quoted one.
     """
     limits = sorted({limit for product in products for limit in (product.first, product.after)})
     intervals = list(pairwise(limits))
@@ -190,7 +191,7 @@ def _independent(
             raise product.row.error(
                 "price",
                 f"{', '.join(names)} together give {price:.6g} for the days of {product.name}; "
-                f"quotes of the same days agree within {100 * AGREEMENT:g} %",
+                f"quotes for the same days agree within {100 * AGREEMENT:g} %",
             )
         implied.append(product)
         shares_of.append(dict(zip(selected, weights.tolist())))

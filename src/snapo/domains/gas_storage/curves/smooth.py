@@ -5,7 +5,7 @@ The price of day d is s[d] g[d], with the factor s of the day (weekends are chea
 - "daily": the numbers g with the least sum of squared second differences;
 - "spline": g[d] is the mean over day d of a function f, a polynomial of fourth degree between the
   limits of periods, twice continuously differentiable, with the least integral of f''^2; its slope
-  at the end is zero where the end is flat (Benth, Koekebakker, Ollmar 2007, "Extracting and
+  at the end is zero if the end is flat (Benth, Koekebakker, Ollmar 2007, "Extracting and
   applying smooth forward curves from average-based commodity contracts with seasonal variation",
   Journal of Derivatives 15).
 
@@ -39,9 +39,10 @@ def prices_of_means(
 ) -> Float[np.ndarray, "D n"]:
     """[D, n] the derivative of the price of each day with respect to the mean over each period.
 
-    `factors`: of the days. `flat_end`: of a spline. The means are independent of one another.
+    `factors`: the factors of the days. `flat_end`: the flat end of a spline. The means are
+    independent of one another.
 
-    **Raises:** `Undetermined` where more than one curve is as smooth.
+    **Raises:** `Undetermined` if more than one curve is as smooth.
     """
     count = len(factors)
     means: Any = sparse.lil_array((len(periods), count))

@@ -34,9 +34,9 @@ from .runs import ValuedRun, later_paths
 class Started(NamedTuple):
     """The market of the first run on the second date, with the second run's state.
 
-    - `start` [G]: shares of the value before the first part that is on common paths; empty where
+    - `start` [G]: shares of the value before the first part that is on common paths; empty if
       that is the value of the first run.
-    - `cash`: of the days between, and `flows` on them; `notes` for the reader.
+    - `cash`: the cash of the days between, and `flows` on them; `notes` for the reader.
     """
 
     start: np.ndarray
@@ -58,7 +58,7 @@ class CurveChange(NamedTuple):
 class ChangeChain(abc.ABC):
     """Revaluations from the first run to the second one.
 
-    - `setup`: of the second run; `at`: the domain's `setup_at`.
+    - `setup`: the setup of the second run; `at`: the domain's `setup_at`.
     """
 
     at: Callable[[Setup, Any], Setup]
@@ -164,7 +164,7 @@ class ChangeChain(abc.ABC):
         return run.shares if np.isclose(run.shares.mean(), run.value, rtol=1e-6) else None
 
     def _unpaired(self, shares: np.ndarray, run: ValuedRun) -> Iterator[float]:
-        """Errors of a reported value and of the same value here, where they have other paths."""
+        """Errors of a reported value and of the same value here, if they have other paths."""
         if len(shares) and not np.isclose(shares.mean(), run.value, rtol=1e-9):
             yield run.error
             yield statistics.of_shares(shares).standard_error

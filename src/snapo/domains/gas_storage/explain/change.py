@@ -13,8 +13,8 @@ class ChangePart:
     """One part of the change of value, in the currency.
 
     - `part`: the cause; `period`: the delivery period, of the curve only.
-    - `amount`: rounded, so that the parts add up to the change; `standard_error`: None of an amount
-      without sampling.
+    - `amount`: rounded, so that the parts add up to the change; `standard_error`: None for an
+      amount without sampling.
     """
 
     part: str
@@ -42,9 +42,9 @@ class ExplainedChange:
     """The change of value from the first run to the second one.
 
     - `values`, `errors`: of the two runs; `dates`: their valuation dates.
-    - `cash`: of the days between; profit and loss is the change of value and this cash.
+    - `cash`: the cash of the days between; profit and loss is the change of value and this cash.
     - `parts`: add up to the change, the cash with a minus; `totals`: the same with all periods of
-      the curve together; `moves`: of the curve; `flows`: of the days between.
+      the curve together; `moves`: the moves of the curve; `flows`: the flows of the days between.
     - `digits`: decimals of the amounts; `paths`: on which the parts are.
     """
 

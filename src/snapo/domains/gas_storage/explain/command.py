@@ -42,11 +42,12 @@ def explain(
 ) -> dict[str, Any]:
     """Explains the change of value from the first run to the second one, and writes the parts.
 
-    - `flows`: of a gas store, a CSV file of the flows on the days between, with columns
-      date,volume,price. `cash`: of other contracts, the cash flow of the days between as it was.
+    - `flows`: for a gas store, a CSV file of the flows on the days between, with columns
+      date,volume,price. `cash`: for other contracts, the cash flow of the days between as
+      it was.
     - `out`: folder of the results, by default `explain` in that of the second run.
 
-    **Raises:** `CaseError` where a run has no value, or the second one cannot follow the first;
+    **Raises:** `CaseError` if a run has no value, or the second one cannot follow the first;
     nothing is written.
     """
     use_every_core()

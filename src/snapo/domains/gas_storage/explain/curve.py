@@ -1,8 +1,8 @@
 """The effect of a move of the forward curve, to first and second order, by delivery period.
 
-With the decisions held the cash of a day is linear in its forward price. So the cash of the new
-curve with the decisions of the old one, less that of the old curve, is delta times move: X. With
-the decisions of the new curve it is the delta of the new curve times the move: Y. Then
+With the decisions held fixed the cash of a day is linear in its forward price. So the cash of the
+new curve with the decisions of the old one, minus that of the old curve, is delta times move: X.
+With the decisions of the new curve it is the delta of the new curve times the move: Y. Then
 
     first order X,   second order (Y - X) / 2,
 
@@ -48,7 +48,7 @@ class CurveEffect(NamedTuple):
     """By period, and in total.
 
     - `before`, `after` [G]: shares of groups of paths in the values at both curves.
-    - `error`: of the part of their difference that is beyond the second order.
+    - `error`: the error of the part of their difference that is beyond the second order.
     """
 
     periods: tuple[PeriodEffect, ...]
@@ -67,9 +67,9 @@ def curve_effect(
 ) -> CurveEffect:
     """The effect of the curves of `after` against those of `before`, which are the same otherwise.
 
-    `curves`: the names of their inputs, one for each market. With the decisions held the cash is a
-    sum over markets, so the curves move one after the other. The periods of the first market come
-    first, then those of the next one. The last period has the value of the gas left on the end
+    `curves`: the names of their inputs, one for each market. With the decisions held fixed the cash
+    is a sum over markets, so the curves move one after the other. The periods of the first market
+    come first, then those of the next one. The last period has the value of the gas left on the end
     date too.
     """
     problems = before.problem, after.problem

@@ -26,8 +26,9 @@ class DayFlow(NamedTuple):
 
     - `price`: forward price on the first date; `spot`: that of the flow, by default the same.
     - `planned`, `taken`: net volume into the store.
-    - `planned_cash`: of the plan at the forward price; `forward_cash`, `cash`: of the flow taken at
-      the forward price and at the spot price. All are less costs, discounted to the second date.
+    - `planned_cash`: the cash of the plan at the forward price; `forward_cash`, `cash`: of the flow
+      taken at the forward price and at the spot price. All are net of costs, discounted to the
+      second date.
     """
 
     date: str
@@ -69,7 +70,7 @@ class TakenFlow(NamedTuple):
 def read_flows(file: Path) -> dict[datetime.date, TakenFlow]:
     """The flows of a CSV file with columns date,volume,price.
 
-    **Raises:** `CaseError` where a date or a number is wrong, with its line.
+    **Raises:** `CaseError` if a date or a number is wrong, with its line.
     """
     reference = FileReference(TableContext(file, "flows", []), "flows", file.name)
     rows = read_rows(reference, ("date", "volume", "price"), ())
@@ -94,7 +95,7 @@ def passed_days(
     - `elapsed`: days from the valuation date of the case to the second one.
     - `flows`: as they were, on all of these days.
 
-    **Raises:** `CaseError` where a day has no flow, or the flows do not lead to the inventory.
+    **Raises:** `CaseError` if a day has no flow, or the flows do not lead to the inventory.
     """
     rule = DatedRule(case, problem, policy, spot_filter(problem))
     level = np.full(1, float(problem.schedule.constants.inventory))

@@ -28,9 +28,9 @@ def explained_change(
     flows: Mapping[datetime.date, TakenFlow] | None = None,
     cash: float | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value; `flows`: of the days between, as they were.
+    """The parts of the change of value; `flows`: the flows of the days between, as they were.
 
-    **Raises:** `CaseError` where the second run cannot follow the first one.
+    **Raises:** `CaseError` if the second run cannot follow the first one.
     """
     if cash is not None:
         raise CaseError("--cash", "", cash, "the cash of a gas store follows from --flows")

@@ -30,7 +30,8 @@ FIXED = "snapo explain needs flows that are decided at delivery: leave this key 
 class ValuedRun:
     """A run that came to its end: its case, and the value in its result.json.
 
-    - `shares` [G]: of independent groups of paths in the value, None if they are not saved.
+    - `shares` [G]: the shares of independent groups of paths in the value, None if they are not
+      saved.
     """
 
     folder: Path
@@ -46,7 +47,7 @@ class ValuedRun:
     def read(cls, folder: Path) -> "ValuedRun":
         """The run in a folder.
 
-        **Raises:** `CaseError` where its kind has no such parts, it has no value, or was changed.
+        **Raises:** `CaseError` if its kind has no such parts, it has no value, or was changed.
         """
         record = run_folder.read(folder)
         domain = find(record["kind"], str(folder))
@@ -71,7 +72,7 @@ class ValuedRun:
         return run
 
     def check(self) -> None:
-        """**Raises:** `CaseError` where this run's change has no parts."""
+        """**Raises:** `CaseError` if this run's change has no parts."""
         case = self.case
         if not case.days:
             raise CaseError(str(self.file), "contract.end", case.end, "no decision is left")
@@ -105,7 +106,7 @@ def _shares(folder: Path) -> np.ndarray | None:
 
 
 def check_pair(first: ValuedRun, second: ValuedRun) -> None:
-    """**Raises:** `CaseError` where the second run cannot follow the first one."""
+    """**Raises:** `CaseError` if the second run cannot follow the first one."""
     one, other = first.case, second.case
     if one.kind != other.kind:
         message = f'{first.folder} is of kind "{one.kind}": both runs must be of the same kind'

@@ -42,8 +42,9 @@ Days = tuple[int, int]  # the first, and the one after the last
 class StorePaths:
     """A contract on paths, decided by any rule.
 
-    - `factors`: of its prices, exact and without spikes; `forward` [T + 1]: today's curve, the
-      price of the end last; `discount` [T + 1]: of the payment for the gas of each of these dates.
+    - `factors`: the factors of its prices, exact and without spikes; `forward` [T + 1]: today's
+      curve, the price of the end last; `discount` [T + 1]: the discount of the payment for the gas
+      of each of these dates.
     - `states` [T + 1, F, N] of the factors; `levels` [T + 1, N] at the start of each day and at the
       end; `sold` [T + 1, N]: volume at the spot price, negative where bought.
     - `money` [N]: the present value of all payments.

@@ -66,7 +66,7 @@ class Overnight:
     def nearest(self, t: int, families: Collection[str]) -> HeldProducts:
         """The first product of each family that is held.
 
-        In the last months, where nothing later trades, the balance of the month takes their place.
+        In the last months, if nothing later trades, the balance of the month takes their place.
         """
         first: dict[str, HeldProduct] = {}
         for row in self.held(t, families):

@@ -45,9 +45,9 @@ class Hedges(NamedTuple):
 def hedges_of(
     file: Path, data: Any, notes: list[str], products: TradedProducts | None
 ) -> Hedges | None:
-    """The hedges of the table [hedge], None of a case without one.
+    """The hedges of the table [hedge], None for a case without one.
 
-    **Raises:** `CaseError` where a set has a product that does not trade.
+    **Raises:** `CaseError` if a set has a product that does not trade.
     """
     if data is None:
         return None

@@ -38,7 +38,7 @@ from .rule import DatedRule, decided, drawn_spots, end_money, followed, solved_o
 
 FOLDER = "backtest"
 STREAM = 261  # of the evaluation: of paths around the curve of a solution
-EVERY = 30  # days from one solution to the next one, where the model is never estimated
+EVERY = 30  # days from one solution to the next one, if the model is never estimated
 PATHS = 2048  # of the model, for expectations without curves
 KIND = "gas-storage"
 
@@ -66,7 +66,7 @@ def backtest(
       training begins.
     - `out`: the folder of the tables, by default `backtest` next to the case.
 
-    **Raises:** `CaseError` where the case, a price or the run is wrong; nothing is written.
+    **Raises:** `CaseError` if the case, a price or the run is wrong; nothing is written.
     """
     file, data = load(path)
     if data.get("kind") != KIND:
@@ -92,7 +92,7 @@ def backtest(
 def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
     """The trained policy of a run, of the shape of `like`.
 
-    **Raises:** `CaseError` where the run has none of this shape.
+    **Raises:** `CaseError` if the run has none of this shape.
     """
     try:
         policy = load_policy(run / POLICY, Policy, like)
@@ -107,7 +107,7 @@ class DrawnHistories(NamedTuple):
     """The rule on histories that its model draws: `money` [N], `cash` [T, N] by day, discounted.
 
     `controls`: arrays [N] of mean zero. `groups` [N]: equal for histories that depend on one
-    another; None if none do. `paths`: of all price factors; None without a forward curve.
+    another; None if none do. `paths`: the paths of all price factors; None without a forward curve.
     """
 
     money: np.ndarray
@@ -291,7 +291,7 @@ def _mark(
 
 
 def _rolling(ledger: DatedRule, curves: StepCurves) -> float:
-    """Rolling intrinsic on the curves of the folder, less fixed costs.
+    """Rolling intrinsic on the curves of the folder, minus fixed costs.
 
     Forwards trade on the dates of a curve; on others only the day itself, at its spot price.
     """

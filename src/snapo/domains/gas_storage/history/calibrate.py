@@ -17,7 +17,7 @@ from snapo.study.run_folder import read as read_run
 from .maximum import HistoryEstimate, HistoryFit, fit
 from .read import Calibration, read_calibration
 
-FOLDER = "calibration"  # next to the file, where nothing else is named
+FOLDER = "calibration"  # next to the file, if nothing else is named
 TABLE, PARAMETERS = "model.toml", "parameters.csv"
 COVARIANCE, STATES = "covariance.csv", "states.csv"
 DIGITS = 8
@@ -43,7 +43,7 @@ def calibrate(
     of each date. `run`: a run of a case with such a model, whose value then gets the interval that
     the parameters cause. Returns all of it as plain data.
 
-    **Raises:** `CaseError` where the file, its prices or the run are wrong; nothing is written.
+    **Raises:** `CaseError` if the file, its prices or the run are wrong; nothing is written.
     """
     calibration = read_calibration(path)
     for note in calibration.notes:
@@ -156,7 +156,7 @@ def _toml(calibration: Calibration, result: HistoryFit) -> str:
 def derivatives_of(run: Path, kind: str) -> dict[str, float]:
     """{parameter: derivative of the value of a run with respect to it}.
 
-    **Raises:** `CaseError` where the run has a model of another kind, or no derivative with respect
+    **Raises:** `CaseError` if the run has a model of another kind, or no derivative with respect
     to any parameter.
     """
     model = read_run(run)["decides"]["case"].get("model")

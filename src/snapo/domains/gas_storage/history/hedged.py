@@ -52,9 +52,9 @@ class HedgePosition(NamedTuple):
 class HedgedStore:
     """The result with one hedge.
 
-    - `gain`: of the hedge, less its `cost`; `traded`: volume of all trades.
-    - `total`: of contract and hedge; `deviation`: standard deviation of the change of this total,
-      marked to the curve, from one solution to the next.
+    - `gain`: the gain of the hedge, minus its `cost`; `traded`: volume of all trades.
+    - `total`: the total of contract and hedge; `deviation`: standard deviation of the change of
+      this total, marked to the curve, from one solution to the next.
     """
 
     hedge: str

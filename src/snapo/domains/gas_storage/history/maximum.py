@@ -99,7 +99,7 @@ class HistoryEstimate:
 
     - `numbers`, `errors` [P]: estimates and standard errors, in the parameters' own units.
     - `low`, `high` [P]: the 95 % interval; of positive ones it is symmetric in the logarithm.
-    - `covariance` [P, P]: of the estimates.
+    - `covariance` [P, P]: the covariance of the estimates.
     - `unknown` [P]: whether the interval is so wide that the history does not determine the number.
     - `log_likelihood`, `converged`.
     """

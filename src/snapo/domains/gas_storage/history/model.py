@@ -44,7 +44,7 @@ class HistoryModel:
     """A Gaussian model, and which parameters the history can determine.
 
     - `kind`: as in `[model]`; `factors`: 1 or 2; `normal`: X is the price itself.
-    - `shift`: h; `harmonics`: of the season.
+    - `shift`: h; `harmonics`: the harmonics of the season.
     - `quoted`: whether there are forward prices, the only ones that depend on the pricing measure.
     - `columns`: names of the observed series; `exact`: those without a measurement error.
     - `unit`: typical size of X's movement: 1 for logarithms, money for normal prices.

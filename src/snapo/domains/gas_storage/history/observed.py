@@ -44,7 +44,7 @@ class ObservedMarket:
     def spot(self, day: datetime.date) -> float:
         """The spot price of a day, or of the last day before it that has one.
 
-        **Raises:** `CaseError` where there is none, or the file ends before the day.
+        **Raises:** `CaseError` if there is none, or the file ends before the day.
         """
         position = bisect_right(self.spot_days, day) - 1
         if position < 0 or day > self.spot_days[-1]:
@@ -65,7 +65,7 @@ class ObservedMarket:
         A day of delivery has the price of the shortest product with it; days before the first
         product have the spot price.
 
-        **Raises:** `CaseError` where a later day is in no product.
+        **Raises:** `CaseError` if a later day is in no product.
         """
         latest = self.curve_days[bisect_right(self.curve_days, day) - 1]
         quotes = sorted(self.curves[latest], key=lambda x: (x.last - x.first, x.first))
@@ -130,7 +130,7 @@ def read_observed(folder: Path, positive: bool, notes: list[str]) -> ObservedMar
 
     `positive`: whether prices must be above zero.
 
-    **Raises:** `CaseError` where a file, a date, a product or a price is wrong.
+    **Raises:** `CaseError` if a file, a date, a product or a price is wrong.
     """
     if not folder.is_dir():
         raise CaseError("--history", "", str(folder), "it must be a folder with spot.csv")

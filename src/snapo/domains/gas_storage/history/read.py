@@ -103,7 +103,7 @@ class Calibration:
 def read_calibration(path: Path) -> Calibration:
     """Reads the file of a calibration, or the folder with its case.toml.
 
-    **Raises:** `CaseError` where a key or a price is wrong, with file, line and column.
+    **Raises:** `CaseError` if a key or a price is wrong, with file, line and column.
     """
     file, data = load(path)
     top = parse(CalibrationTable, data, str(file), "")
@@ -136,7 +136,7 @@ def calibration_of(
 ) -> Calibration:
     """The calibration of a model of this kind on prices, with the settings of [history].
 
-    **Raises:** `CaseError` where there are too few prices, or one that the model cannot have.
+    **Raises:** `CaseError` if there are too few prices, or one that the model cannot have.
     """
     normal = kind == "one-factor-normal"
     if not normal:

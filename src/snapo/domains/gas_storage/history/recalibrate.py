@@ -51,7 +51,7 @@ class DatedEstimate:
 class ModelHistory:
     """The tables of a case with the latest model, and the estimates so far.
 
-    **Raises:** `CaseError` where the plan has estimates and the case a model without any.
+    **Raises:** `CaseError` if the plan has estimates and the case a model without any.
     """
 
     file: Path

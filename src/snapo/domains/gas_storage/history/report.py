@@ -164,14 +164,14 @@ def _hedges(result: StoreBacktest, case: StorageCase) -> Block:
         Column("Cost", "cost", case.currency),
     ]
     caption = (
-        "With each hedge, after its costs; the deviation is that of the change from one solution "
-        "to the next, marked to the curve"
+        "With each hedge, after its costs. The deviation is that of the change from one solution "
+        "to the next, with the position marked to the curve"
     )
     return table(rows, columns, caption)
 
 
 def _gains(result: StoreBacktest) -> dict[str, np.ndarray]:
-    """{name of a hedge in charts: [T] its gain of each day, less costs}; the gain of days before
+    """{name of a hedge in charts: [T] its gain of each day, minus costs}; the gain of days before
     the first one is in that of the first."""
     index = {day: t for t, day in enumerate(result.days)}
     gains = {_key(x): np.zeros(len(result.days)) for x in result.hedges}
@@ -307,7 +307,7 @@ def _months(result: StoreBacktest, case: StorageCase) -> Section:
         Column(name, lambda row, k=k: row.gains[k], case.currency, sign=True)
         for k, name in enumerate(names)
     ]
-    caption = "By month, discounted; a hedge's column is its gain less costs"
+    caption = "By month, discounted; a hedge's column is its gain minus costs"
     if not names:
         caption = "By month, discounted"
     return Section("months", "By month", "Months", [table(_by_month(result), columns, caption)])

@@ -50,12 +50,13 @@ class StoreBacktest:
     - `band`: [T] 5 and 95 % quantiles of the cash so far on those histories.
     - `realised`: the sum of the cash, the value of the gas left, and fixed costs.
     - `expected`, `error`: its mean on simulated histories of the model and the standard error;
-      `deviation`: of one history; `share`: of histories that bring less than the realised one.
+      `deviation`: the deviation of one history; `share`: the share of histories that bring less
+      than the realised one.
     - `rolling`: of rolling intrinsic on the same curves; None without curves.
-    - `marks`: of every solution. `mark_deviation`: the standard deviation of the change of the
-      marked position from one solution to the next, NaN of fewer than two changes.
-    - `estimates`: of the model, on their dates; `hedges`: the result with each, `hedge_days` and
-      `positions` by day.
+    - `marks`: the marks of every solution. `mark_deviation`: the standard deviation of the change
+      of the marked position from one solution to the next, NaN of fewer than two changes.
+    - `estimates`: the estimates of the model, on their dates; `hedges`: the result with each,
+      `hedge_days` and `positions` by day.
     """
 
     days: tuple[datetime.date, ...]

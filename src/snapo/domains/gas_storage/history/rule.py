@@ -57,9 +57,9 @@ class DatedRule:
     def from_curve(self, t: int, before: np.ndarray, spot: float, curve: np.ndarray) -> np.ndarray:
         """[1, F] the factors of the rule's day `t` from its spot price and its curve.
 
-        `curve` [T + 1 - t]: of the day and later ones. The spot price is met exactly; the rest is
-        the least-squares fit of the curve, nearest to the factors `before` [1, F] where it leaves
-        a choice.
+        `curve` [T + 1 - t]: the curve of the day and later ones. The spot price is met exactly; the
+        rest is the least-squares fit of the curve, nearest to the factors `before` [1, F] where it
+        leaves a choice.
         """
         assert self.prices is not None and self.filter is not None
         loading, variance = self.prices.loadings(t)

@@ -59,7 +59,7 @@ class BacktestPlan(NamedTuple):
 def plan_of(file: Path, data: Any, notes: list[str]) -> BacktestPlan:
     """The plan of the table [backtest], that of a case without one where `data` is None.
 
-    **Raises:** `CaseError` where a key is wrong.
+    **Raises:** `CaseError` if a key is wrong.
     """
     if data is None:
         return BacktestPlan()

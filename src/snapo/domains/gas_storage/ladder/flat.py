@@ -31,7 +31,7 @@ class FlatPeriod(NamedTuple):
     - `first`, `after`: its first day, and the day after its last one.
     - `nodes` [m]: evenly spaced levels before; `keep` [m]: level after without any flow.
     - `span`: change of the level after it by q = 1.
-    - `minimum`, `maximum` [m]: limits of q; where none is possible, the first is above the second.
+    - `minimum`, `maximum` [m]: limits of q; if none is possible, the first is above the second.
     - `into`, `out`: of q above and below zero.
     - `cost` [m]: money of the level itself; `spread`: discounted cost of a unit traded on each day.
     """

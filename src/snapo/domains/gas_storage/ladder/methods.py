@@ -116,8 +116,9 @@ class DeskMethods:
     """A contract of one level, the traded products, and paths.
 
     - `forward` [T + 1]: today's curve, the price of the end last.
-    - `factors`: of the prices; None, or not exact: no path has a forward curve.
-    - `states` [T + 1, F, N] of the factors, `spots` [T + 1, N]; `seed`: of the regression's paths.
+    - `factors`: the factors of the prices; None, or not exact: no path has a forward curve.
+    - `states` [T + 1, F, N] of the factors, `spots` [T + 1, N]; `seed`: the seed of the
+      regression's paths.
     """
 
     contract: FlatContract
@@ -136,7 +137,7 @@ class DeskMethods:
     def rolling(self) -> np.ndarray:
         """[N] the money of rolling intrinsic.
 
-        **Raises:** `ValueError` where paths have no forward curve, or products do not fit.
+        **Raises:** `ValueError` if paths have no forward curve, or products do not fit.
         """
         factors, chains = self._exact_factors, Chains(self.contract)
         steps = range(-1 if self.products.before else 0, self.contract.horizon)
@@ -156,7 +157,7 @@ class DeskMethods:
     def least_squares(self) -> Followed:
         """The rule of a regression on other paths, on these.
 
-        **Raises:** `ValueError` where prices have other risks than their factors'.
+        **Raises:** `ValueError` if prices have other risks than their factors'.
         """
         factors = self._exact_factors
         basis = gaussian_basis(factors, priced=bool(np.any(self._end_price)))

@@ -109,8 +109,10 @@ class ProductDays(NamedTuple):
 class TradedProducts:
     """The products of a contract on its days.
 
-    - `days`: of delivery; `valuation`: the first trading day; `products`: all that may trade.
-    - `day_ahead`: bid-offer of the day itself; `balance`: of the rest of its month, or None.
+    - `days`: the days of delivery; `valuation`: the first trading day; `products`: all that may
+      trade.
+    - `day_ahead`: bid-offer of the day itself; `balance`: the balance of the rest of its month, or
+      None.
     """
 
     days: tuple[datetime.date, ...]
@@ -188,9 +190,9 @@ def products_of(
     days: Sequence[datetime.date],
     valuation: datetime.date,
 ) -> TradedProducts | None:
-    """The products of the table [products], None of a case without one.
+    """The products of the table [products], None for a case without one.
 
-    **Raises:** `CaseError` where one trades as a whole while its parts trade, or after them.
+    **Raises:** `CaseError` if one trades as a whole while its parts trade, or after them.
     """
     if data is None:
         return None
@@ -222,7 +224,7 @@ def products_of(
 
 
 def usual_products(days: Sequence[datetime.date], valuation: datetime.date) -> TradedProducts:
-    """Day-ahead, balance of month and months, without a spread: where a case has no others."""
+    """Day-ahead, balance of month and months, without a spread: if a case has no others."""
     family = FamilyTable()  # pyright: ignore[reportCallIssue]
     return TradedProducts(tuple(days), valuation, tuple(_family("months", family, days)))
 
@@ -282,9 +284,9 @@ def _check_nested(section: TableContext, products: TradedProducts) -> None:
             if name and (name in met or inside):
                 day = products.days[t] if t >= 0 else products.valuation
                 message = (
-                    f"on {day} it would trade as a whole although a part of it trades then or "
-                    "traded before; products follow one another, or shorter ones take the "
-                    "place of a longer one from its first day on"
+                    f"on {day} it would trade as a whole, although a part of it trades on that "
+                    "day or traded before; products must follow one another, or shorter ones "
+                    "must replace a longer one from its first day on"
                 )
                 raise CaseError(str(section.file), f"{section.name}: {name}", None, message)
             met.add(name)

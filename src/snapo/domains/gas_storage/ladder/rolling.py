@@ -196,7 +196,7 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
     levels = levels[(levels >= bottom) & (levels <= top)]
     inside = np.flatnonzero(possible(levels))
     if not len(inside):
-        raise Infeasible("no flat volumes over the products meet it")
+        raise Infeasible("no flat volumes over the products satisfy it")
     found = []
     for position, beyond in ((inside[0], inside[0] - 1), (inside[-1], inside[-1] + 1)):
         good = levels[position]

@@ -33,7 +33,7 @@ from ..prices.process import YEAR, PriceProcess
 class Economics(NamedTuple):
     """Today's flows in money, prices in units of the mean forward price.
 
-    `first_in`, `last_in`, `first_out` and `last_out` are the guide's marginal values of gas at the
+    `first_in`, `last_in`, `first_out` and `last_out` are the table's marginal values of gas at the
     end of the day, as of its gas payment: of the first and the last unit of the most injection,
     and of the most withdrawal. Where the value has a corner, a first unit in has the value of
     the slope above it and a last one of the slope below; of units out it is the other way round.
@@ -65,12 +65,12 @@ def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economic
     if now.value_table is None:
         first_in = last_out = last_in = first_out = jnp.asarray(1.0)
     else:
-        # The guide is data: it has no derivatives, and the adjoint need not form them.
-        guide, sides = (
+        # The value table is data: it has no derivatives, and the adjoint need not form them.
+        table, sides = (
             jax.lax.stop_gradient(now.value_table),
             ((keep, keep - room_out), (keep + room_in, keep)),
         )
-        result = guide.values(process, terms, now, state.price, *sides)
+        result = table.values(process, terms, now, state.price, *sides)
         first_in, last_out, last_in, first_out = (item / discount / scale for item in result)
     buy = spot * (1 + now.injection_fuel)
     buy += now.injection_cost * now.injection_cost_discount / discount
@@ -105,7 +105,7 @@ def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[
 
 def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
     """Today's forward price relative to those ahead: mean of 30 and 120 days and of all,
-    highest and lowest, less today's, in units of half the mean price."""
+    highest and lowest, minus today's, in units of half the mean price."""
     t = forward.shape[0]
     first = np.minimum(np.arange(1, t + 1), t - 1)  # the last day has nothing ahead but itself
     # Running sums of a curve around zero, so that nothing is lost; memory grows with T only.
@@ -140,7 +140,7 @@ class MarginalValue(NamedTuple):
 
 
 class StoragePolicy(Policy):
-    """The guide's marginal value plus a network; the action is (injected, withdrawn) fraction."""
+    """The table's marginal value plus a network; the action is (injected, withdrawn) fraction."""
 
     head: ClassVar[int] = HEAD  # numbers of the observation that the network does not see
     network: Network | None
@@ -156,7 +156,7 @@ class StoragePolicy(Policy):
 
     @property
     def value_rule(self) -> "StoragePolicy":
-        """The guide only, by a network that adds nothing: one program runs both."""
+        """The value table only, by a network that adds nothing: one program runs both."""
         return with_idle_network(self)
 
     @property

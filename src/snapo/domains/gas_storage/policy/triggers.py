@@ -24,7 +24,7 @@ SPOTS = 241  # spot prices tried for a trigger
 
 
 class Triggers(NamedTuple):
-    """Inject where the spot is below `injection`, withdraw above `withdrawal`; NaN where no spot
+    """Inject where the spot is below `injection`, withdraw above `withdrawal`; NaN if no spot
     price of `spots_around` would make the policy do so."""
 
     injection: Float[np.ndarray, " n"]

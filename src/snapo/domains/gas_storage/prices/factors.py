@@ -147,7 +147,7 @@ CORRELATION = Quantity(
 
 
 class GivenFactors(FactorPrices):
-    """Factors whose numbers are given one by one.
+    """Factors whose numbers are specified separately.
 
     - `mean_reversion`: 1/year, 0 allowed, index [F].
     - `volatility`: 1/sqrt(year), by delivery day, index [T + 1, F].

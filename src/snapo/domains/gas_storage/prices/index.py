@@ -2,8 +2,8 @@
 
     I(m) = mean over the days d of month m of F(d, s),   s the last day before the month
 
-with F(d, s) the forward price of d on day s. With one Gaussian factor f it is a function of
-f(s), so that spot and index are a function of two factors: f, and g, which is f(s) all month long.
+with F(d, s) the forward price of d on day s. With one Gaussian factor f it is a function of f(s),
+so that spot and index are a function of two factors: f, and g, which is f(s) for the whole month.
 For prices of kind "one-factor", of volatility v and mean reversion a,
 
     F(d, s) = F(d, 0) exp(v e g - v^2 e^2 var f(s) / 2),   e = exp(-a (d - s)).
@@ -72,7 +72,7 @@ class IndexMonths(TreeRecord):
     - `days` [T + 1, D]: dates of the month, by number; `weight` of each, 0 for none.
     - `ahead` [T + 1, D]: years from the day before the month; `fixing_time` [T + 1]: years to it.
     - `renewed` [T + 1]: whether a month begins with the date, the first date not among them.
-    - `fixed` [T + 1]: 1 where the index was fixed before today, else 0.
+    - `fixed` [T + 1]: 1 if the index was fixed before today, else 0.
     """
 
     days: Int[np.ndarray, "T+1 D"]
@@ -141,7 +141,7 @@ class IndexedState(NamedTuple):
 class IndexedPrices(TwoPrices):
     """A spot price of one factor, and the month-ahead index; see the top of this file.
 
-    - `spot`: the process of the spot price; `months`: of the index.
+    - `spot`: the process of the spot price; `months`: the months of the index.
     - `fixing`: the index of the first month, fixed before today; None: the curve gives it.
     """
 

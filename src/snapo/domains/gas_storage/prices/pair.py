@@ -69,8 +69,10 @@ class SecondCommodity(NamedTuple):
 class CommodityPair(FactorPrices, TwoPrices):
     """Two commodities; see the top of this file. The first is the spot price, the second the index.
 
-    - `delivery`: of the first; `second_curve`: forward prices of the second, index [T].
-    - `reversions`, `volatilities`: of each, index [] and [T + 1]; `correlation`: of their shocks.
+    - `delivery`: the delivery of the first; `second_curve`: forward prices of the second, index
+      [T].
+    - `reversions`, `volatilities`: of each, index [] and [T + 1]; `correlation`: the correlation of
+      their shocks.
     """
 
     delivery: Times

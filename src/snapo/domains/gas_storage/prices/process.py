@@ -105,7 +105,7 @@ class Times(TreeRecord):
     - `curve`: the forward price of each date, but for an end date that needs none.
     - `age` [n]: time from the end of each of the n days after the valuation date to the first date;
       negative for later days, which are there so that few numbers n are compiled. `before`: n, or 0
-      where the first date is the valuation date.
+      if the first date is the valuation date.
     - `notice` [T + 1]: where flows are nominated, `years` is the time of the nomination, and
       `notice` that from there to the date; the price is then the forward price of the date.
     """
@@ -197,9 +197,10 @@ class PriceProcess(Process):
 
     **Class attributes:** `kind`, the name in `[model]`; `table`, its keys.
 
-    **Attributes:** `proportional`: whether every price is the forward price times noise, so that
-    it scales with the curve (which must then be positive). `initial_steps`: the noise of so many
-    days after the valuation date gives the initial state; 0: that is drawn by itself.
+    **Attributes:** `proportional`: whether every price is the forward price times noise, so that it
+    scales with the curve (which must then be positive). `initial_steps`: the noise of this number
+    of days after the valuation date gives the initial state; 0: the initial state is drawn
+    separately.
     """
 
     initial_steps: ClassVar[int] = 0
@@ -228,7 +229,7 @@ class PriceProcess(Process):
         """The state in which the spot has this price: the fast factor moved, the others at rest."""
 
     def fast(self, state) -> Float[Array, ""]:
-        """The coordinate of the state in which the one-factor dynamic program is written; 0 where
+        """The coordinate of the state in which the one-factor dynamic program is written; 0 if
         there is none."""
         return jnp.zeros(())
 

@@ -180,7 +180,7 @@ class Regimes(PriceProcess):
         return jnp.exp(constants.premium * state.tight - now.compensator)
 
     def factors(self, schedule):
-        """The factor of a market without regimes, as a guide; a lattice in it is not exact."""
+        """The factor of a market without regimes, an approximation: no lattice in it is exact."""
         constants, steps = schedule.constants, schedule.steps
         count = len(steps.forward)
         shock = np.full((count, 1, 1), constants.deviation)

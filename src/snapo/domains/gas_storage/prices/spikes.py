@@ -18,7 +18,7 @@ class Spikes(NamedTuple):
 
     - `decay`: the share of a spike that is left after a day; `size`: the mean of a spike.
     - `rate`: spikes a day; `poisson`: whether several may come, and die out within the day.
-    - `before`: days from the valuation date, when there are none, to the first date.
+    - `before`: days from the valuation date, without spikes, to the first date.
     - `compensator` [T + 1]: ln E[exp y] on each date.
     """
 

@@ -1,8 +1,8 @@
 """Spot prices of power, a fuel and a certificate of emissions, of which a unit of fuel needs e.
 
 The two prices of `pair.py` and a third one of the same kind. A contract's cash depends on power and
-on the cost of fuel with its certificates, G + e c; the certificate moves with a factor of its own,
-and the shocks of all three are correlated. Transitions are exact over any step.
+on the cost of fuel with its certificates, G + e c; the certificate has a separate factor, and the
+shocks of all three are correlated. Transitions are exact over any step.
 """
 
 from typing import Any, NamedTuple
@@ -49,7 +49,7 @@ class FuelWithCertificates(NamedTuple):
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
         """[n] the cost on date t where the factor of fuel has these values [n].
 
-        **Raises:** `ValueError` where it depends on the factor of certificates too.
+        **Raises:** `ValueError` if it depends on the factor of certificates too.
         """
         if not self.one_factor:
             raise ValueError("a lattice holds one or two price factors, and 3 move prices")
@@ -67,8 +67,8 @@ class FuelWithCertificates(NamedTuple):
 class CommodityTrio(CommodityPair):
     """Three commodities; see the top of this file.
 
-    - `reversions`, `volatilities`, of all three; `correlation`: of power and fuel, of power and
-      certificates, of fuel and certificates.
+    - `reversions`, `volatilities`, of all three; `correlation`: the correlation of power and fuel,
+      of power and certificates, of fuel and certificates.
     - `third_curve`: forward prices of certificates, index [T]; `share`: how many a unit of fuel
       needs.
     """

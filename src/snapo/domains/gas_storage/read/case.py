@@ -196,7 +196,7 @@ def _by_size(case: StorageCase) -> Iterator[Plausible]:
 
 
 def end_too_early(start: datetime.date, end: datetime.date) -> str:
-    """The note where `end` is the last day of a period of whole months; "" where it is not."""
+    """The note where `end` is the last day of a period of whole months; "" if it is not."""
     last = calendar.monthrange(end.year, end.month)[1]
     if start.day != 1 or end.day != last or (end - start).days <= 31:
         return ""
@@ -247,8 +247,8 @@ FORMATS = {
 def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     """The case in the TOML file `file`, whose tables were read already: `data`.
 
-    Other files are looked for next to it. **Raises:** `CaseError` where a table, a file or a number
-    is wrong, or where the contract cannot be met; nothing is written.
+    Other files are looked for next to it. **Raises:** `CaseError` if a table, a file or a number
+    is wrong, or if the contract cannot be met; nothing is written.
     """
     top = parse(StorageTable, data, str(file), "")
     parse(ReportTable, top.report, str(file), "report")

@@ -59,12 +59,12 @@ def payment_days(
         paid = _from_file(section, key, rule, days, moving, gas is not None)
     early = [day for day, when in zip(days, paid, strict=True) if when < day]
     if early:
-        section.notes.append(f"By {section.name}.{key} the flow of {early[0]} is paid before it.")
+        section.notes.append(f"{section.name}.{key}: the flow of {early[0]} is paid in advance.")
     late = [(day, when) for day, when in zip(days, paid, strict=True) if (when - day).days > LATE]
     if late:
         day, when = late[0]
         section.notes.append(
-            f"By {section.name}.{key} the flow of {day} is paid on {when}, "
+            f"{section.name}.{key}: the flow of {day} is paid on {when}, "
             f"{(when - day).days / 365:.3g} years later."
         )
     return ordinals(paid) - valuation.toordinal()
@@ -102,8 +102,8 @@ def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[dat
 
 
 AMOUNT = Quantity(group="cost", column="amount", meaning="amounts owed in any case")
-LEVEL = replace(STOCK, column="inventory", meaning="rows of the value of the gas left")
-LEFT = Quantity(group=GROUP, meaning="rows of the value of the gas left")
+LEVEL = replace(STOCK, column="inventory", meaning="rows with the value of the remaining gas")
+LEFT = Quantity(group=GROUP, meaning="rows with the value of the remaining gas")
 SPOT_SHARE = replace(
     POINTS, plausible=OF_SPOT, meaning="of the gas left, as a share of its spot value"
 )

@@ -34,8 +34,8 @@ def nominated_on(
         return None
     nomination = where.nested(NominationTable, table.nomination, "nomination")
     where.notes.append(
-        "contract.nomination: flows are fixed days before them. Prices and cash flows on paths are "
-        "those at that time, and vary less than on the days of the flows."
+        "contract.nomination: flows are fixed days in advance. Prices and cash flows on paths "
+        "are as of that time, and vary less than on the days of the flows."
     )
     if nomination.calendar == "every-day":
         return tuple(date - datetime.timedelta(nomination.days) for date in dates)
@@ -46,13 +46,13 @@ def nominated_on(
 
 
 def check_nomination(where: TableContext, table: Any, objective: str, products: Any) -> None:
-    """Raises `CaseError` where a key of the case needs the spot price of the date of a flow."""
+    """Raises `CaseError` if a key of the case needs the spot price of the date of a flow."""
     if table.nomination is None:
         return
     if objective != "mean":
         message = (
-            "a flow is paid at the forward price of its nomination, so that the "
-            f'objective "{objective}" is not known; the objective must be "mean"'
+            "a flow is counted at the forward price of its nomination, so that "
+            f'"{objective}" cannot be computed; the objective must be "mean"'
         )
         raise where.error("nomination", None, message)
     if products is not None:

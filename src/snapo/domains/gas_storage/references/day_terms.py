@@ -26,8 +26,8 @@ class DayRates(NamedTuple):
 class FlowChoices(NamedTuple):
     """Inventory at the end of the day that each inventory at its start can reach. [n]
 
-    `keep` is the rest of it without any flow (after losses), `down` and `up` the least and
-    the greatest that the contract allows, `hold` the allowed one that is nearest to `keep`.
+    `keep` is the inventory without any flow (after losses), `down` and `up` the smallest and the
+    largest that the contract allows, `hold` the allowed one nearest to `keep`.
     """
 
     keep: np.ndarray

@@ -24,7 +24,7 @@ from .piecewise import visited
 class LatticeResult:
     """Result of the dynamic program. Money is a present value on the valuation date.
 
-    - `value`: of the contract, before fixed costs.
+    - `value`: the value of the contract, before fixed costs.
     - `deltas`: [T] derivative of the value with respect to each day's forward price, in discounted
       volume (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
@@ -58,13 +58,13 @@ def lattice(
 
     **Arguments:**
 
-    - `factors`: of the price process, which must be Gaussian for the value to be exact.
+    - `factors`: the factors of the price process, which must be Gaussian for the value to be exact.
     - `keep`: indices of the one or two to keep; by default `relevant_factors`.
     - `inventories`: grid points from 0 to the largest inventory; or `step`, the volume between; or
       `nodes`, [T + 1] inventories of each day and of the end date, see `breakpoints`.
-    - `spacing`: of the fast factor's nodes, in standard deviations of its daily shock; by default
-      0.15 for one factor, 0.3 for two. The error falls with its square; deltas need more than
-      values do.
+    - `spacing`: the spacing of the fast factor's nodes, in standard deviations of its daily shock;
+      by default 0.15 for one factor, 0.3 for two. The error falls with its square; deltas need more
+      than values do.
     - `slow_nodes`: nodes of the second factor.
     - `volumes`: "extremes" allows the most, the least and the smallest flow of each day;
       "free" also to stop where the value of more gas falls below its price; "every" to stop on

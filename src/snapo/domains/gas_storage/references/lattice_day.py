@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 # Which flows of a day are tried: the extremes (most, least, smallest), also the node where the
-# value less the price is greatest ("free"), or also every node ("every").
+# value minus the price is greatest ("free"), or also every node ("every").
 Volumes = Literal["extremes", "free", "every"]
 HOLD, UP, DOWN, BUY_TO, SELL_TO, MOVE_TO = range(6)
 
@@ -80,8 +80,8 @@ def decide(
     """The best decision at each start-of-day inventory [n] and column, and the value [n, columns].
 
     `after` [m, columns] is the value at the end of the day on `nodes` [m]. Free volumes: the node
-    where value less price is greatest is a target wherever it lies within reach, which is all
-    there is to try where `after` is concave in the inventory.
+    where value minus price is greatest is a target wherever it is within reach; if `after` is
+    concave in the inventory, no other target is needed.
     """
     today = moves(schedule, day_rates, t, inventory)
     best = np.full((len(inventory), after.shape[1]), -np.inf)

@@ -61,7 +61,7 @@ class FactorGrid:
 
     - `of`: all factors of the price process; `selected`: indices of those on the grid, fast one
       first.
-    - `fast`, `slow`: node positions (slow: one node at 0 where there is one coordinate).
+    - `fast`, `slow`: node positions (slow: one node at 0 if there is one coordinate).
     - `covariance`: [T + 1, kept, kept] of the kept factors on each day, and on the end date.
     """
 
@@ -180,7 +180,7 @@ def transition_weights(nodes: np.ndarray, mean: np.ndarray, deviation: float) ->
 
 
 def gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shocks and their probabilities; one shock of 0 where there is no noise."""
+    """Shocks and their probabilities; one shock of 0 if there is no noise."""
     if deviation == 0:
         return np.zeros(1), np.ones(1)
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)

@@ -55,7 +55,7 @@ def day_value(
     lines = [after(target) + _cash(prices, target - today.keep) for target in today[1:]]
     start, finish = np.stack(lines)[:, :-1], np.stack(lines)[:, 1:]
 
-    # Free volumes: where the value after the day, less the cost of getting there, peaks.
+    # Free volumes: where the value after the day, minus the cost of getting there, peaks.
     middle = moves(schedule, day_rates, t, 0.5 * (points[1:] + points[:-1]))
     for price, inject in ((prices.pay, True), (prices.earn, False)):
         for peak in _peaks(after, price):

@@ -16,9 +16,10 @@ from ..setup import AnyCase
 class CaseSummary:
     """The entries of a run's `about` that its sections read.
 
-    - `item_unit`, `step`, `currency`: names of units, "piece", "week", "EUR"; `units`: of outputs.
+    - `item_unit`, `step`, `currency`: names of units, "piece", "week", "EUR"; `units`: the units of
+      outputs.
     - `horizon`: all periods; `warm_up`: the first of them, which do not count.
-    - `lead_time`: of an item; None for a `network`.
+    - `lead_time`: the lead time of an item; None for a `network`.
     - `other_leads`: whether other lead times are trained; `lost`: whether unmet demand is lost.
     """
 
@@ -74,8 +75,17 @@ def about(case: AnyCase) -> dict[str, Any]:
         "lead_time": case.item.lead_time,
         "lost": case.item.lost,
         "demand": case.demand.describe(),
+        "names": _arrivals(case.item.lead_time - 1, case.period),
     }
     return entries | item
+
+
+def _arrivals(count: int, period: str) -> dict[str, str]:
+    """{number of the state: its name in a report}, of the outstanding orders by their arrival."""
+    keys = ["coming"] if count == 1 else [f"coming.{i}" for i in range(count)]
+    return {
+        key: f"Order that arrives in {i} {period}{'s' * (i > 1)}" for i, key in enumerate(keys, 1)
+    }
 
 
 def units_of(case: AnyCase) -> dict[str, str]:

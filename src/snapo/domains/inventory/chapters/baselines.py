@@ -27,7 +27,7 @@ class RuleResult:
     """The result of a rule, minus its cost, and its standard error.
 
     - `difference`, `difference_error`: to the trained rule, paired path by path; None of itself.
-    - `numbers`: of the rule, in a planner's terms.
+    - `numbers`: the numbers of the rule, in a planner's terms.
     """
 
     rule: str
@@ -102,8 +102,8 @@ def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
         Column("", share),
     )
     text = (
-        "Each rule has the best numbers that a search on other paths found; differences are "
-        "paired, path by path."
+        "The parameters of each rule are the best ones in a search on other paths; differences "
+        "are paired, path by path."
     )
     costs = table(rows, columns, "Costs of the rules", decimal_places=digits)
     return [replace(costs, texts=2, strong=frozenset([0])), Text(text, caveat=True)]

@@ -1,4 +1,4 @@
-"""A period of lead time less, and one more: each trained again, on the same paths."""
+"""A lead time one period shorter, and one period longer: each trained again, on the same paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ STEPS = 200  # at most, of either training
 class OtherLeadTime:
     """The change of the result with another lead time, and its standard error.
 
-    - `place`: of a network, empty of an item.
+    - `place`: the place in a network, empty for an item.
     """
 
     place: str
@@ -38,7 +38,7 @@ class OtherLeadTime:
 
 @dataclass(frozen=True)
 class OtherLeadTimes:
-    """Each other lead time by itself; of a network, of every place by itself."""
+    """Each other lead time separately; in a network, each place separately."""
 
     lead_time_change: tuple[OtherLeadTime, ...]
 
@@ -122,6 +122,6 @@ def show(run: RunFiles, result: OtherLeadTimes) -> Sequence[Block]:
 
 
 LEAD_TIME = Chapter(
-    "lead time", "A period more or less of lead time", OtherLeadTimes, measure, show,
+    "lead time", "A lead time one period longer or shorter", OtherLeadTimes, measure, show,
     short="Lead time",
 )  # fmt: skip

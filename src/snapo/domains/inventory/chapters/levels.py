@@ -135,17 +135,17 @@ def show(run: RunFiles, result: OrderCurves) -> Sequence[Block]:
         legend_above(axes)
 
     alt = f"Orders fall from {number(curves[0].orders[0], 1)} at the least stock to none."
-    caption = "The order of the trained rule by the stock, in the first period that counts" + (
-        ", the orders on their way spread evenly over the lead time."
+    caption = "The order of the trained rule for each stock, in the first period that counts" + (
+        ", if outstanding orders are spread evenly over the lead time."
         if (case.lead_time or 0) > 1
         else "."
     )
     text = (
-        "A base-stock rule is a falling line with slope −1. Where demand is lost, the best rule "
+        "A base-stock rule is a falling line with slope −1. If demand is lost, the best rule "
         "falls less steeply, and reacts most to the orders that arrive last."
         if case.lost
-        else "The level up to which the rule orders is stock, orders on their way and the order "
-        "together."
+        else "The level up to which the rule orders is the sum of stock, outstanding orders and "
+        "the new order."
     )
     chart = Chart(draw("rule", alt, paint, 270.0), caption)
     return [chart, Text(text), _table(result, unit)]

@@ -23,9 +23,9 @@ class PlaceService:
     """A place: averages of a period, each with its standard error.
 
     - `level`: up to which it orders, with a cost of an order over its orders only.
-    - `supplier`: empty where goods come from outside.
+    - `supplier`: empty if goods come from outside.
     - `orders`, `order_size`: in a period, where an order has a cost; `sent`, `received`: in a pool.
-    - `demand`, `fill_rate`: where it has customers.
+    - `demand`, `fill_rate`: if it has customers.
     """
 
     name: str
@@ -96,7 +96,7 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     text = (
         "Stock is the average on hand at the end of a period. The level up to which a place orders "
         "is a mean over periods: all goods at the place, on their way to it and further down, "
-        "less demand that waits, plus the order."
+        "minus demand that waits, plus the order."
     )
     if any(place.sent for place in sites):
         columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]

@@ -91,7 +91,8 @@ def count_mean() -> Any:
 
 
 def most_of(probabilities: Callable[[np.ndarray], np.ndarray]) -> int:
-    """The largest distinguished demand; `probabilities`: of each demand, at the largest mean."""
+    """The largest distinguished demand; `probabilities`: the probabilities of each demand, at the
+    largest mean."""
     count = 64
     while (upto := np.cumsum(probabilities(np.arange(count + 1.0))))[-1] < 1 - TAIL:
         count *= 2

@@ -40,7 +40,7 @@ class EmpiricalDemand(Demand):
     multiplied by its own factor. The mean moves all numbers by the same
     amount, the deviation stretches them.
 
-    - `numbers`: of the history, sorted; `scores`: the same with mean 0 and deviation 1.
+    - `numbers`: the numbers of the history, sorted; `scores`: the same with mean 0 and deviation 1.
     - `whole`: whether all are; `moved`: whether the case gives another mean or deviation.
     """
 
@@ -113,7 +113,7 @@ class EmpiricalDemand(Demand):
 
 
 def _moment(section: TableContext, key: str, value: float) -> CaseInput:
-    """A moment of the history, where the case has no other: written, it would be under `key`."""
+    """A moment of the history, if the case has no other: written, it would be under `key`."""
     quantity = quantity_of(EmpiricalTable.model_fields[key])
     assert quantity is not None
     return quantity.input(quantity.name, [value], positions=((*section.keys, key),))

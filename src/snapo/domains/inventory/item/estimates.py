@@ -25,7 +25,7 @@ def safety_factor(case: InventoryCase, quantile: Callable[[float], float] | None
     at a shortage cost of p / (L + 1), which costs less than losing it does (Janakiraman, Seshadri
     and Shanthikumar, Operations Research 55, 2007). It is where training starts.
 
-    `quantile`: of the standard normal distribution, another one than SciPy's.
+    `quantile`: the quantile of the standard normal distribution, another one than SciPy's.
     """
     item = case.item
     holding = item.cost("holding") * (item.lead_time + 1 if item.lost else 1)

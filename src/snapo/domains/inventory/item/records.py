@@ -18,8 +18,8 @@ class Item:
 
     - `lost`: whether demand without stock is lost; otherwise it waits.
     - `lead_time`: periods from an order to its arrival.
-    - `integer`: whether orders are whole numbers; `maximum`: of one order, infinite where not
-      limited.
+    - `integer`: whether orders are whole numbers; `maximum`: the maximum of one order, infinite if
+      not limited.
     - `holding`, `shortage`, `purchase`, `ordering`: costs by unit held, unit short, unit ordered,
       order.
     - `stock`, `coming`: at the start, None if the start is the usual one.

@@ -49,8 +49,8 @@ class InventorySimulator(Simulator):
     It holds no case: items of the same form differ only in arrays and inputs.
 
     **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as of an `Item`; `seasonal`: whether
-    periods differ; `demand`: of the case, `formed`; `weights`, `counted` [T] as of the case; and
-    its estimates `safety_factor`, `usual_cost` and `memory`.
+    periods differ; `demand`: the demand of the case, `formed`; `weights`, `counted` [T] as of the
+    case; and its estimates `safety_factor`, `usual_cost` and `memory`.
 
     State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first,
     "missed" (1 if demand was unmet since the last arrival; exact simulation only), and with a fixed
@@ -137,7 +137,7 @@ class InventorySimulator(Simulator):
         return replace(self, horizon=None)
 
     def _stock(self, inputs, level, mean):
-        """Given, or the level less the orders on their way."""
+        """Given, or the level minus the orders on their way."""
         if "start_stock" in inputs:
             return jnp.asarray(inputs["start_stock"])[0]
         usual = jnp.maximum(level - jnp.sum(mean[1:]), 0.0)

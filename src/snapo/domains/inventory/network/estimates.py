@@ -52,7 +52,7 @@ def served(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
 
 
 def economic_lots(case: NetworkCase) -> np.ndarray:
-    """[n] sqrt(2 K mean (p + h) / (e p)), 0 where an order has no fixed cost.
+    """[n] sqrt(2 K mean (p + h) / (e p)), 0 if an order has no fixed cost.
 
     h is the local holding cost of the places with customers, e that of the place's echelon: the
     additional cost of holding a unit there instead of at its supplier. A single place has the lot

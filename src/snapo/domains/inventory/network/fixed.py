@@ -30,7 +30,7 @@ def _name(network: SupplyNetwork, i: int) -> str:
 class Placed(NamedTuple):
     """Which places order.
 
-    - `orders` [n]: 1 where a place orders, or may do so without a fixed cost.
+    - `orders` [n]: 1 if a place orders, or may do so without a fixed cost.
     - `likelihood` [m]: ratios of the draws of `network.fixed`: 1, with a derivative.
     """
 
@@ -50,7 +50,8 @@ def placed(
     """Whether each site orders: decided by the policy, and in training drawn with the policy's
     probabilities.
 
-    - `parts`: of the action; `likelihood` [m]: of the periods before; `normals` [m].
+    - `parts`: the parts of the action; `likelihood` [m]: the likelihood of the periods before;
+      `normals` [m].
     - `remembered` [m]: the share of it that is used, since earlier draws only add noise to this
       period.
     """
@@ -69,7 +70,7 @@ def placed(
 class LikelihoodWeights:
     """The likelihood ratios, of value 1, by which outputs are multiplied for their derivatives.
 
-    - `likelihood` [m]: of this period; None if no order has a fixed cost.
+    - `likelihood` [m]: the likelihood of this period; None if no order has a fixed cost.
     - `usual_costs` [n] of a period at each place.
     """
 
@@ -90,6 +91,6 @@ class LikelihoodWeights:
         return self.all * amount if self.drawn else amount
 
     def innovation(self, costs):
-        """0, with the derivative of `of(costs) - costs` [n] summed; costs count only as far as they
-        are not the usual ones, for the less is multiplied, the less noise there is."""
+        """0, with the derivative of `of(costs) - costs` [n] summed; costs count only in their
+        deviation from the average, since a smaller factor adds less noise."""
         return jnp.sum((self.place_weights - 1) * (costs - self.usual)) if self.drawn else 0.0

@@ -20,8 +20,8 @@ KEPT = -0.5  # deviations: a store initially holds back only a small amount
 class EchelonRule(Policy):
     """order = unit softplus(gap + first + network(seen)), each of the n places by itself.
 
-    `gap` is the level of a place's echelon less its position: all goods there, on their way there
-    and further down, less demand that waits. An echelon base-stock rule is optimal on a line
+    `gap` is the level of a place's echelon minus its position: all goods there, on their way there
+    and further down, minus demand that waits. An echelon base-stock rule is optimal on a line
     (Clark and Scarf, 1960). An order with a fixed cost is placed where gap > wait + network(seen):
     an (s, S) rule of the echelon. The amounts that stores of a pool hold back, or their bands, are
     unit softplus(kept + network(seen)), and the shift of their balance is unit network(seen).

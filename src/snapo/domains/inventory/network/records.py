@@ -91,7 +91,7 @@ class SupplyNetwork:
 
     @cached_property
     def serves(self) -> np.ndarray:
-        """[n, n]: 1 where the place of the column is that of the row, or supplied through it."""
+        """[n, n]: 1 if the place of the column is that of the row, or supplied through it."""
         serves = np.eye(len(self.sites))
         for i in range(len(self.sites)):
             for item in self._way(i):
@@ -100,7 +100,7 @@ class SupplyNetwork:
 
     @cached_property
     def supplies(self) -> np.ndarray:
-        """[n, n]: 1 where the place of the row is the supplier of that of the column."""
+        """[n, n]: 1 if the place of the row is the supplier of that of the column."""
         supplies = np.zeros((len(self.sites),) * 2)
         for i, site in enumerate(self.sites):
             if site.supplier is not None:
@@ -109,7 +109,7 @@ class SupplyNetwork:
 
     @cached_property
     def linked(self) -> np.ndarray:
-        """[n, n]: 1 where decisions of one place may have an effect on the other."""
+        """[n, n]: 1 if decisions of one place may have an effect on the other."""
         supplies = self.supplies + self.supplies.T + np.eye(len(self.sites))
         for pool in self.pools:
             supplies[np.ix_(pool.sites, pool.sites)] = 1.0
@@ -147,10 +147,10 @@ class NetworkCase:
     """The data that `snapo solve` needs from a case with places.
 
     - `demands`, `seasons`: of the places with customers, in the order of `network.sellers`; None
-      where all periods are equal.
+      if all periods are equal.
     - `holding`: by place, of goods there and on their way from there; `shortage`: by place with
-      customers; `transshipment`: by pool, of a unit moved; `ordering`: of an order of any size, by
-      place in the order of `network.fixed`, None if no order costs anything.
+      customers; `transshipment`: by pool, of a unit moved; `ordering`: the cost of an order of any
+      size, by place in the order of `network.fixed`, None if no order costs anything.
     - Other attributes as in `InventoryCase`.
     """
 

@@ -23,7 +23,7 @@ BAND = 0.5  # deviations: where the search for one begins
 class RuleNumbers(NamedTuple):
     """The numbers of a classical rule, in deviations of the demand that a place serves.
 
-    - `above` [n]: its levels less those of the simulator.
+    - `above` [n]: its levels minus those of the simulator.
     - `reserve`: the bands of stores; stores hold back nothing after demand, unless it is `ENDLESS`.
     - `wait` [m]: the levels of the simulator less the reorder points, for each place with a fixed
       cost; None if a place orders whenever it is below its level.

@@ -13,7 +13,7 @@ A period:
    fixed cost is paid per order placed, even if less is sent, or nothing.
 
 A place has to cover `lead_time + 1` periods of demand before its next order can arrive, and a place
-supplied by it as many more: the line of Clark and Scarf (1960) with lead times longer by one.
+that it supplies covers them too: the line of Clark and Scarf (1960), lead times longer by one.
 """
 
 from dataclasses import replace
@@ -66,10 +66,10 @@ class NetworkSimulator(Simulator):
 
     It holds no case: networks of the same form differ only in arrays and inputs.
 
-    **Arguments:** `network`; `horizon`;
-    `demands`: of the case, `formed`; `first`: the numbers of demand from which a path starts, a
-    fact that moves with no input; `weights`, `counted` [T] as of the case; and its estimates
-    `safety_factors` [n], `usual_costs` [n] and `memory` [m].
+    **Arguments:** `network`; `horizon`; `demands`: the demands of the case, `formed`; `first`: the
+    numbers of demand from which a path starts, a fact that moves with no input; `weights`,
+    `counted` [T] as of the case; and its estimates `safety_factors` [n], `usual_costs` [n] and
+    `memory` [m].
 
     State: "stock" [n]; where a lead time is above zero "coming" [n, longest lead time], the next
     arrival first; with fixed costs the "likelihood" [m] ratios of the draws of training: 1, with a
@@ -79,7 +79,7 @@ class NetworkSimulator(Simulator):
     and "order_NAME", whether a place with a fixed cost orders.
 
     Outputs: "result", minus all costs; "holding", "shortage"; averages of a period that counts:
-    "demand", "sold" (met at once), "stock" and "short" (1 where any place falls short), and
+    "demand", "sold" (met at once), "stock" and "short" (1 if any place falls short), and
     "stock_NAME", "sold_NAME", "demand_NAME" by place, "level_NAME" up to which it orders. With
     pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME". With
     costs of an order "ordering", and on average "orders", "orders_NAME", "ordered_NAME", a number
@@ -208,7 +208,7 @@ class NetworkSimulator(Simulator):
     def start(self) -> tuple[jax.Array, jax.Array]:
         """Stock [n] and arrivals [n, longest lead time] at the start.
 
-        A place starts with its echelon's level less those of the places that it supplies.
+        A place starts with its echelon's level minus those of the places that it supplies.
         """
         network, result = self.network, self.levels(self.first, 1)
         level, lead_time = result.level[0], np.array([site.lead_time for site in network.sites])
@@ -244,7 +244,7 @@ class NetworkSimulator(Simulator):
         return jnp.concatenate(observed)
 
     def _echelon(self, state):
-        """[n] goods at a place, on their way there and further down, less demand that waits."""
+        """[n] goods at a place, on their way there and further down, minus demand that waits."""
         stock = state["stock"]
         local = stock + state["coming"].sum(1) if self.network.longest else stock
         return jnp.asarray(self.network.serves, stock.dtype) @ local

@@ -29,7 +29,7 @@ class Myopic(Policy):
 
     - `moves` [n, n]: probabilities of the stock left, by stock.
     - `met` [n, m]: P(demand <= left + q).
-    - `ratio`: p / (p + h); `mean`: of demand, which observations are relative to.
+    - `ratio`: p / (p + h); `mean`: the mean of demand, which observations are relative to.
     """
 
     moves: Frozen
@@ -174,7 +174,7 @@ def _for_planner(setup: Setup, numbers: dict[str, float]) -> dict[str, float]:
 
 
 def myopic_of(setup: Setup) -> Policy | None:
-    """The myopic rule, where it has no simpler form: lost sales, demand in whole units, and no
+    """The myopic rule, if it has no simpler form: lost sales, demand in whole units, and no
     season.
 
     Where demand waits it is the base stock at the newsvendor's level.

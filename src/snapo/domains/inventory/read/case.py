@@ -19,7 +19,7 @@ from .tables import HorizonTable, InventoryTable, ItemReportTable, ItemTable
 def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
     """The case in the TOML file `file`, whose tables were read already: `data`.
 
-    **Raises:** `CaseError` where a table, a file or a number is wrong.
+    **Raises:** `CaseError` if a table, a file or a number is wrong.
     """
     name, notes = str(file), []
     top = parse(InventoryTable, data, name, "")

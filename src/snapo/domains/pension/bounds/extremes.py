@@ -23,7 +23,7 @@ FUNDED = 1e6  # a funding ratio above every limit of a plan
 
 
 class Extremes(NamedTuple):
-    """Extremes of one path: `received` [T] the maximum of contributions less payments, money;
+    """Extremes of one path: `received` [T] the maximum of contributions minus payments, money;
     `liability` the minimum at the horizon."""
 
     received: Float[Array, " T"]
@@ -54,7 +54,7 @@ def extremes(
 def _most_received(
     simulator, terms: FundTerms, now: Period, minimum: FundState, maximum: FundState
 ) -> Array:
-    """Contributions without assets against the most rights, less benefits on the least."""
+    """Contributions without assets against the most rights, minus benefits on the least."""
     case = simulator.model
     books = balance(case, terms, now.people, now.shape, maximum)
     highest = contribution(

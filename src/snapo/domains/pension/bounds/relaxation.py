@@ -180,7 +180,7 @@ class FundRelaxation:
         return result.over * result.growth.money
 
     def _surprises(self, rollout: Rollout, draws: Draws) -> Array:
-        """[N] sum over the steps of D A after each one, less its mean before it, of the policy;
+        """[N] sum over the steps of D A after each one, minus its mean before it, of the policy;
         over the assets now."""
         paths = self._paths(rollout, draws)
         result = self._deflated(self.price, paths)

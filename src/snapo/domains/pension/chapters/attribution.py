@@ -72,7 +72,7 @@ class RatioEffect:
 
 @dataclass(frozen=True)
 class RatioChange:
-    """The funding ratio at the horizon less that of today: mean and standard deviation."""
+    """The funding ratio at the horizon minus that of today: mean and standard deviation."""
 
     mean: Number = np.nan
     deviation: Number = np.nan
@@ -230,10 +230,11 @@ def show(run: PensionRun, result: RatioParts) -> Sequence[Block]:
     head += [("Mean effect", "points"), ("Standard deviation", "points")]
     caption = (
         f"From {share(result.start)} today to the mean {run.horizon}: means over paths under the"
-        " learned policy. In every month assets and liability are moved in both orders and the"
-        " mean of the two is taken; the liability's parts come in the order benefits, accrual,"
-        " interest, rates, mortality, indexation. Mortality: departures from the table; indexation:"
-        " beyond the part valued already. The parts add up to the change of F on every path."
+        " learned policy. Every month is split twice, assets first and liability first, and the"
+        " mean is taken; the liability's parts come in the order benefits, accrual, interest,"
+        " rates, mortality, indexation. Mortality: deviations from the table; indexation: beyond"
+        " the part that the liability already includes. The parts add up to the change of F on"
+        " every path."
     )
     table = Table(head, body, "", 1, strong=frozenset([len(body) - 2, len(body) - 1]))
     return [Chart(svg, caption), table]

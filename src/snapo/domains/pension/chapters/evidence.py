@@ -164,7 +164,7 @@ CONSISTENCY = Chapter(
 def show_certificate(run: PensionRun, result: Certificate) -> list[Block]:
     """The adjoint against bumps, and every limit."""
     gap = number(result.smoothing_gap)
-    facts = [("Smoothing gap", gap, "exact less smooth, in the objective")]
+    facts = [("Smoothing gap", gap, "exact minus smooth, in the objective")]
     return [
         Facts([*facts, *evidence.gradient(run)]),
         bump_table(result, "", name_of),
@@ -195,7 +195,7 @@ def assumptions(run: PensionRun) -> Section:
 
 def _glossary() -> Table:
     rows = [
-        ("P, Q", "real-world and risk-neutral scenarios; next to everything simulated"),
+        ("P, Q", "real-world and risk-neutral scenarios; shown next to all that is simulated"),
         ("Funding ratio F", "assets over liability, both at the same instant"),
         ("Certainty equivalent", "the certainty-equivalent ratio of the policy"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),

@@ -1,6 +1,6 @@
 """The efficient frontier: contributions against the shortfall, from a sweep of a mixture's weight.
 
-For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon less s times the
+For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon minus s times the
 present value of contributions over the liability of today. The sweep goes up and then down again;
 each time a policy is trained from the best one for its aim so far, wherever that one was trained,
 and in the end each share takes the best of all. Were aims and points measured on the same paths,

@@ -56,8 +56,8 @@ class ObjectiveValue:
     """The terms and the value.
 
     `equivalent`, `equivalent_error`: under a utility of the funding ratio, or of pensions over
-    today's, the certainty equivalent of this `output` with its standard error; `slope`: of the
-    equivalent by the utility, whose relative risk `aversion` it is.
+    today's, the certainty equivalent of this `output` with its standard error; `slope`: the slope
+    of the equivalent by the utility, whose relative risk `aversion` it is.
     """
 
     terms: tuple[WeightedTerm, ...] = ()

@@ -2,8 +2,8 @@
 
 Decisions are recorded once, and one adjoint pass with a cotangent for each output runs over the
 same paths. A share (of the funding ratio, of probability) is reported in points and basis points,
-and in money as that share of today's liability; money also as a share of it. A fund of personal
-pots is reported by its pensions over those of today, which have no such value in money.
+and in money as this share of today's liability; money also as a share of the liability. A fund of
+personal pots is reported by its pensions over those of today, which have no such value in money.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +29,7 @@ from ..results.setup import OutcomeMeasure, case_of, outcome_measure
 from ..run import PensionRun, share, with_measure
 from .objective import equivalent
 from .reconciliation import RECONCILIATION
-from .sensitivities import LIFE, rise, usual_move
+from .sensitivities import LIFE, rise, standard_move
 
 LEVEL = 0.95
 WIDTH = 0.02  # of the ratio, over which a path counts as about to fall below the mark
@@ -38,17 +38,17 @@ CSV = "outputs.csv"
 SHOWN = 12
 OBJECTIVE = "Objective"  # its name where it is a utility, which has no unit
 CAVEAT = (
-    "First-order effects of the usual moves, decisions held, one adjoint pass for each output over"
-    " the same paths. Points are percentage points of the funding ratio or of probability; money "
-    "is that share of today's liability, and for contributions their present value itself. The "
-    "probability is the exact share of paths; its effects are those of a logistic step of width 2 "
-    "points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has no unit. "
-    "Every number: outputs.csv."
+    "First-order effects of the standard moves, with decisions held fixed; one adjoint pass for "
+    "each output, over the same paths. Points are percentage points of the funding ratio or of "
+    "probability. Money is this share times today's liability; for contributions it is their "
+    "present value. The probability is the exact share of paths; its effects are those of a "
+    "logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has no "
+    "unit. Every number: outputs.csv."
 )
 OF_POTS = (
     ("points of the funding ratio", "points of today's pension"),
-    ("money is that share of today's liability, and for contributions their present value itself",
-     "for contributions money is their present value"),
+    ("Money is this share times today's liability; for contributions it is their present value.",
+     "For contributions money is their present value."),
     ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P is the pension over today's"),
 )  # fmt: skip
 
@@ -67,7 +67,7 @@ class OutputValue:
 
 @dataclass(frozen=True)
 class OnOutputs:
-    """The effect of a usual move: {output: (effect, standard error)} in the output's unit
+    """The effect of a standard move: {output: (effect, standard error)} in the output's unit
     (money, or 1)."""
 
     input: str
@@ -101,7 +101,8 @@ class OutputTable:
 
 
 class Derived(NamedTuple):
-    """An output; `held` {input: derivatives}, decisions held, to be multiplied by `scale`."""
+    """An output; `held` {input: derivatives}, with decisions held fixed, to be multiplied by
+    `scale`."""
 
     output: OutputValue
     held: dict[str, Estimate]
@@ -109,7 +110,7 @@ class Derived(NamedTuple):
 
 
 def requested(by: OutcomeMeasure) -> tuple[tuple[str, str, bool, Objective], ...]:
-    """Key, name, whether it is money, the objective; underfunding is reported as 1 less its
+    """Key, name, whether it is money, the objective; underfunding is reported as 1 minus its
     complement."""
     return (
         ("funding", by.mean, False, Mean(by.output)),
@@ -120,7 +121,7 @@ def requested(by: OutcomeMeasure) -> tuple[tuple[str, str, bool, Objective], ...
 
 
 def measure(run: StudyRun) -> OutputTable:
-    """Values of all outputs, and by input the effect of its usual move on each.
+    """Values of all outputs, and by input the effect of its standard move on each.
 
     Writes outputs.csv.
     """
@@ -130,7 +131,7 @@ def measure(run: StudyRun) -> OutputTable:
     derived = list(_outputs(run))
     families, rows = [], []
     for name, entry in table.inputs.items():
-        usual = usual_move(entry)
+        usual = standard_move(entry)
         about, numbers = (name, usual.words, entry.group), entry.value.size
         effects = _effects(derived, name, usual.size)
         families.append(InputOnOutputs(*about, effects, numbers, entry.meaning))
@@ -251,7 +252,7 @@ def _summary(
         columns.append([number(effect / scale, digits, True) for effect in effects])
         head.append((output.name, unit))
     rows = [(rise(family), *cells) for family, *cells in zip(families, *columns)]
-    return Table(head, rows, "The largest effects of the usual moves on each output", 1)
+    return Table(head, rows, "The largest effects of the standard moves on each output", 1)
 
 
 def _detail(

@@ -41,7 +41,7 @@ class YearlyFans:
     """Quantiles by year. `funding` ratio, the share of paths with one below 1 (`underfunded`), and
     the mean of min(F - 1, 0) over the worst 5 % (`shortfall`), at `years` from now.
 
-    Within each year: contributions, benefits, increases less cuts; and these `cumulated`.
+    Within each year: contributions, benefits, increases minus cuts; and these `cumulated`.
     """
 
     years: Floats
@@ -59,8 +59,8 @@ class PolicyMap:
     """Weights over funding ratio and time: means over the paths that are there.
 
     - `years` [Y]: starts of years; `ratios` [R + 1]: edges of the columns.
-    - `growth` [Y, R]: of the classes with a separate shock; `hedge` [Y, R]: of the mean place
-      of the swap notionals in their ranges, empty without swaps; NaN where fewer than FEW paths
+    - `growth` [Y, R]: the growth of the classes with a separate shock; `hedge` [Y, R]: of the mean
+      place of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW paths
       are.
     """
 
@@ -98,7 +98,7 @@ class FirstAllocation:
 
 @dataclass(frozen=True)
 class PathTables:
-    """The results of the recorded paths; `recovery`: before the regulator, where the case has
+    """The results of the recorded paths; `recovery`: before the regulator, if the case has
     one."""
 
     by_year: YearlyFans
@@ -285,7 +285,7 @@ def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBr
 
     **Arguments:**
 
-    - `round_off`: of a weight; of the assets now, per step, for collateral.
+    - `round_off`: the round-off of a weight; of the assets now, per step, for collateral.
     """
     broken = {"weights": record.outputs["bound_excess"] > round_off}
     if record.case.buckets:
@@ -318,7 +318,7 @@ def _map(name: str, text: str, table: PolicyMap, values: np.ndarray) -> Chart:
     )
     caption = (
         f"{text[:1].upper()}{text[1:]}, in per cent: means over the paths that are at that"
-        " funding ratio in that year; empty where there are almost none."
+        " funding ratio in that year; empty if there are almost none."
     )
     return Chart(svg, caption)
 

@@ -37,9 +37,9 @@ RATE = 0.05  # learning rate of rules of a few numbers each, which have far to g
 class PolicyWorth:
     """A policy on the evaluation's paths.
 
-    - `difference`: the learned policy's value less its own, paired path by path.
+    - `difference`: the learned policy's value minus its own, paired path by path.
     - `equivalent`: the certainty equivalent, and `lead`: the learned policy's in log ratio per
-      year; NaN where the objective is no utility of a ratio.
+      year; NaN if the objective is no utility of a ratio.
     - `median`, `p05`, `underfunded`: of the final ratio, the last its share of paths below 1.
     - `pv_contribution`: the mean present value of contributions, money.
     """
@@ -180,7 +180,7 @@ def show(run: PensionRun, policies: tuple[PolicyWorth, ...]) -> Sequence[Block]:
 
 def leads(policies: Sequence[PolicyWorth]) -> str:
     """The lead over the present mix and over the best of the other rules, in a sentence; empty
-    where no rule was valued."""
+    if no rule was valued."""
     others = [x for x in policies if x.key != LEARNED]
     certain = bool(others) and all(np.isfinite(x.equivalent) for x in policies)
     first = next((x for x in others if x.key == PRESENT[0]), None)

@@ -24,7 +24,7 @@ TINY = 1e-9  # of a pension: less is none
 SMALL = 1e-6  # of a pension: a fall by less is round-off
 CAVEAT = (
     "Pensions are nominal, for each member and year, under the learned policy. The pots of today"
-    " share the assets less the reserve by the value of each cohort's accrued rights. A pot earns"
+    " share the assets minus the reserve by the value of each cohort's accrued rights. A pot earns"
     " the return of its annuity (on the path's curve) on its protected share and the return of cash"
     " on the rest; the reserve earns the return of cash. All other return, the excess, is shared by"
     " exposure. Cut: the share of years of payment in which the pension falls."
@@ -38,8 +38,8 @@ class CohortPension:
     - `pot`: money. `earned`, `pension`: each member's and year's, as earned, and with the pots of
       today; `horizon`: the pension at the horizon, in quantiles.
     - `of_salary`: its median as a share of today's salary, of the active.
-    - `volatility`: of its yearly changes; `cut`: the probability that it falls in a year of
-      payment, and `fall`: by how much then in the mean; None if there is no such year.
+    - `volatility`: the volatility of its yearly changes; `cut`: the probability that it falls in a
+      year of payment, and `fall`: by how much then in the mean; None if there is no such year.
     """
 
     name: str

@@ -30,7 +30,7 @@ LIFE = (
 )
 HELD = (
     "Held: every path keeps its trades; at an optimum this is to first order also the effect with a"
-    " re-optimised policy. Through the policy: a bump of the exact fund, where it contradicts that."
+    " re-optimised policy. Through the policy: a bump of the exact fund, if it contradicts that."
     " The 95 % interval adds the sampling error and the error of the policy."
     " Reacting: the trained policy observes the moved fund and decides again, without new "
     "training; the two differ only by the error of training and smoothing. Prices of risk, excess "
@@ -41,33 +41,33 @@ ROWS = 400  # single numbers in the report; sensitivities.csv has all of them
 TEXTS = frozenset({0, 1, 5})  # columns of text in the tables of single numbers
 
 
-class UsualMove(NamedTuple):
-    """The usual move of each number of an input [n], and its description."""
+class StandardMove(NamedTuple):
+    """The standard move of each number of an input [n], and its description."""
 
     size: np.ndarray
     words: str
 
 
-def usual_move(entry: Input) -> UsualMove:
-    """The usual move of an input's numbers; rises are positive."""
+def standard_move(entry: Input) -> StandardMove:
+    """The standard move of an input's numbers; rises are positive."""
     size = direction(entry).ravel()
     if entry.move is not None:
-        return UsualMove(
+        return StandardMove(
             size, f"{entry.move * entry.display_factor:g} {entry.display_unit}".strip()
         )
     if not size.any():
         # There is no per cent of nothing.
-        return UsualMove(np.ones(size.size), "1 unit")
-    return UsualMove(size, f"{100 * SHARE:g} % (relative)")
+        return StandardMove(np.ones(size.size), "1 unit")
+    return StandardMove(size, f"{100 * SHARE:g} % (relative)")
 
 
 @dataclass(frozen=True)
 class MoveEffect(ReportedInterval):
-    """The effect of a usual move on the objective; None if not known.
+    """The effect of a standard move on the objective; None if not known.
 
     - `effect`, `low`, `high`, `sampling`, `policy`, `source`: of the reported derivative, as in
       `study.chapters.sensitivities.InputMove`.
-    - `held`, `standard_error`: with the decisions held; `reacting`: with the trained policy's
+    - `held`, `standard_error`: with the decisions held fixed; `reacting`: with the trained policy's
       reaction.
     """
 
@@ -102,7 +102,7 @@ class NumberEffect(MoveEffect):
 
 @dataclass(frozen=True)
 class MoveEffects:
-    """The effects of the usual moves.
+    """The effects of the standard moves.
 
     - `unit`: "ratio" where they are on the certainty equivalent (`objective.equivalent`), else
       "objective".
@@ -122,7 +122,7 @@ def measure(run: StudyRun) -> MoveEffects:
 
 
 def effects(setup: Setup, solution: Solution) -> MoveEffects:
-    """Effects of the usual moves on the objective: each number by itself, and all of an input's."""
+    """Effects of the standard moves on the objective: of each number, and of all of an input's."""
     problem, table = setup.problem, solution.sensitivities
     if table is None:
         return MoveEffects()
@@ -130,7 +130,7 @@ def effects(setup: Setup, solution: Solution) -> MoveEffects:
     slope = 1.0 if certain is None else certain.slope
     families, rows, combined = [], [], []
     for name, entry in table.inputs.items():
-        usual = usual_move(entry)
+        usual = standard_move(entry)
         effect = _along(table, name, usual.size, slope)
         effect |= {"count": entry.value.size, "words": entry.meaning}
         families.append(InputEffect(name, usual.words, entry.group, **effect))
@@ -162,7 +162,7 @@ def _along(table: Sensitivities, name: str, size: np.ndarray, slope: float) -> d
 
 
 def show(run: PensionRun, result: MoveEffects) -> Sequence[Block]:
-    """Every input moved by its usual step: the tornado, key rates of the curves, all others."""
+    """Every input moved by its standard step: the tornado, key rates of the curves, all others."""
     if not result.families:
         return [why_missing(run, SENSITIVITIES.name)]
     scale, unit = 1.0, "objective"
@@ -195,7 +195,7 @@ def _tornado(moves: Sequence[InputEffect], scale: float, unit: str) -> Chart:
         Swing(rise(move), value, number(value, digits, True), scale * move.half_width)
         for move, value in zip(order, values)
     ]
-    alt = "Effects of the usual moves. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
+    alt = "Effects of the standard moves. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
     svg = draw("tornado", alt, lambda axes: tornado(axes, swings, unit), 40 + 22 * len(swings))
     caption = "The largest effects, all numbers of an input moved together; whiskers: 95 %."
     return Chart(svg, caption)

@@ -86,7 +86,7 @@ def indexation(run: PensionRun, result: PathTables) -> Sequence[Block]:
     alt = f"Pensions by year in per cent of today's; the median ends at {share(total['p50'][-1])}."
     svg = draw("index-fan", alt, lambda a: quantile_fan(a, years, scaled, "% of today's", 100), 220)
     caption = "A pension of today after all increases and cuts, in money of that year."
-    text = "Increases less cuts, granted in each year"
+    text = "Increases minus cuts, granted in each year"
     return [Chart(svg, caption), _table(fan, 0.01, "%", text)]
 
 

@@ -47,7 +47,7 @@ def stress(case: PensionModel, inputs: dict[str, Any], rise: Any) -> Stress:
     overlay = case.overlay
     assert overlay is not None
     before = curve_prices(case, inputs)
-    real = 2 if overlay.inflation else 1  # of rates less break-evens
+    real = 2 if overlay.inflation else 1  # of rates minus break-evens
 
     def after(steps: np.ndarray, linked: bool) -> Array | np.ndarray:
         years = steps * case.step * (real if linked else 1)

@@ -81,7 +81,7 @@ class NormalCost(ContributionRule):
 
 
 class SpreadContribution(ContributionRule):
-    """The normal cost and a yearly share of liability less assets; a surplus is spread too."""
+    """The normal cost and a yearly share of liability minus assets; a surplus is spread too."""
 
     kind, takes, responds = "spread", ("spread_factor",), True
 

@@ -111,6 +111,6 @@ def scales(case: PensionModel) -> Scales:
 
 
 def _after_ten_years(volatility: np.ndarray, mean_reversion: np.ndarray) -> np.ndarray:
-    """Standard deviation of mean-reverting factors; 1 where they do not move."""
+    """Standard deviation of mean-reverting factors; 1 if they do not move."""
     deviation = volatility * np.sqrt(-np.expm1(-20 * mean_reversion) / (2 * mean_reversion))
     return np.where(deviation > 0, deviation, 1.0)

@@ -63,7 +63,7 @@ def trade(case: PensionModel, terms, state, action, assets, buckets, smooth) -> 
     swaps = terms.swaps
     if swaps is not None:
         notional = _notional(case, swaps, action[count:], assets, buckets, smooth)
-        # Holdings less targets: where nothing is traded, the derivative with respect to the
+        # Holdings minus targets: if nothing is traded, the derivative with respect to the
         # holding is then that of one more.
         change = state.overlay * state.assets / terms.assets - notional / terms.assets
         cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))

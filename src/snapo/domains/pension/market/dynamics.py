@@ -122,7 +122,7 @@ class PriceGrowth(NamedTuple):
 def growth(
     case: PensionModel, inputs: dict[str, Any], factors: MarketFactors, shift: Array
 ) -> PriceGrowth:
-    """`shift` [T] is that of nominal less that of real bonds: the break-even index, fitted.
+    """`shift` [T] is that of nominal minus that of real bonds: the break-even index, fitted.
 
     ln I' - ln I = shift + int p + s_I (dW_I + lambda_I d), where int p has its own price of risk.
     """

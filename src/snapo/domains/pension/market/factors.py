@@ -32,7 +32,7 @@ class MarketFactors(NamedTuple):
     """The g factors: `volatility` [T, g] per step, all others [g].
 
     `decay` exp(-a d), `reach` B(d), `reached` the integral of B from 0 to d. `price_of_risk` is
-    zero where scenarios are risk-neutral.
+    zero if scenarios are risk-neutral.
     """
 
     mean_reversion: Array

@@ -31,8 +31,8 @@ class PriceGrowth(NamedTuple):
 
     - `phase` [T+1]: row of `variance`, `together`, `later` and `load`. `first` [T+1]: steps to the
       first date.
-    - `mean` [T+1, N]: of Y_k under the measure of a payment after date k, with the factor of
-      expected inflation at zero; `load` [phases, N]: its rise per unit of that factor.
+    - `mean` [T+1, N]: the mean of Y_k under the measure of a payment after date k, with the factor
+      of expected inflation at zero; `load` [phases, N]: its rise per unit of that factor.
     - `variance` [phases, N]; `together` [phases, N, N]: covariances of pairs.
     - `later` [phases, N, N]: [n, k] fall of the mean of Y_k where the payment follows date n.
     """

@@ -58,5 +58,5 @@ def currency_terms(case: PensionModel, inputs: dict[str, Any]) -> CurrencyTerms:
 
 
 def of_currency(values: Array, currency: np.ndarray) -> Array:
-    """`values` [X] where a currency is held, zero where none is (-1)."""
+    """`values` [X] of each asset's currency, zero for one without a currency (-1)."""
     return jnp.append(values, jnp.zeros(1, values.dtype))[currency]

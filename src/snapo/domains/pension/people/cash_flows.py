@@ -34,7 +34,7 @@ from .mortality import log_survival, partner
 class Streams(NamedTuple):
     """Payment profiles (module docstring), and the lives [K] on which each depends.
 
-    `member`, `spouse`: [K] 1 where it depends on the member's, the spouse's life, of the group
+    `member`, `spouse`: [K] 1 if it depends on the member's, the spouse's life, of the group
     at position `group` [K] of `lives`.
     """
 

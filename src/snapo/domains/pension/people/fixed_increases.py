@@ -46,7 +46,7 @@ def grown(
 
     **Arguments:**
 
-    - `drawn`: [C, N] above 0 where a member's pension is in payment.
+    - `drawn`: [C, N] above 0 if a member's pension is in payment.
     """
     apart, count = case.plan.revaluation, drawn.shape[1]
     payment = in_payment(case, inputs, count)

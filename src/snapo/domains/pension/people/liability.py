@@ -2,7 +2,7 @@
 
 Seen from time t a payment is due u steps later, between two nodes u1 <= u < u2. Its forward value
 cf P0(t + u) / P0(t) is split over the two linearly in u. A path multiplies the nodes' weights by
-the change of its curve since (1 where it followed the forwards), so the liability depends on the
+the change of its curve since (1 if it followed the forwards), so the liability depends on the
 initial curve payment by payment, and only the curve's innovation is interpolated.
 
 Liability at t: Theta exp(-y) sum_j (accrued_tj + a fresh_tj) X_tj exp(-outlook_tj k), Theta being
@@ -85,8 +85,8 @@ class People(NamedTuple):
     """The members as every path sees them. Leading axis T + 1: at time t, before step t.
 
     - `accrued`, `fresh` [T+1, J]: forward values on the nodes, loading for expenses included, of
-      rights accrued by time 0, and in steps before t at baseline wages. `accrual` [T+1, J]: of the
-      accrual of step t, per unit of w (last row zeros). Money, at indexation 1.
+      rights accrued by time 0, and in steps before t at baseline wages. `accrual` [T+1, J]: the
+      accrual of the accrual of step t, per unit of w (last row zeros). Money, at indexation 1.
     - `benefit`, `fresh_benefit` [T+1]: money paid in step t out of each of them.
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
     - `baseline` [T+1]: the assumed w, exp(real wage growth).
@@ -215,7 +215,7 @@ def _outlook(
     fresh: Array,
     discount: Array,
 ) -> Float[Array, "times J"]:
-    """Mean response of each node's payments, weighted with their value; 0 where none is due."""
+    """Mean response of each node's payments, weighted with their value; 0 if none is due."""
     if deaths is None:
         return jnp.zeros((case.steps + 1, len(nodes(case.step))))
     flow = projection.accrued + fresh

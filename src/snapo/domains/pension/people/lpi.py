@@ -40,9 +40,9 @@ class Lpi(NamedTuple):
 
     - `mean`, `load`, `deviation` [T+1]: of the growth of prices up to the first date: its mean,
       that mean's rise with the factor, and its deviation.
-    - `started` [T+1, J]: 1 where a node's payments have an increase ahead.
-    - `later`, `joint` [T+1, J, DEGREE+1]: Chebyshev coefficients, in factor over `width` [T+1]: of
-      the later dates' part, and of the part that goes with d_1.
+    - `started` [T+1, J]: 1 if a node's payments have an increase ahead.
+    - `later`, `joint` [T+1, J, DEGREE+1]: Chebyshev coefficients, in factor over `width` [T+1]: the
+      width of the later dates' part, and of the part that goes with d_1.
     """
 
     mean: Array
@@ -124,8 +124,8 @@ def log_factor(now: Lpi, terms, growth: Array, factor: Array) -> Float[Array, " 
 
     **Arguments:**
 
-    - `now`: of one time. `growth`: of ln prices since the last date. `factor`: of expected
-      inflation. `terms`: the plan's, with `cap` and `floor`.
+    - `now`: of one time. `growth`: the growth of ln prices since the last date. `factor`: the
+      factor of expected inflation. `terms`: the plan's, with `cap` and `floor`.
     """
     mean = now.mean + now.load * factor + growth
     first, slope = expected(mean, now.deviation, terms.floor, terms.cap)

@@ -71,7 +71,7 @@ class AllocationLimits(Policy):
         return [(members, low[i], high[i]) for i, members in enumerate(self.groups)]
 
     def nearest(self, weights: Array, smooth) -> Float[Array, " n"]:
-        """Weights within the limits from weights that may leave them: these, where they do not."""
+        """Weights within the limits from weights that may leave them: these, if they do not."""
         low, high = (jnp.asarray(item.array, weights.dtype) for item in (self.low, self.high))
         logits = _logit(_inside(weights, low, high))
         for members, minimum, maximum in self._bounded(weights.dtype):
@@ -135,7 +135,7 @@ def present(case: PensionCase) -> np.ndarray:
 
 
 def logits_of(case: PensionCase, weights: np.ndarray) -> np.ndarray:
-    """[n] the numbers from which `AllocationLimits` makes these weights, where no group limits
+    """[n] the numbers from which `AllocationLimits` makes these weights, if no group limits
     them."""
     inside = np.clip(_place(weights, case.assets.low, case.assets.high), 1e-3, 1 - 1e-3)
     return np.log(inside / (1 - inside))

@@ -43,7 +43,7 @@ def read_pots(
 ) -> Pots | None:
     """The pots of a case under the rules in force on `day`; None without the table.
 
-    **Raises:** `CaseError` where the reserve is filled beyond the law, or cohorts are missing.
+    **Raises:** `CaseError` if the reserve is filled beyond the law, or cohorts are missing.
     """
     if table is None:
         return None

@@ -26,7 +26,7 @@ class Cohorts(NamedTuple):
     - `value` [T+1, C, J]: forward value of each cohort's payments on the nodes, of pensions as they
       were earned at time 0; `benefit` [T+1, C]: those paid in step t.
     - `payroll` [T+1, C]: each cohort's share of the salaries; zeros where no one works.
-    - `drawing` [T+1, C]: 1 where the pension is in payment.
+    - `drawing` [T+1, C]: 1 if the pension is in payment.
     """
 
     value: Array

@@ -101,7 +101,7 @@ class PotSimulator(PensionSimulator):
         return state, self._outputs(terms, fund, done, smooth) | summary
 
     def _paid(self, constants: PotTerms, now: PotPeriod, state: PotState, books, smooth) -> Paid:
-        """Contributions by salary, less the reserve's part; pensions and expenses out of pots."""
+        """Contributions by salary, minus the reserve's part; pensions and expenses out of pots."""
         people, market = now.fund.people, state.fund.market
         received = contribution(
             self.model.plan,

@@ -33,7 +33,7 @@ MEAN = SHARE.of("premium", unit=YEARLY, range=Range(-0.999, 1.0)).in_column(
     "mean", "mean return of a class: above cash for excess returns, in total for total returns"
 )
 IN_CELL = VOLATILITY.in_column(
-    "volatility", "volatility of a class in its own currency, its mean as the case gives it",
+    "volatility", "volatility of a class in its own currency; the mean in the case is unchanged",
     range=Range(0.0, 5.0),
 )  # fmt: skip
 IN_FILE = replace(IN_CELL, range=VOLATILITY.range, by=FROM_YEAR, column="value")
@@ -239,6 +239,7 @@ def _check_bounds(
     if minimum > 1 + WHOLE or maximum < 1 - WHOLE:
         got = Unquoted(f"bounds between which the weights add up to {minimum:g} to {maximum:g}")
         message = (
-            "the weights must be able to add up to 1: lower bounds to no more, upper to no less"
+            "the weights must be able to add up to 1: the lower bounds add up to at most 1, the "
+            "upper ones to at least 1"
         )
         raise section.error("file", got, message)

@@ -81,7 +81,7 @@ STEPS = {"month": 1 / 12, "year": 1.0}
 def read_case(path: str | Path) -> PensionCase:
     """Reads and checks the case at `path`, a TOML file or a folder with `case.toml`.
 
-    **Raises:** `CaseError` where a table, a file or a number is wrong; nothing is written.
+    **Raises:** `CaseError` if a table, a file or a number is wrong; nothing is written.
     """
     file, data = load(Path(path))
     return resolve(file, data)
@@ -115,7 +115,7 @@ class _Reader:
 def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
     """The tables of a case by name, "" the whole file.
 
-    **Raises:** `CaseError` where a key is wrong, or has no meaning in this case.
+    **Raises:** `CaseError` if a key is wrong, or has no meaning in this case.
     """
     if top.rates is None and top.scenarios is None:
         message = "this table is missing; only ready-made [scenarios] do not need it"
@@ -323,7 +323,7 @@ def _replaced(case: PensionCase) -> list[CaseInput]:
     return [*numbers, case.assets.volatility, case.assets.smoothing]
 
 
-# The output of each kind of objective, where the case does not name one.
+# The output of each kind of objective, if the case does not name one.
 USUAL = {"cvar": "surplus_ratio", "mean": "funding_ratio"}
 
 

@@ -27,7 +27,7 @@ from ..records.people import PAYMENT_YEARS
 from .cells import NEVER, TableReader, TimeGrid, empty, rising, unique, years
 from .tables import CorrelationsTable, CurveTable, InflationTable, RatesTable
 
-SPEED = 0.1  # towards an ultimate rate, where the case does not say
+SPEED = 0.1  # towards an ultimate rate, if the case does not say
 QUOTES: dict[str, Literal["forward", "swap"]] = {"forward": "forward", "swap": "swap"}
 PERIOD, EARLIEST = 40.0, 60.0  # years from the last liquid tenor to convergence, and its earliest
 HELD = "Market values of assets today, prices of risk and excess returns are held"
@@ -38,7 +38,7 @@ ZERO = NODE.in_column(
     "KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
     f" a parallel shift. {HELD}",
 )
-SWAP = NODE.in_column("swap", f"KR01: the par swap rate of one tenor, the others held. {HELD}")
+SWAP = NODE.in_column("swap", f"KR01: the par swap rate of one tenor, the others fixed. {HELD}")
 FORWARD = NODE.in_column(
     "forward",
     f"KR01: the forward rate of one interval; the sum of all is a parallel shift. {HELD}",
@@ -73,8 +73,8 @@ def read_curve(section: TableReader, table: CurveTable) -> MarketCurve:
 def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -> MarketCurve:
     """The curve with the numbers of the method; others unchanged.
 
-    **Raises:** `CaseError` where keys or quotes do not suit the method, where no speed converges,
-    or where the price of a bond would not be above 0.
+    **Raises:** `CaseError` if keys or quotes do not suit the method, if no speed converges,
+    or if the price of a bond would not be above 0.
     """
     if curve.extrapolation != "smith-wilson":
         if curve.quote == "swap":
@@ -159,7 +159,7 @@ def _continuous(annual: CaseInput) -> CaseInput:
 
 
 def _liquid(section: TableReader, table: CurveTable | InflationTable, rows: list[Row]) -> list[Row]:
-    """The rows up to the last liquid tenor, where the case names one."""
+    """The rows up to the last liquid tenor, if the case names one."""
     last = getattr(table, "last_liquid", None)
     if last is None:
         return rows
@@ -195,8 +195,8 @@ def read_rates(section: TableReader, table: RatesTable | None, grid: TimeGrid) -
 def read_inflation(
     section: TableReader, table: InflationTable, grid: TimeGrid, compounding: str
 ) -> Inflation:
-    """Break-evens under "break_even", and the models of prices and wages; `compounding`: of the
-    rates of the case, by default."""
+    """Break-evens under "break_even", and the models of prices and wages; `compounding`: the
+    compounding of the rates of the case, by default."""
     annual = (table.compounding or compounding) == "annual"
 
     def input(key: str) -> CaseInput:

@@ -19,7 +19,7 @@ from .tables_people import LeeCarterTable, MortalityTable
 SEX = ("male", "female")
 RATIO = AMOUNT.of("people", unit="1", range=ANY)
 PROBABILITY = RATIO.in_column("q", "a death probability rises by a relative 1 %", range=FRACTION)
-FORMULA = replace(RATIO, meaning="a number of the formula of mortality rises by a relative 1 %")
+FORMULA = replace(RATIO, meaning="a parameter of the mortality formula rises by a relative 1 %")
 LOADING = RATIO.in_column("loading", "how far the hazard of an age follows the mortality factor")
 LAST_AGE = 120  # of a formula, and of a table that is closed
 FORMULA_AGES = (16, LAST_AGE - 16 + 1)  # first age and number of ages of a formula
@@ -204,7 +204,7 @@ def bands(reference: FileReference, name: str, ages: range, quantity: FundQuanti
 def read_lee_carter(
     section: TableContext, table: LeeCarterTable | None, mortality: Mortality
 ) -> LeeCarter | None:
-    """The stochastic factor of mortality, where the case has one."""
+    """The stochastic factor of mortality, if the case has one."""
     if table is None:
         return None
     ages = range(mortality.first_age, mortality.first_age + mortality.ages)

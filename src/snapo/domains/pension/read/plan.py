@@ -189,7 +189,7 @@ def read_liability(section: TableContext, table: LiabilityTable, annual: bool) -
 def check_limited(case: PensionCase) -> None:
     """Options in limited increases can be valued where increases are limited and models hold.
 
-    **Raises:** `CaseError` with the reason where they cannot.
+    **Raises:** `CaseError` with the reason if they cannot.
     """
     if case.liability.future_indexation != "capped":
         return

@@ -85,14 +85,14 @@ def _averaging(tables: Tables) -> bool:
 
 
 FLOWS = Only(lambda tables: tables["members"].cash_flows is not None, "with cash_flows")
-SALARIES = Only(_on_salaries, "where contributions or their limits are shares of salaries")
-ACCRUING = Only(lambda tables: tables["plan"].accruing, "where the plan is accruing")
+SALARIES = Only(_on_salaries, "if contributions or their limits are shares of salaries")
+ACCRUING = Only(lambda tables: tables["plan"].accruing, "if the plan is accruing")
 ACCRUED = Only(
     lambda tables: tables["plan"].accrual_rate.used() > 0, "with an accrual_rate above 0"
 )
 OPEN = Only(lambda tables: tables["plan"].open, "in an open plan")
 SPOUSES = Only(lambda tables: tables["plan"].spouse_share.used() > 0, "with a spouse_share above 0")
-INCREASING = Only(_increasing, "where something happens once a year: increases, cuts or pots")
+INCREASING = Only(_increasing, "if something happens once a year: increases, cuts or pots")
 AVERAGED = Only(_averaging, 'with kind "conditional" or with cuts', _kind("plan.indexation"))
 CUTS = Only(
     lambda tables: tables["plan.indexation"].cut_years > 0,
@@ -218,7 +218,7 @@ class PlanTable(CaseTable):
         Range(0.0, endpoints="()", noun="a number of years"), 60.0
     )
     accrual_rate: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING] = PLAN_RATE(
-        "the share of salary less offset that a year of service earns", 0.0, range=FRACTION
+        "the share of salary minus offset that a year of service earns", 0.0, range=FRACTION
     )
     offset: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING, ACCRUED] = PLAN_MONEY(
         "the part of a salary without a pension", 0.0

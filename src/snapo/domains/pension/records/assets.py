@@ -119,8 +119,8 @@ class Overlay(eqx.Module):
       `zero_coupon`.
     - `maturities`: [b] whole steps, rising among swaps of rates and of inflation. `notional`:
       money, the value of the fixed leg when the swap is struck, index [b].
-    - `low`, `high`: [b] limits as a share of `unit`: of assets, or of the value of the liability
-      payments that are nearest to the bucket (a hedge ratio).
+    - `low`, `high`: [b] limits as a share of `unit`: the unit of assets, or of the value of the
+      liability payments that are nearest to the bucket (a hedge ratio).
     - `leverage`: largest sum of absolute notionals over assets, index [].
     - `cost`: share of the notional traded, index [b].
     - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].

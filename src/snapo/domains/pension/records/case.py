@@ -48,7 +48,7 @@ class Frontier:
 
 
 class Scales(NamedTuple):
-    """Standard deviations after ten years, 1 where nothing moves: of the `factors` [g], of ln(s /
+    """Standard deviations after ten years, 1 if nothing moves: of the `factors` [g], of ln(s /
     mean) of a `spread` [R], and of Lee-Carter's k."""
 
     factors: np.ndarray
@@ -60,8 +60,8 @@ class DerivedNumbers(eqx.Module):
     """Numbers that follow from a case's own ones, for all values of its inputs.
 
     - `eligible`: [n] share of each class that counts as collateral.
-    - `scales`: of the features (see `fund.observation`).
-    - `width`: of the factor of expected inflation (see `people.lpi`).
+    - `scales`: the scales of the features (see `fund.observation`).
+    - `width`: the width of the factor of expected inflation (see `people.lpi`).
     - `divided`: whether birthdays lie within steps (see `people.mortality`).
     - `annual_bond`: 1 / (1 + annual zero rate) by step (see `fund.schedule`); None without need.
     """

@@ -70,7 +70,7 @@ class Held(eqx.Module):
     values: np.ndarray
 
     def __call__(self, inputs: dict[str, Any]) -> Array:
-        """The numbers where they are used; those of an input of this name, where there is one."""
+        """The numbers where they are used; those of an input of this name, if there is one."""
         return self.position({self.position.name: self.values} | inputs)
 
 

@@ -23,7 +23,7 @@ class MarketCurve(eqx.Module):
       once a year, tenors in whole years.
     - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate;
       "ultimate" moves the forward rate to `ultimate` by exp(-speed * (years beyond the node));
-      "smith-wilson" is that method for all terms, with `speed`, or where it is None with the
+      "smith-wilson" is that method for all terms, with `speed`, or if it is None with the
       smallest one at which forward rates have reached `ultimate` at `convergence` years.
     - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
     """
@@ -102,7 +102,7 @@ class Correlation(eqx.Module):
       ratings, currencies, and classes with a separate shock. Others, and mortality, are
       independent of all the rest.
     - `lower`: strict lower triangle, row by row, index [k (k - 1) / 2]; labels "equity, rate".
-    - `repaired`: the largest change of an entry, 0 where nothing was repaired.
+    - `repaired`: the largest change of an entry, 0 if nothing was repaired.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)

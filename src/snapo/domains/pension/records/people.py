@@ -27,7 +27,7 @@ class Mortality(eqx.Module):
     q(x))^exp(-improvement(x) (since + j)), m = `multiplier(x)` times the factor of the cohort, and
     m q at most 1.
 
-    - `first_age`: of all index axes "age"; ages have length G.
+    - `first_age`: the first age of all index axes "age"; ages have length G.
     - `table`: index [2, ages of the table]; empty for the other kind. `gompertz`: index [2, 3],
       columns alpha, beta, makeham; empty for "table".
     - `multiplier`: on q, index [2, G]. `improvement`: per year, index [2, G].
@@ -49,7 +49,7 @@ class LeeCarter(eqx.Module):
 
     The drift belongs to `Mortality.improvement`.
 
-    - `volatility`: of k, 1/sqrt(year), index []. `loading`: b, index [2, G].
+    - `volatility`: the volatility of k, 1/sqrt(year), index []. `loading`: b, index [2, G].
     """
 
     volatility: CaseInput

@@ -9,14 +9,14 @@ from snapo.case.given import CaseInput
 
 
 class Indexation(eqx.Module):
-    """Increases once a year in calendar month `month`: of pensions in payment, and of all other
-    rights equally where the plan has no `Revaluation`.
+    """Increases once a year in calendar month `month`: the month of pensions in payment, and of all
+    other rights equally where the plan has no `Revaluation`.
 
     "none"; "fixed": by `rate`, a part of the payments themselves (see `people.fixed_increases`);
     "full": price growth since the last time; "capped": the same within `floor` and
     `cap` (per year); "conditional": the capped one times a ramp, 0 at `lower_ratio` and 1 at
     `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging` months
-    (1 to 12). Cuts: where the policy ratio lies below `required_ratio`, pensions are cut by
+    (1 to 12). Cuts: if the policy ratio lies below `required_ratio`, pensions are cut by
     (1 - ratio / required_ratio) / `cut_years`; no cuts where `cut_years` is 0.
 
     `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`, `rate`: index [].
@@ -86,7 +86,8 @@ class Contribution(eqx.Module):
 class PensionPlan(eqx.Module):
     """Terms of the scheme: a pension of career average.
 
-    - `revaluation`: of rights before payment; None: they grow as pensions in payment do.
+    - `revaluation`: the revaluation of rights before payment; None: they grow as pensions in
+      payment do.
 
     - `timing`: payments at the start ("advance") or end ("arrears") of a step, benefits and
       contributions equally.

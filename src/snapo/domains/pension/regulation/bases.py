@@ -27,7 +27,7 @@ PROVISIONS, LOW, BUY_OUT = "Technical provisions", "Low dependency", "Buy-out"
 
 @dataclass(frozen=True)
 class Basis:
-    """One basis: `margin` over the curve; `liability` and `surplus` (assets less it), money;
+    """One basis: `margin` over the curve; `liability` and `surplus` (assets minus it), money;
     `ratio` assets over it; `duration` years."""
 
     name: str

@@ -28,7 +28,7 @@ def in_force(
 
     - `local`: {name: file} of the rules that come with the package.
 
-    **Raises:** `CaseError` where the file is missing or incomplete, or holds nothing for the day.
+    **Raises:** `CaseError` if the file is missing or incomplete, or holds nothing for the day.
     """
     try:
         if name in local:
@@ -66,7 +66,7 @@ def read_regulation(
 ) -> Regulation | None:
     """The rules in force on `day`; None without the table.
 
-    **Raises:** `CaseError` where the file is missing or incomplete, or holds nothing for the day.
+    **Raises:** `CaseError` if the file is missing or incomplete, or holds nothing for the day.
     """
     if table is None:
         return None

@@ -49,7 +49,7 @@ MEASURES = {"P": "real-world (P)", "Q": "risk-neutral (Q)"}
 def pension_study(case: PensionCase, options: Options) -> Study:
     """All that a run of the case does.
 
-    **Raises:** `CaseError` where a figure of the actuary's is missed: before anything is written.
+    **Raises:** `CaseError` if a figure of the actuary's is missed: before anything is written.
     """
     notes = (options.about or {}).get("notes")  # of a run that passed, and goes on
     if notes is None:
@@ -165,7 +165,7 @@ def in_classes(note: str, case: PensionCase) -> str:
 
 
 def _unbounded(case: PensionCase) -> str:
-    """The reason why the value of a fund is not bounded from above; empty where it is."""
+    """The reason why the value of a fund is not bounded from above; empty if it is."""
     if case.pots is not None:
         return "no bound from above is known for a fund of personal pots"
     if case.scenarios is not None:

@@ -42,8 +42,10 @@ class BatchResult:
     """One batch; `status`: "ok", or why there is no batch.
 
     - `attributes`: values by name; `holds`, `distance` [Q]: whether each is within its limits, and
-      its room to them, NaN without one. `errors`: of a step of the units with stiff steps.
-    - `trajectories`: {unit: {"time" or a state: values}}; `solubility`: of every crystalliser.
+      its room to them, NaN without one. `errors`: the errors of a step of the units with stiff
+      steps.
+    - `trajectories`: {unit: {"time" or a state: values}}; `solubility`: the solubility of every
+      crystalliser.
     """
 
     status: str
@@ -193,7 +195,7 @@ def _over_time(charts: Charts, unit: str) -> Callable[[RunFiles, BatchResult], l
 
 
 def _reaction(unit: str, trajectory: Course, curve: Course | None) -> list[Chart]:
-    """Concentrations over time, where the unit records them."""
+    """Concentrations over time, if the unit records them."""
     names = [name for name in trajectory if name.startswith("concentration.")]
     lines = [(name.partition(".")[2], trajectory[name]) for name in names]
     if not lines:

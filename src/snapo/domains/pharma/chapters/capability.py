@@ -81,8 +81,8 @@ def show(run: RunFiles, result: Capability) -> list[Block]:
         "to batch” varies only the numbers that differ between batches, with the model's numbers "
         "at their nominal values; the next column is its 5 to 95 % range over the uncertain "
         "numbers; “all together” counts both as variation. Cpk assumes a normal attribute; the "
-        "share out of limits is counted. Where the deviation to first order differs from the "
-        "simulated one, the process is not linear over its variation."
+        "share out of limits is counted. If the standard deviation to first order "
+        "differs from the simulated one, the process is not linear over its variation."
     )
     blocks: list[Block] = [Table([(name, "") for name in names], rows, caption)]
     if result.failed > 0:

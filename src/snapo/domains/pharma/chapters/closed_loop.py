@@ -37,9 +37,9 @@ SIGNIFICANT = 2.0  # standard errors from which one of two counts as better
 class KeptShares:
     """Shares of batches that keep all limits, with standard errors, on the same batches.
 
-    - `value`: of the policy; `baseline`: of the best fixed recipe; `gain`: their difference;
-      `given`: of the recipe of the case. `better`: "policy", "recipe", or "" where the difference
-      is not significant.
+    - `value`: the value of the policy; `baseline`: the baseline of the best fixed recipe; `gain`:
+      their difference; `given`: of the recipe of the case. `better`: "policy", "recipe", or "" if
+      the difference is not significant.
     """
 
     value: Number
@@ -248,7 +248,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
         ("Trained policy", *_share(result.value, result.standard_error)),
         ("Best fixed recipe", *_share(result.baseline, result.baseline_error)),
         ("Original recipe", *_share(result.given, result.given_error)),
-        ("Policy less best recipe", *_share(result.gain, result.gain_error)),
+        ("Policy minus best recipe", *_share(result.gain, result.gain_error)),
     ]
     head = [("", ""), ("Probability of all limits", "%"), ("", "")]
     batches = number(result.paths.get("evaluate"), 0)
@@ -276,7 +276,7 @@ def _share(value: float, error: float) -> tuple[str, str]:
 
 
 def _goal(result: ClosedLoopResult) -> Table:
-    """The objective, where it is not the probability itself."""
+    """The objective, if it is not the probability itself."""
     digits = decimals([result.objective, result.baseline_objective], 4)
     rows = [
         ("Trained policy", *measured(result.objective, result.objective_error, digits)),
@@ -302,8 +302,8 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
         for x in rules
         for sensor, gain, time in zip(x.sensors, x.gains_own, x.times)
     ]
-    head = [("", ""), ("All limits", "%"), ("", ""), ("Policy less rule", "%"), ("", ""),
-            ("Recipe less rule", "%"), ("", "")]  # fmt: skip
+    head = [("", ""), ("All limits", "%"), ("", ""), ("Policy minus rule", "%"), ("", ""),
+            ("Recipe minus rule", "%"), ("", "")]  # fmt: skip
     local = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
     return [
         Table(head, shares, "Rules on the same batches, paired"),

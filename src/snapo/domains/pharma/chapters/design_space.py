@@ -33,8 +33,8 @@ class SpaceMap:
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
-    - `levels`: of contours; `required`: probability. `box`: the largest inside, None if the set
-      point itself does not do. `ends`: of the space along the lines of the map.
+    - `levels`: the levels of contours; `required`: probability. `box`: the largest inside, None if
+      the set point itself does not do. `ends`: the ends of the space along the lines of the map.
     """
 
     axes: tuple[str, ...]
@@ -167,7 +167,7 @@ def _in_words(result: SpaceMap) -> Text:
 
 
 def _map(result: SpaceMap, at: Any, position: str, names: list[str]) -> Chart:
-    """A slice `at` of the map; `position`: of a third axis, as text."""
+    """A slice `at` of the map; `position`: the position of a third axis, as text."""
 
     def paint(upper, lower):
         _contours(upper, result, result.probability[at], (result.low[at], result.high[at]))
@@ -208,7 +208,7 @@ def boundary(result: SpaceMap, names: list[str]) -> list[Block]:
     text = (
         f"Where the probability falls below {required} along the lines of the map next to the set "
         f"point, with the 95 % interval of that position for the {number(result.samples, 0)} "
-        "batches per point (Wilson's interval of the share, inverted); “beyond” where the batches "
+        "batches per point (Wilson's interval of the share, inverted); “beyond” if the batches "
         f"do not determine an end, or the line ends. {ENDS} has all lines."
     )
     table = Table([(name, "") for name in head], rows, "Where the design space ends", 4)

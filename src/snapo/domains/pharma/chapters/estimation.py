@@ -105,7 +105,7 @@ class Estimates(ParameterFit):
 
     - `measured_own`, `fitted_own`: in the case's units, of `state`s in `state_unit`s at `time` of
       an `experiment`. `start`: the case's numbers; `units`, `scales`: of the fitted numbers.
-    - `level`: of the intervals; `errors`: how those of the measurements are known.
+    - `level`: the level of the intervals; `errors`: how those of the measurements are known.
     """
 
     measured_own: Floats
@@ -323,13 +323,13 @@ def _batches(batches: Sequence[Agreement]) -> Table:
 
 
 def _points(tests: Validation) -> Chart:
-    """Measured less predicted over the half width of the interval: inside is -1 to 1."""
+    """Measured minus predicted over the half width of the interval: inside is -1 to 1."""
     share = (tests.measured - tests.predicted) / tests.half
     svg = draw("validation", "Prediction errors of the batches held out.",
                lambda axes: pictures.residuals(axes, share), 200)  # fmt: skip
     worst = number(float(np.abs(share).max()), 2)
     caption = (
-        "Measured less predicted over the half width of the interval, in the order of the data: "
+        "Measured minus predicted over the half width of the interval, in the order of the data: "
         f"inside from −1 to 1; the largest is {worst}."
     )
     return Chart(svg, caption)

@@ -48,7 +48,7 @@ class GoalTerm:
 class DecisionResult:
     """A number that was chosen, in its `unit`, between `low` and `high`.
 
-    - `slope`: of the goal; `at_low`, `at_high`: the multipliers of its bounds, 0 inside.
+    - `slope`: the slope of the goal; `at_low`, `at_high`: the multipliers of its bounds, 0 inside.
     """
 
     name: str

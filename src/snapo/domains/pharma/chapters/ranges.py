@@ -66,7 +66,7 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
         f"({number(result[0].samples, 0)} batches per point). An edge names the attribute "
-        "that fails outside it; “studied range” where none does. Certain and possible: as far as "
+        "that fails outside it; “studied range” if none does. Certain and possible: as far as "
         "the lower, or the upper, end of the 95 % interval of the probability is above the "
         "required one."
     )
@@ -118,8 +118,8 @@ def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
         "A proven range holds with all other parameters at their set point. Here both move, "
         "from the set point to each of the four corners of their proven ranges: up to this share "
         "of both ranges no corner breaks a limit (100 %: the ranges may be used together). "
-        "Interaction: half of the difference that one parameter makes to the effect of the other, "
-        "between the ends of the normal ranges, of the attribute whose margin it uses most."
+        "Interaction, on the attribute whose margin it uses most: half of the difference between "
+        "the effects of one parameter at both ends of the other's normal range."
     )
     if len(result) > SHOWN:
         caption += f" The {SHOWN} pairs with the least margin of {len(result)}."

@@ -34,7 +34,8 @@ SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a sepa
 class SensitivityMatrix:
     """Q attributes by P parameters in three forms, as `MatrixForms`, and the parameters by rank.
 
-    - `mode`, `reason`, `passes`: how it was differentiated; `values` [Q]: of the attributes.
+    - `mode`, `reason`, `passes`: how it was differentiated; `values` [Q]: the values of the
+      attributes.
     - `varied` [Q, V]: by all that differs from batch to batch, per unit of the computation.
     """
 
@@ -90,7 +91,7 @@ class CriticalityTable:
     - `low`, `high`: 5 % and 95 % of it over the variation that the case states.
     - `share`, `share_low`, `share_high`: of the room to the nearest limit at the set point, the
       size of the change; NaN without a limit, infinite on or beyond it.
-    - `draws`: of the variation.
+    - `draws`: the draws of the variation.
     """
 
     change: Floats
@@ -208,8 +209,8 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
     names = ("Parameter", "Most critical for", "Share of the margin used", "Of its variance", "")
     caption = (
         "Criticality: the largest share of any limit's margin that half the normal range uses; "
-        "margin is the distance to the limit less two standard deviations of the batches. Last, "
-        "the share of that attribute's variance due to the parameter"
+        "margin is the distance to the limit minus two standard deviations of the batches. The "
+        "last number is the share of that attribute's variance due to the parameter"
     )
     return Table([(name, "") for name in names], rows, caption, frozenset({0, 1, 4}))
 

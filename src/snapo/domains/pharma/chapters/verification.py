@@ -35,14 +35,14 @@ CLOSED = 1e-10  # relative gap of a balance
 
 @dataclass(frozen=True)
 class Balance:
-    """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 where all are 0.
+    """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 if all are 0.
 
     Material that a unit has not taken in counts as accumulation. It cannot be less than nothing, so
     the
     balance of a unit that takes more than there is stays open.
 
     Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
-    where they use it (of mass: the error of rounded molar masses); "solvent": kg with anti-solvent
+    if they use it (of mass: the error of rounded molar masses); "solvent": kg with anti-solvent
     and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent heat, `inflow`
     with the heat of reaction.
     """

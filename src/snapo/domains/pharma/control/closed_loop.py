@@ -41,7 +41,7 @@ class ControlLoop(NamedTuple):
     - `inputs`: {name: Input}. `baseline`: the recipe of the case as a policy that sees nothing;
       trained, it is the best fixed recipe. `policy`: the same recipe with feedback.
     - `stages`: in order. `outputs`: names of the attributes' totals. Beside them "success" is 1
-      where all limits hold, and "violation" adds up the distances beyond them in margins.
+      if all limits hold, and "violation" adds up the distances beyond them in margins.
     """
 
     simulator: Simulator
@@ -150,7 +150,7 @@ def in_words(goal: Goal) -> str:
         return "probability of all limits"
     which = f"mean of the worst {1 - goal.level:.3g}" if goal.kind == "cvar" else "mean"
     sign = "minus the " if goal.kind == "mean" and goal.sense < 0 else ""
-    lost = f"less {goal.penalty:g} of its margins for every margin beyond a limit"
+    lost = f"minus {goal.penalty:g} of its margins for every margin beyond a limit"
     return f"{sign}{which} of {goal.attribute}, {lost}"
 
 

@@ -100,7 +100,7 @@ class Goal:
 
     - `kind`: "mean" and "cvar" are of `attribute` (maximised, or minimised with `sense` -1) with
       limits as penalties; "probability" is of all limits together and needs no attribute.
-    - `level`: of "cvar". `penalty`: lost per `Attribute.margin` of violation, in units of
+    - `level`: the level of "cvar". `penalty`: lost per `Attribute.margin` of violation, in units of
       `attribute`'s margin.
     """
 

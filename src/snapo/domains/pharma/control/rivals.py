@@ -33,7 +33,7 @@ def first_order(times: np.ndarray, response: np.ndarray, step: float) -> FirstOr
 
     By least squares over time constants and dead times, each with its best gain.
 
-    **Raises:** `ValueError` where nothing responds.
+    **Raises:** `ValueError` if nothing responds.
     """
     times, response = np.asarray(times, float), np.asarray(response, float)
     if not np.isfinite(response).all() or np.abs(response).max() < 1e-9 * abs(step):
@@ -74,7 +74,7 @@ STEP = 0.05  # of a control's range, or of an inner setpoint's: the step from wh
 
 
 class Tuned(NamedTuple):
-    """A rule with its initial settings; `processes` [L]: those used by the formulas, None where
+    """A rule with its initial settings; `processes` [L]: those used by the formulas, None if
     both numbers are specified; `loops`: the controllers, in the order of its connections."""
 
     policy: Loops
@@ -93,7 +93,7 @@ def connected(
         stage = next(s for s in stages if item.of in s.decided)
         unit = next((unit for unit in timed(case.units) if unit.name == stage.name), None)
         if unit is None:
-            raise ValueError(f"rule {rule.name!r}: what is decided once has no loop")
+            raise ValueError(f"rule {rule.name!r}: a number decided once cannot have a loop")
         seconds = float(unit.duration.used()) / stage.horizon
         position = stage.decided.index(item.of)
         applied = 2 + len(control.measurements) + item.of

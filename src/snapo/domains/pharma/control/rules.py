@@ -48,7 +48,7 @@ class Loops(Memory):
 
     - `log_gain` [L]: of the size of each gain, in shares of the control's range (or readings of
       the inner sensor) per reading; minus infinity for an open loop.
-    - `log_time` [L]: of each integral time in s. `signs` [L]: of the gains, not trained.
+    - `log_time` [L]: of each integral time in s. `signs` [L]: the signs of the gains, not trained.
     - `setpoints` [L, T] for the readings.
     """
 

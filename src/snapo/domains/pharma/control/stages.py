@@ -1,5 +1,5 @@
 """One batch of the process as stages of decisions: each unit on which something is decided or
-measured over time, and at the end, where there is something to decide there, the others.
+measured over time, and at the end, if there is something to decide there, the others.
 
 All other units run between the stages, in one go. A stage's state holds the whole batch: its
 drawn numbers, the streams made so far, the last value of every control and the last reading of
@@ -41,7 +41,7 @@ StageState = dict[str, Any]
 class Stage(Simulator):
     """One stage. It holds no case, but the form of a `LoopRecord`.
 
-    - `name`: of its unit; "" of a stage that decides once, before all that is left runs.
+    - `name`: the name of its unit; "" of a stage that decides once, before all that is left runs.
     - `before`, `total`: decisions of the stages before it, and of all. `history`: how many true
       readings its sensors look back to.
     """

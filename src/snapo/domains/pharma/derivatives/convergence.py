@@ -21,7 +21,7 @@ SMALL = 0.02  # of its value that an attribute without limits may move
 class Cells:
     """One attribute in its unit: `value` by the case's cells, `finer` by twice as many, and the
     change between them in margins of the attribute (`margins`), without limits in 2 % of its value;
-    infinite where there is no number; `passed`: whether that is at most one."""
+    infinite if there is no number; `passed`: whether that is at most one."""
 
     attribute: str
     value: Number
@@ -31,7 +31,7 @@ class Cells:
 
 
 def finer_cells(process: Process) -> Process | None:
-    """The process on twice as many cells, with as many time steps more; None without any cells."""
+    """The process with twice the number of cells and of time steps; None without any cells."""
     case = process.case
     units = tuple(unit.finer() for unit in case.units)
     if all(new is old for new, old in zip(units, case.units)):
@@ -42,7 +42,7 @@ def finer_cells(process: Process) -> Process | None:
 
 
 def on_finer_cells(process: Process, inputs=None) -> tuple[Cells, ...]:
-    """Every attribute; () where no unit has cells."""
+    """Every attribute; () if no unit has cells."""
     finer = finer_cells(process)
     if finer is None:
         return ()
@@ -87,7 +87,7 @@ class ConvergenceRow:
 @dataclass(frozen=True)
 class Convergence:
     """`passed`: whether values agree to 1e-6 and derivatives to 1e-5; `cells`: attributes on twice
-    as many cells along lengths and over sizes, where there are any."""
+    as many cells along lengths and over sizes, if there are any."""
 
     rows: tuple[ConvergenceRow, ...]
     passed: bool

@@ -25,8 +25,8 @@ class MatrixForms(NamedTuple):
 
     - `raw`: attribute's unit per case's unit of the parameter.
     - `scaled`: change of the attribute over half the normal operating range.
-    - `share`: `scaled` over the distance to the nearest limit; NaN where the attribute has no
-      limit, infinite where it is on or beyond it.
+    - `share`: `scaled` over the distance to the nearest limit; NaN if the attribute has no
+      limit, infinite if it is on or beyond it.
     - `zero`: whether an entry is zero because nothing connects the two: exactly 0.0.
     """
 
@@ -66,7 +66,7 @@ class Rank:
 def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spread") -> list[Rank]:
     """Parameters by criticality, the most critical first.
 
-    Room is the distance to the nearest limit less `VARIATION` standard deviations of the batches
+    Room is the distance to the nearest limit minus `VARIATION` standard deviations of the batches
     about the set point. `outside`: the attribute is beyond its limit already, `spent`: its
     its variation takes all the room; a share has then no meaning.
     """
@@ -102,7 +102,7 @@ def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spr
 
 
 def _of_variance(varied: "Spread", shares: np.ndarray, name: str) -> float:
-    """The share of an attribute's variance that one source causes, 0 where it does not vary."""
+    """The share of an attribute's variance that one source causes, 0 if it does not vary."""
     return float(shares[varied.sources.index(name)]) if name in varied.sources else 0.0
 
 

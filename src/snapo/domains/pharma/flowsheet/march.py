@@ -107,7 +107,8 @@ BatchKind = Literal["shared", "drawn", "moving"]
 
 @dataclass(frozen=True)
 class StepProgram:
-    """A step as it was traced, whose numbers are arguments: two of one text compute the same."""
+    """A step as it was traced, whose numbers are arguments: steps with the same text compute the
+    same."""
 
     text: ProgramText
     function: Callable = field(compare=False, repr=False)

@@ -12,7 +12,7 @@ def smallest(measure: str) -> float:
     """The least value of a measure that is possible, in the domain's unit.
 
     Amounts, times, sizes and shares are not below 0; a supersaturation (c - c*)/c* not below -1.
-    New crystals are the crystals less the seed, of which some may have dissolved.
+    New crystals are the crystals minus the seed, of which some may have dissolved.
     """
     unit, _, name = measure.partition(".")
     if unit == "process":
@@ -21,7 +21,7 @@ def smallest(measure: str) -> float:
 
 
 def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
-    """The first measure with a value that cannot be, as text; "" where there is none."""
+    """The first measure with a value that cannot be, as text; "" if there is none."""
     units = {
         f"{unit.name}.{name}": measured
         for unit in case.units

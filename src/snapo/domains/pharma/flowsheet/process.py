@@ -62,8 +62,8 @@ class Batch(NamedTuple):
 class Process:
     """A case with its compiled functions: made once, called often without compiling again.
 
-    - `case`: as it was given, with the steps that it needs. `form`: of its flowsheet, which is all
-      that the functions are compiled for.
+    - `case`: as it was given, with the steps that it needs. `form`: the form of its flowsheet,
+      which is all that the functions are compiled for.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
       `entries`: [P] their positions. `traces` counts how often the flowsheet was traced.
     """
@@ -162,7 +162,7 @@ class Process:
         )
 
     def _unsound(self, trajectories: dict[str, dict[str, np.ndarray]], inputs) -> str:
-        """The first unit whose model ended within the run, as text; "" where none did."""
+        """The first unit whose model ended within the run, as text; "" if none did."""
         with jax.enable_x64(True):
             metadata = (
                 unit.unsound(trajectories[unit.name], inputs)
@@ -172,7 +172,7 @@ class Process:
             return next(filter(None, metadata), "")
 
     def _open(self, loops: dict[str, Closed]) -> str:
-        """The first loop without a steady state, as text; "" where all have one."""
+        """The first loop without a steady state, as text; "" if all have one."""
         for name, loop in loops.items():
             if not loop.converged:
                 text = entry_words(self.form.record, name)[int(loop.worst)]
@@ -298,7 +298,7 @@ class Process:
         """[n] the state `states[i]` of `unit` at `times[i]` s; plain JAX, to be traced.
 
         Between mesh points by cubic Hermite interpolation of the integrated states; NaN before the
-        unit's start and after its end, where it has no states.
+        unit's start and after its end, if it has no states.
         """
         outcome = self.flow(inputs, record=True).outcomes[unit]
         track, of_row = outcome.track, outcome.states

@@ -1,7 +1,7 @@
 """The steady state of a loop of the flowsheet, by tearing and the implicit function theorem.
 
 Some streams of the loop are torn: from a guess x the units compute them as g(x), and g(x) = x is
-required. Newton's method solves that with the full Jacobian of g; where a step does not reduce the
+required. Newton's method solves that with the full Jacobian of g; if a step does not reduce the
 residual, shorter ones are tried, and the substitution of x by g(x), which is always possible. The
 search carries no derivatives. Two further steps with the matrix held do: with M the Jacobian of x -
 g at the solution, x - M^-1 (x - g(x)) has the derivative M^-1 dg of the implicit function theorem,
@@ -34,8 +34,8 @@ Turn = Callable[[tuple[Stream, ...], Any], tuple[Stream, ...]]
 
 
 class Closed(NamedTuple):
-    """`change`: of the guess in one more turn, relative; `rounds` that it took; `worst`: which of
-    `labels` changes most; `converged`: whether the change is within the tolerance."""
+    """`change`: the change of the guess in one more turn, relative; `rounds` that it took; `worst`:
+    which of `labels` changes most; `converged`: whether the change is within the tolerance."""
 
     change: Float[Array, ""]
     rounds: Float[Array, ""]
@@ -148,7 +148,7 @@ def _streams(vector: Float[Array, " K"], like: tuple[Stream, ...]) -> tuple[Stre
 
 
 def _scales(streams: tuple[Stream, ...]) -> Float[Array, " K"]:
-    """For every entry its order of magnitude; 1 where all of its kind are zero."""
+    """For every entry its order of magnitude; 1 if all of its kind are zero."""
     results = []
     for stream in streams:
         amount = jnp.max(stream.species + stream.solid)

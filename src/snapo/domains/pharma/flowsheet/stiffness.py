@@ -80,7 +80,7 @@ def _controlled(case: PharmaCase, unit: Timed) -> bool:
 
 
 def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
-    """False where a bound from the numbers shows that explicit steps are stable."""
+    """False if a bound from the numbers shows that explicit steps are stable."""
     return unit.reacts and longest_step(case, unit) * fastest(case, unit) > STABLE
 
 
@@ -93,7 +93,7 @@ def longest_step(case: PharmaCase, unit: Timed) -> float:
 
 def fastest(case: PharmaCase, unit: Timed) -> float:
     """1/s: a bound on the rates of the unit's states, from the numbers of the case only; infinite
-    where another unit feeds it."""
+    if another unit feeds it."""
     into = {connection.source for connection in case.connections if connection.target == unit.name}
     feeds = tuple(feed for feed in case.feeds if feed.name in into)
     return inf if len(feeds) < len(into) else unit.fastest(case.network, feeds)

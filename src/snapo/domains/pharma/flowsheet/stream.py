@@ -51,12 +51,12 @@ class Stream(TreeRecord):
       added as seed.
     - `solvent`, `antisolvent`: kg. `volume`: m3 of liquid, to which concentrations refer; it does
       not change by mixing or reaction. `solids`: m3 of the crystals, which is not part of it and by
-      which crystallisation reduces it; 0 where a crystalliser neglects that.
+      which crystallisation reduces it; 0 if a crystalliser neglects that.
     - `temperature`: K. `duration`: s, 0 for a batch.
     - `moments`: [6] sum over all crystals of their size to the power 0 to 5, m^k.
     - `density`, `shape`: of the crystals: kg/m3, and kv in volume = kv size^3.
     - `inner_size`, `inner_density`: d32 in m and density in kg/m3 of the crystals inside granules,
-      to which moments, density and shape then refer; 0 where crystals are not granulated.
+      to which moments, density and shape then refer; 0 if crystals are not granulated.
     - `numbers`: [N] crystals in each cell of the `grid`; [0] where there is none.
     - `grid`: `NO_CRYSTALS` of a clear liquid; None if only the moments are known.
     - `inner_numbers`, `inner_grid`: the same of the crystals inside granules; None if they are

@@ -64,7 +64,7 @@ def attributes(process: "Process", rows: np.ndarray) -> np.ndarray:
 
 
 class AttributeLimits(NamedTuple):
-    """[Q] `low` and `high` in the attributes' units; infinite where there is none. `least`: the
+    """[Q] `low` and `high` in the attributes' units; infinite if there is none. `least`: the
     smallest possible value: a filtration time below 0 keeps no limit."""
 
     low: np.ndarray
@@ -89,5 +89,5 @@ class AttributeLimits(NamedTuple):
         return np.isfinite(self.low) | np.isfinite(self.high)
 
     def distance(self, values: np.ndarray) -> np.ndarray:
-        """[…, Q] to the nearest limit, below 0 beyond it, infinite where there is none."""
+        """[…, Q] to the nearest limit, below 0 beyond it, infinite if there is none."""
         return np.minimum(values - self.low, self.high - values)

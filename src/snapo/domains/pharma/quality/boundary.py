@@ -51,9 +51,9 @@ class Boundary:
     """One place at which the design space ends.
 
     - `axis`: number of the axis along which the line runs; `at`: number of the grid point on every
-      axis, -1 on that one; `side`: -1 where the space ends towards low values, +1 towards high.
-    - `position`: of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside the space; in
-      the unit of the grid. NaN where the end is outside of the line.
+      axis, -1 on that one; `side`: -1 if the space ends towards low values, +1 towards high.
+    - `position`: the position of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside
+      the space; in the unit of the grid. NaN if the end is outside of the line.
     - `binding`: number of the attribute that most often breaks its limits just beyond it.
     """
 
@@ -132,7 +132,7 @@ def _end(
     fine: np.ndarray, excess: np.ndarray, start: int, step: int, above: bool, stays: np.ndarray
 ) -> float:
     """From `start` in steps of `step`, where `excess` stops being `above` zero or not above it; NaN
-    where it does not while `stays` holds."""
+    if it does not while `stays` holds."""
     k = start
     while 0 <= k < len(fine) and stays[k]:
         if (excess[k] >= 0) != above:

@@ -34,8 +34,8 @@ class Capability:
     All of these vary uncertain numbers together with differences between batches. Separately:
 
     - `cpk_batches`: Cpk of differences between batches only, the model's numbers at their nominal
-      values; NaN where nothing differs. `cpk_low`, `cpk_high`: 5 % and 95 % of it over the model's
-      uncertain numbers; NaN where all are known.
+      values; NaN if nothing differs. `cpk_low`, `cpk_high`: 5 % and 95 % of it over the model's
+      uncertain numbers; NaN if all are known.
     """
 
     mean: Floats

@@ -38,13 +38,13 @@ AT_BOUND = 1e-5  # of the room between its bounds: so near a number is at one of
 class ParameterFit:
     """The fitted numbers, in the domain's units; P numbers, n measurements.
 
-    - `values`, `low`, `high`: [P] with their confidence interval; NaN where not identified.
+    - `values`, `low`, `high`: [P] with their confidence interval; NaN if not identified.
     - `at_bound`: [P] "low" or "high" where a number is at that bound, else ""; its interval is then
       one-sided, and the others assume it held there.
     - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted);
       0 for numbers at a bound. `scale`: the factor on (J^T J)^-1.
     - `residuals`: [n], in standard deviations of the measurement; `chi2`: their sum of squares,
-      of `freedom` = n - P degrees of freedom; `tail`: its p-value, NaN where only the ratios of
+      of `freedom` = n - P degrees of freedom; `tail`: its p-value, NaN if only the ratios of
       errors are known. `measured`, `fitted_values`: [n].
     - `condition`: largest over smallest singular value, variables scaled by their bounds.
     - `unidentified`: directions that the data do not determine, as text.

@@ -7,8 +7,8 @@ used together.
 
 The interaction of x and y in an attribute f is (f(+, +) - f(+, -) - f(-, +) + f(-, -)) / 4 at the
 corners of the normal operating ranges: half of the difference that one makes to the effect of the
-other, as in a factorial design at two levels. Of f = c x y it is c times half of either range, of a
-sum of functions of x and of y it is zero.
+other, as in a factorial design at two levels. For f = c x y it is c times half of either range, for
+a sum of functions of x and of y it is zero.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,10 +40,10 @@ PairEnds = tuple[float, float]  # of a range, in the domain's unit
 
 @dataclass(frozen=True)
 class Together:
-    """Two ranges together. `share`: of both, up to which no corner fails (1 where none does);
-    `corner`: (-1 or 1, -1 or 1) the one that fails first, and `fails` the attribute's number there,
-    -1 where none fails; `certain`: the share up to which this holds even at the lower end of the
-    95 % interval of the probability, `possible` up to which it may at the upper one."""
+    """Two ranges together. `share`: the share of both, up to which no corner fails (1 if none
+    does); `corner`: (-1 or 1, -1 or 1) the one that fails first, and `fails` the attribute's number
+    there, -1 if none fails; `certain`: the share up to which this holds even at the lower end of
+    the 95 % interval of the probability, `possible` up to which it may at the upper one."""
 
     share: Number
     corner: tuple[int, int]
@@ -59,7 +59,7 @@ class Pair:
     - `nominal`, `probable`: their proven ranges together, None if one of them has none or where
       it was not searched.
     - `interaction`: [Q] in the attributes' units; `used`: its largest share of the distance to a
-      limit, and `maximum` the attribute's number, -1 where none has a limit.
+      limit, and `maximum` the attribute's number, -1 if none has a limit.
     - `holds_normal`: whether the nominal model keeps all limits at the corners of normal operation.
     """
 

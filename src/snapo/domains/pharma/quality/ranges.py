@@ -1,6 +1,6 @@
 """Proven acceptable ranges: how far one parameter may move with all others at their set point.
 
-Set points do, or do not, by the nominal model, and with a probability that is required. All edges
+There are two criteria: the nominal model, and a required probability under all variation. All edges
 of all parameters are searched side by side, so that batches run together.
 """
 
@@ -71,7 +71,7 @@ PROBABLE = (9, 3, 1)  # every point of these is many batches
 class AcceptableRange:
     """A range in the case's unit; an edge names the attribute that fails beyond it.
 
-    `low`, `high`: None if the set point itself fails. `low_edge`, `high_edge`: "" where the
+    `low`, `high`: None if the set point itself fails. `low_edge`, `high_edge`: "" if the
     studied range ends before any limit. `certain`: ends between which every tested point passes
     even at the lower end of its 95 % interval; `possible`: up to the first point that fails even at
     the upper end; None if the set point does. `holds_normal`, `sure_normal`: whether the normal

@@ -51,10 +51,10 @@ class Parameter:
 class Attribute:
     """A quality attribute: a measure of a unit and the limit that it must keep.
 
-    - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: of the limits and of all tables;
-      attribute = `scale` times the measure in the domain's unit.
+    - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: the unit of the limits and of all
+      tables; attribute = `scale` times the measure in the domain's unit.
     - `low`, `high`: limits in `unit`; None if there is none. `citation`: the source of the limit
-      (guideline, version, table), or a note that the user set it; never empty where there is a
+      (guideline, version, table), or a note that the user set it; never empty if there is a
       limit.
     - `margin`: a small difference in `unit`, above 0: the width of smooth indicators.
     """
@@ -79,7 +79,7 @@ class Uncertainty:
     - `inputs`: [U] names of `CaseInput`s; `entries`: [U] positions; `distributions`: [U].
     - `correlation`: [U, U] of the underlying standard normals.
     - `between`: [U] True for a number that differs between batches (a feed), False for one unknown
-      number (a rate constant); () where batches differ only by changes within them.
+      number (a rate constant); () if batches differ only by changes within them.
     - `when`: [U] "batch" for one draw per batch (kinetics, feed); "step" for a new draw in every
       decision step (a temperature that is not held exactly).
     """
@@ -136,7 +136,7 @@ class Estimation:
 
     - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
     - `low`, `high`: [P] bounds in the domain's unit.
-    - `level`: of the confidence intervals. `units`, `scales`: [P] those of the case, see
+    - `level`: the level of the confidence intervals. `units`, `scales`: [P] those of the case, see
       `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
     - `errors`: "known" as standard deviations, or "relative", up to a common factor.

@@ -29,7 +29,7 @@ def sampler(
     process on other steps, `on_steps` where none is given.
 
     On a quarter of the steps, if the nominal attributes then move by at most 1 % of their
-    margins; the process itself where they move by more, and where it has no mesh.
+    margins; the process itself if they move by more, and if it has no mesh.
     """
     case = process.case
     steps = max(8, case.numerics.steps // COARSER)

@@ -93,7 +93,7 @@ FORMATS = {
 def read_case(path: str | Path) -> PharmaCase:
     """Reads and checks the case at `path`, a TOML file or a folder with `case.toml`.
 
-    **Raises:** `CaseError` where a table, a quantity or the flowsheet is wrong; nothing is written.
+    **Raises:** `CaseError` if a table, a quantity or the flowsheet is wrong; nothing is written.
     """
     file, data = load(Path(path))
     return resolve(file, data)

@@ -119,7 +119,7 @@ def number_name(table: TableContext) -> str:
 
 
 def key(field: Any, name: str = "", **more: Any) -> Any:
-    """A field of a record that is read from a key of its table; `name`: where it has another."""
+    """A field of a record that is read from a key of its table; `name`: if it has another."""
     assert isinstance(field, FieldInfo)
     default = field.default
     if default is PydanticUndefined or (quantity_of(field) and default is not None):

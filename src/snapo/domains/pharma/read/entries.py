@@ -22,7 +22,7 @@ class EntryNumbers(NamedTuple):
     network: FlowNetwork
 
     def unit(self, name: str, entry: int) -> str:
-        """The domain's unit of one entry: those of powers and rate constants differ."""
+        """The domain's unit of one entry: powers and rate constants have units of their own."""
         unit = self.givens[name].unit
         if unit == "(m3/kmol)^(order-1)/s":
             return prefactor_unit(self.network.order[entry].sum())

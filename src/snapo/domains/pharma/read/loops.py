@@ -59,7 +59,8 @@ def read_rules(
     file, raw: Sequence[Any], numbers: EntryNumbers, manipulated: Sequence[Manipulated],
     sensors: Sequence[Measurement], units: dict[str, str], timed: set[str], notes: list[str],
 ) -> tuple[ControlRule, ...]:  # fmt: skip
-    """`units`: of every state that may be measured. `timed`: names of units with a time."""
+    """`units`: the units of every state that may be measured. `timed`: names of units with a
+    time."""
     rules: list[ControlRule] = []
     for i, item in enumerate(raw):
         section = TableContext(file, f"control.rules[{i}]", notes)

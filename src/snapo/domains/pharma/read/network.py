@@ -256,8 +256,8 @@ def ordered(file, units: Sequence[Unit], connections: Sequence[Connection]) -> t
         for unit in group.units if group.torn else ():
             if not isinstance(unit, Instant):
                 message = (
-                    f"{unit.name} runs over time and is in a loop, {group.loop}; a loop is "
-                    "solved at its steady state, of units that are at theirs all the time"
+                    f"{unit.name} runs over time and is in a loop, {group.loop}; all units of a "
+                    "loop must be at steady state all the time"
                 )
                 raise CaseError(str(file), "connections", None, message)
     _check_crystals(file, order, connections)

@@ -136,7 +136,7 @@ def share_of(measure: str, unit: str, network: FlowNetwork, units: Sequence[Unit
     """The factor from a measure to a share on the basis that `unit` names: for a yield or an
     impurity it follows from molar masses.
 
-    **Raises:** `UnitError` where it is not known.
+    **Raises:** `UnitError` if it is not known.
     """
     metadata, local = basis(unit), own_basis(measure)
     mass = dict(zip(network.species, network.molar_mass))

@@ -58,7 +58,7 @@ class Conversion(NamedTuple):
 def split(text: str) -> tuple[float, str]:
     """Number and unit of "313.15 K"; the unit of a pure number is "".
 
-    **Raises:** `UnitError` where there is no such number.
+    **Raises:** `UnitError` if there is no such number.
     """
     result = QUANTITY.fullmatch(text)
     if result is None:
@@ -72,7 +72,7 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
 
     A `difference` of temperatures (a spread, a ramp) has no offset: 2 degC are 2 K.
 
-    **Raises:** `UnitError` where the unit is unknown, or measures something else.
+    **Raises:** `UnitError` if the unit is unknown, or measures something else.
     """
     domain = _parse(target)
     local = _exact(_parse(unit), domain)
@@ -116,13 +116,13 @@ def basis(unit: str) -> str:
 
 
 def own_basis(name: str) -> str:
-    """The basis of a number or a measure by its name, "filter.impurity.D"; "" where it has none."""
+    """The basis of a number or a measure by its name, "filter.impurity.D"; "" if it has none."""
     parts = name.partition("[")[0].split(".")
     return next((item for item, names in OWN.items() if set(parts) & {*names}), "")
 
 
 def check_basis(unit: str, local: str) -> None:
-    """**Raises:** `UnitError` where a unit names another basis than the `local` of its number."""
+    """**Raises:** `UnitError` if a unit names another basis than the `local` of its number."""
     metadata = basis(unit)
     if not metadata or metadata == local:
         return

@@ -90,7 +90,7 @@ class Reader(NamedTuple):
         return Reader(section, f"{self.name}.{key}", result, self.raw[key])
 
     def only(self, kinds: tuple[str, ...], keys: tuple[str, ...], needed: bool = False) -> None:
-        """Refuses `keys` where `kind` is not one of `kinds`; where it is they may be `needed`."""
+        """Refuses `keys` unless `kind` is one of `kinds`; if it is, they may be `needed`."""
         kind = self.table.kind
         for key in keys:
             values = getattr(self.table, key)

@@ -146,7 +146,7 @@ def varies(process: Process) -> np.ndarray:
 
 
 def bounds(case: PharmaCase, deviation: np.ndarray) -> tuple[AttributeLimit, ...]:
-    """The limits of all attributes as inequalities, less the reserve; `deviation` [Q]."""
+    """The limits of all attributes as inequalities, minus the reserve; `deviation` [Q]."""
     ask = case.optimise
     assert ask is not None
     results = []

@@ -140,7 +140,7 @@ class BestSoFar:
     def see(self, u: np.ndarray, values: np.ndarray, goal: float) -> None:
         """A point with its numbers, the goal first and with the sign to make it small.
 
-        **Raises:** `Stopped` at a limit, and where a number is non-finite.
+        **Raises:** `Stopped` at a limit, and if a number is non-finite.
         """
         count = self.traced.evaluations - self.before
         if count == self._last:  # the same point, asked for again

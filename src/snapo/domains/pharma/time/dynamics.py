@@ -32,7 +32,7 @@ class Numerics:
       trace, which takes twice as long to compile.
     - `stiff`: on a mesh, which units without an event take Rosenbrock steps: "none", those for
       which explicit steps are "measured" to be too long or that need error control, or "all".
-      `stiff_tolerance`: of the choice of their steps at the nominal inputs.
+      `stiff_tolerance`: the tolerance of the choice of their steps at the nominal inputs.
     - `loop_tolerance`: largest relative change of a tear stream in one more iteration of its loop;
       `loop_rounds`: of Newton's method, after which the run's status names the loop.
     - `held`: {unit: shares of its duration at which those steps begin and end}.

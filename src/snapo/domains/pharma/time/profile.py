@@ -83,8 +83,8 @@ def saturation_share(
 ) -> Float[Array, ""]:
     """The first share of the duration at which `excess(temperature)` is not above zero.
 
-    `excess` is solubility less concentration; until then nothing happens, so that the
-    concentration is the initial one. 0 where the start is saturated, 1 where it never crosses
+    `excess` is solubility minus concentration; until then nothing happens, so that the
+    concentration is the initial one. 0 if the start is saturated, 1 if it never crosses
     (no derivative in both), an edge where a jump of the profile crosses. In between: a bracket
     repeatedly divided into sixteen, without derivatives; then two Newton steps, which carry the
     first and second derivatives.

@@ -22,8 +22,8 @@ LOOSER, ENOUGH = 1e3, 1e-6  # refused: errors above this multiple of the toleran
 
 
 class Steps(NamedTuple):
-    """`start` and `end` of n steps, shares of the duration; `number`: of the piece between nodes
-    of the profiles in which each lies."""
+    """`start` and `end` of n steps, shares of the duration; `number`: the number of the piece
+    between nodes of the profiles in which each lies."""
 
     start: Float[np.ndarray | Array, " n"]
     end: Float[np.ndarray | Array, " n"]

@@ -306,7 +306,7 @@ class Crystalliser(Timed):
             return LedgerFinish((slurry_out,), measures, book)
 
         def excess(control):
-            """Solubility less concentration at the start, at any temperature."""
+            """Solubility minus concentration at the start, at any temperature."""
             c, factor, _ = liquid(start)
             return solubility(self.solubility, inputs, control) * factor - c
 

@@ -182,7 +182,7 @@ def scaled_erfc(x) -> Array:
 
 
 def check_wash(read) -> None:
-    """**Raises:** `CaseError` where the key of the kind of wash is missing, or that of another kind
+    """**Raises:** `CaseError` if the key of the kind of wash is missing, or that of another kind
     is present."""
     table = read.table
     for wash, name in (("exponential", "efficiency"), ("dispersion", "peclet")):

@@ -73,7 +73,7 @@ class Msmpr(Instant):
 
     - `nucleation`: at `reference_growth` and `reference_suspension`, with the powers i and j.
     - `edges`: [N + 1] m of cells on which the product's crystals are counted, or None.
-    - `basis`: of concentrations, as of a batch crystalliser.
+    - `basis`: the basis of concentrations, as of a batch crystalliser.
     """
 
     solute: str = species_key("the name of a species")

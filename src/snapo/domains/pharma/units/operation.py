@@ -65,7 +65,8 @@ class Unit(ABC):
       classes of one type, else "". `title`: its name in the report.
     - `table`: `[units.NAME]`, of its declared fields and `more_keys`. `reacts`: whether it reads
       the case's reactions.
-    - `symbols`: of the equations, each with its meaning; `assumptions`: sentences for the report.
+    - `symbols`: the symbols of the equations, each with its meaning; `assumptions`: sentences for
+      the report.
     """
 
     name: str
@@ -111,7 +112,7 @@ class Unit(ABC):
         """On which grid crystals are counted at each outlet, from those at the inlets."""
 
     def lasts(self, inlets: tuple[float, ...]) -> tuple[float, ...]:
-        """s over which every outlet flows, from those of the inlets; 0 of a batch. Nominal."""
+        """s over which every outlet flows, from those of the inlets; 0 for a batch. Nominal."""
         return (0.0,) * len(self.outlets)
 
     @abstractmethod
@@ -144,7 +145,7 @@ class Unit(ABC):
 
     def unsound(self, track: dict[str, np.ndarray], inputs: dict[str, Any]) -> str:
         """Where a run, by its states over time, went beyond the assumptions of the unit's model, in
-        words; "" where it did not."""
+        words; "" if it did not."""
         return ""
 
     @property
@@ -176,7 +177,7 @@ class Timed(Unit):
 
     def fastest(self, network: FlowNetwork, feeds: tuple[Feed, ...]) -> float:
         """1/s: a bound on the rates at which its states answer, from the numbers of the case only,
-        where `feeds` are all that enters; infinite where there is none."""
+        where `feeds` are all that enters; infinite if there is none."""
         return inf
 
     @abstractmethod

@@ -50,7 +50,7 @@ Variants = dict[str, type[Unit]]
 def catalogue(operations: Iterable[type[Unit]]) -> dict[str, Variants]:
     """{type: {variant: class}}; the first variant is the default.
 
-    **Raises:** `TypeError` where a class is not complete, or two have the same name.
+    **Raises:** `TypeError` if a class is not complete, or two have the same name.
     """
     table: dict[str, Variants] = {}
     for operation in operations:

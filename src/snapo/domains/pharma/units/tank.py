@@ -66,7 +66,7 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
     """The sum of the amounts, over the longest of their durations, or as one batch where one of
     them is a batch; temperature by volume, that is with equal heat capacities per volume.
 
-    Crystals must be of one kind: density and shape are those of the streams that have any. They
+    Crystals must be of one kind: density and shape come from the streams with crystals. They
     stay counted where all are counted on one grid.
     """
     total = {name: sum(getattr(stream, name) for stream in streams) for name in AMOUNTS}

@@ -227,7 +227,7 @@ def vapour_pressure(liquid: Liquid, inputs: dict[str, Any], temperature) -> Arra
 
 
 def wetness(ratio) -> Array:
-    """f at `ratio` = X / X_c: 1 where the surface is wet, and the ratio where it is not."""
+    """f at `ratio` = X / X_c: 1 if the surface is wet, and the ratio where it is not."""
     return ratio * (1 + ratio**SHARPNESS) ** (-1 / SHARPNESS)
 
 

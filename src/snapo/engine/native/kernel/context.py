@@ -9,7 +9,9 @@ from snapo.lanes.emit.module import Module
 from snapo.lanes.emit.storage import Layout, Shared
 from snapo.lanes.emit.values import Workspace
 from snapo.lanes.machine.pipeline import Processor
-from snapo.lanes.program.program import Program, walk
+from snapo.lanes.program.cut import Leaf, Piece
+from snapo.lanes.program.passes import Replaced
+from snapo.lanes.program.program import Program, ProgramValue, walk
 
 from ..rollout import Traced
 
@@ -24,7 +26,7 @@ BLOCKS = (
 
 
 def layouts(t: Traced, lanes: int) -> Layouts:
-    """The rows of one kernel by name; those of tapes are filled when a sweep is written."""
+    """The rows of one kernel by name; the rows of tapes are filled when a sweep is written."""
     rows = {name: Layout(1) for name in SHARED} | {name: Layout(lanes) for name in BLOCKS}
     _shared(rows, t)
     _state(rows, t)
@@ -126,8 +128,10 @@ class Function:
 class Build:
     """The common state of the functions of a kernel while they are generated.
 
-    `work` and `chunk` are the bytes of scratch memory that one thread needs for arrays between
-    two regions and for waiting rows: the maximum over all functions.
+    - `shared`: the programs of the pieces that are computed once for all paths; `first`: of their
+      outputs that repeat an earlier one, that one.
+    - `work`, `chunk`: the bytes of scratch memory that one thread needs for arrays between two
+      regions and for waiting rows: the maximum over all functions.
     """
 
     traced: Traced
@@ -135,6 +139,8 @@ class Build:
     module: Module
     layouts: Layouts
     stages: KernelStages | None
+    shared: dict[Piece, Program]
+    first: dict[Leaf, Leaf]
     work: int = 0
     chunk: int = 0
 
@@ -142,7 +148,7 @@ class Build:
     def start(cls, traced: Traced, processor: Processor, stages: KernelStages | None) -> "Build":
         lanes = processor.lanes(traced.setup.dtype)
         module = Module(lanes, processor.register)
-        return cls(traced, processor, module, layouts(traced, lanes), stages)
+        return cls(traced, processor, module, layouts(traced, lanes), stages, {}, {})
 
     @property
     def adjoint(self) -> bool:
@@ -157,6 +163,15 @@ class Build:
             code.do(f"{field(slot)} = load {kind}, ptr %slot_{slot}, align 8, !invariant.load !0")
         header = f"define void @{name}(ptr noalias %context{arguments}) nounwind"
         return Function(header, code, self.layouts)
+
+    def equal(self, program: Program, reads: list[Leaf]) -> Replaced:
+        """The inputs of a program that repeat an earlier one; `reads` are the first inputs."""
+        first: dict[Leaf, ProgramValue] = {}
+        pairs = [
+            (value, first.setdefault(self.first.get(leaf, leaf), value))
+            for value, leaf in zip(program.inputs, reads)
+        ]
+        return {value: other for value, other in pairs if other is not value}
 
     def workspace(self) -> Workspace:
         """Scratch memory for one function; `used` is its size."""

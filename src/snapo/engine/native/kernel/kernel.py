@@ -281,7 +281,8 @@ def emit_phase(build: Build, phase: Phase) -> None:
     if build.adjoint:
         _both(build, phase)
         return
-    program = optimize(flatten.forward(phase.cut.path, _avals(phase)))
+    program = flatten.forward(phase.cut.path, _avals(phase))
+    program = optimize(program, build.equal(program, phase.cut.path.reads))
     build.show(f"{phase.name}: one path", program)
     forward(build, phase, program, program.ops, program.outputs, [])
 
@@ -303,7 +304,7 @@ def _both(build: Build, phase: Phase) -> None:
     ]  # fmt: skip
     bound = build.traced.clip if phase.name == "step" else None
     both = flatten.joint(path, moving, _avals(phase), active, bound)
-    program = optimize(both.program)
+    program = optimize(both.program, build.equal(both.program, path.reads))
     build.show(f"{phase.name}: one path and its transpose", program)
     count, slots = both.outputs, both.read_slots
     outputs, reads = program.outputs[:count], program.outputs[count : count + len(slots)]
@@ -360,6 +361,7 @@ class Kernel:
 def emit(traced: Traced, processor: Processor, stages: KernelStages | None = None) -> Kernel:
     """Writes every function of a kernel, and appends the intermediate programs to `stages`."""
     build = Build.start(traced, processor, stages)
+    shared.trace(build)
     for name in ("initial", "step", "final"):
         emit_phase(build, traced.phases[name])
     shared.prepare(build)

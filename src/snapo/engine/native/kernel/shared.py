@@ -22,6 +22,25 @@ def bind(
         values.bind(value, tables.address(leaf, fixed))
 
 
+def trace(build: Build) -> None:
+    """The programs of all that the paths share, and which of their outputs are equal.
+
+    A simulator's functions compute some numbers of a step more than once, each for itself: limits
+    of the flow for the observation and for the step. What paths do with equal ones is done once.
+    """
+    phases = build.traced.phases.values()
+    pieces = [(phase.cut.call, phase.cut.call_leaves) for phase in phases]
+    step = build.traced.phases["step"].cut
+    for piece, leaves in [*pieces, (step.step, step.step_leaves)]:
+        if not leaves:
+            continue
+        program = forward(piece, (), False)
+        program = build.shared[piece] = optimize(program, build.equal(program, piece.reads))
+        first: dict[ProgramValue, Leaf] = {}
+        for value, leaf in zip(program.outputs, leaves):
+            build.first[leaf] = first.setdefault(value, leaf)
+
+
 def prepare(build: Build) -> None:
     """Writes the function that computes everything that the paths share."""
     function = build.function("prepare")
@@ -42,7 +61,7 @@ def _computed(
     """A piece's outputs, written to their tables."""
     if not leaves:
         return
-    program = optimize(forward(piece, (), False))
+    program = build.shared[piece]
     build.show(f"{name}: computed once per {'step' if tables.step_row else 'call'}", program)
     homes: dict[ProgramValue, ArrayPlace] = {}
     for value, leaf in zip(program.outputs, leaves):

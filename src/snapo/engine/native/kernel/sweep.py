@@ -63,7 +63,7 @@ class KernelSweep:
 
 @contextmanager
 def sweep(build: Build, phase: Phase, direction: str) -> Iterator[KernelSweep]:
-    """The function of one sweep; only that of a step has a loop over time."""
+    """The function of one sweep; only the sweep of a step has a loop over time."""
     function = build.function(f"{phase.name}_{direction}", ARGUMENTS)
     code = function.code
     if phase.name == "step":

@@ -102,7 +102,7 @@ class IndexLinked(Bond):
     kind: ClassVar[str] = "index-linked"
     description: ClassVar[str] = (
         "zero-coupon bonds of constant maturity that pay the price index, discounted on the curve"
-        " less break-evens"
+        " minus break-evens"
     )
     without: ClassVar[str] = "its return follows from the curve and the break-evens"
     risk: ClassVar[str] = "none"

@@ -1,8 +1,8 @@
-"""Corporate bonds: the curve plus a rating's spread, less defaults.
+"""Corporate bonds: the curve plus a rating's spread, minus defaults.
 
-Over a bond of the same maturity the log return has minus duration times the change of the spread
-s = mean exp(u), with the spread's noise made a martingale. In the real world it earns the
-spread less defaults, and less the fall of prices while u reverts to zero.
+Over a bond of the same maturity the log return has minus duration times the change of the spread s
+= mean exp(u), with the spread's noise made a martingale. In the real world it earns the spread
+minus defaults, and minus the fall of prices while u reverts to zero.
 """
 
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class CreditBond(Maturing):
     kind: ClassVar[str] = "credit"
     description: ClassVar[str] = (
         "zero-coupon corporate bonds of constant maturity: the curve plus a rating's spread,"
-        " less defaults"
+        " minus defaults"
     )
     columns: ClassVar[tuple[str, ...]] = ("maturity", "rating")
     without: ClassVar[str] = "its return follows from the curve and the spread of its rating"

@@ -22,7 +22,7 @@ class Payments(NamedTuple):
 
     - `steps` [J]: when they are due, in steps from the purchase, rising.
     - `coupon` [k]: the rate per year, or `AT_PAR`. `period` [k, J]: the years for which a coupon is
-      due. `principal` [k, J]: 1 where the principal is due.
+      due. `principal` [k, J]: 1 if the principal is due.
     """
 
     steps: np.ndarray
@@ -80,7 +80,7 @@ def ratio(of: Payments, linked: bool, before: Prices, after: Prices) -> Float[Ar
 
 
 def curve_prices(case: PensionModel, inputs: dict[str, Any]) -> Prices:
-    """Today's, on the curve, and less break-evens; without `inputs` at the case's own numbers."""
+    """Today's, on the curve, and minus break-evens; without `inputs` at the case's own numbers."""
 
     def prices(steps: np.ndarray, linked: bool) -> Array:
         years = steps * case.step

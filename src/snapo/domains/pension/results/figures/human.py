@@ -27,10 +27,10 @@ class Human(NamedTuple):
     """The figures, on today's curve and of the models before any simulation.
 
     - `assets`, `liability`: money; `funding`: their ratio, None without a liability.
-    - `duration`: of the liability; `asset_duration`: of assets with swaps over assets; years, of a
-      parallel shift of the curve. `hedge_ratio`: the change of assets and swaps over that of the
-      liability for that shift; None if the liability does not follow the curve.
-      `inflation_hedge_ratio`: the same for a rise of all break-evens, nominal rates held.
+    - `duration`: the duration of the liability; `asset_duration`: the duration of assets with swaps
+      over assets; years, of a parallel shift of the curve. `hedge_ratio`: the change of assets and
+      swaps over that of the liability for that shift; None if the liability does not follow the
+      curve. `inflation_hedge_ratio`: the same for a rise of all break-evens, nominal rates held.
     - `rate`, `rate_volatility`: continuous zero rates, and the standard deviation of their change
       in a year at the pace of today; by `TENORS`. `rate_volatility` is empty under supplied
       scenarios.

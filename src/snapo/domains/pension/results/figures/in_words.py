@@ -34,7 +34,7 @@ def _accrual(case: PensionCase) -> str:
     if not plan.accrual_rate.values.size:
         return "none, the plan has no accrual_rate"
     offset = float(plan.offset.used()) if plan.offset.values.size else 0.0
-    base = f"(salary less {offset:,.0f})" if offset else "salary"
+    base = f"(salary minus {offset:,.0f})" if offset else "salary"
     return (
         f"career average, {_percent(plan.accrual_rate)} of {base} for a year of service;"
         f" {_in_service(plan)}"

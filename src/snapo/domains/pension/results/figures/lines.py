@@ -65,7 +65,7 @@ class Examined(NamedTuple):
 def examine(case: PensionCase) -> Examined:
     """Figures, reconciliation and remarks.
 
-    **Raises:** `CaseError` where a figure of the actuary's is missed by more than its tolerance.
+    **Raises:** `CaseError` if a figure of the actuary's is missed by more than its tolerance.
     """
     inputs = plain(pension_inputs(case))
     result = figures(case, inputs)
@@ -160,7 +160,7 @@ def _group(group: StatusGroup, money: Callable[[float], str]) -> str:
 
 
 def _leverage(case: PensionCase) -> list[str]:
-    """What is sold short or borrowed today, and may be; nothing where weights are not negative."""
+    """What is sold short or borrowed today, and may be; nothing if weights are not negative."""
     assets = case.assets
     if not assets.short:
         return []
@@ -172,7 +172,7 @@ def _leverage(case: PensionCase) -> list[str]:
 
 
 def _regulation(case: PensionCase) -> list[str]:
-    """The fund before its regulator; nothing where the case names none."""
+    """The fund before its regulator; nothing if the case names none."""
     if case.regulation is None:
         return []
     result = stand(case, plain(pension_inputs(case)))
@@ -184,7 +184,7 @@ def _regulation(case: PensionCase) -> list[str]:
 
 
 def _funding(case: PensionCase) -> list[str]:
-    """The bases of funding side by side; nothing where the case has none."""
+    """The bases of funding side by side; nothing if the case has none."""
     if case.funding is None:
         return []
     result, currency = bases(case, plain(pension_inputs(case))), case.currency
@@ -203,7 +203,7 @@ def _funding(case: PensionCase) -> list[str]:
 
 
 def _pots(case: PensionCase, result: Human) -> list[str]:
-    """The division into pots and reserve; nothing where rights are promised."""
+    """The division into pots and reserve; nothing if rights are promised."""
     if case.pots is None or result.funding is None:
         return []
     selected = float(case.pots.reserve.used())
@@ -240,9 +240,9 @@ def _line(case: PensionCase, line: ReconciledFigure) -> str:
 def reconciled(
     case: PensionCase, available: LiabilityFigures | None = None
 ) -> list[ReconciledFigure]:
-    """The lines of the reconciliation; `available`: the figures, where they are known already.
+    """The lines of the reconciliation; `available`: the figures, if they are known already.
 
-    **Raises:** `CaseError` where a figure of the actuary's is missed by more than its tolerance.
+    **Raises:** `CaseError` if a figure of the actuary's is missed by more than its tolerance.
     """
     result = check(case, plain(pension_inputs(case)), available)
     for line in result:

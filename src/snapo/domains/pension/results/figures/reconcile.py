@@ -28,7 +28,7 @@ class LiabilityFigures(NamedTuple):
     - `liability`: value now on the case's basis, money. `duration`: years, minus d ln L / d rate
       for a parallel shift of continuous rates; `convexity`: years squared.
     - `key_rate`: [n] change of the liability, money, for +1 bp at each node of the nominal curve;
-      `key_inflation` [k] the same of break-evens, `inflation01` their sum. 0 where the basis does
+      `key_inflation` [k] the same of break-evens, `inflation01` their sum. 0 if the basis does
       not use that curve.
     - `cash_flow`: [S] expected payments of accrued rights by step, money, before indexation.
     """
@@ -93,7 +93,7 @@ def check(
     case: PensionCase, inputs: dict[str, Any], available: LiabilityFigures | None = None
 ) -> list[ReconciledFigure]:
     """The actuary's liability and duration against the model's, then the model against itself;
-    `available`: the figures, where they are known already."""
+    `available`: the figures, if they are known already."""
     result = available or figures(case, inputs)
     request = case.reconcile
     lines = [

@@ -189,7 +189,7 @@ def _check_dose(file, unit: Unit, feed: Feed, dosing: Profile) -> None:
     held = float(feed.volume.values[0])
     if abs(dosed - held) > 1e-9 * held:
         message = (
-            f"over {duration:g} s it doses {dosed:.10g} m3, and feed {feed.name} holds "
+            f"over {duration:g} s it doses {dosed:.10g} m3, but feed {feed.name} holds "
             f"{held:.10g} m3"
         )
         raise CaseError(str(file), f"units.{unit.name}.dosing", None, message)

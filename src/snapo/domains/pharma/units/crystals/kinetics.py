@@ -39,7 +39,7 @@ class Kinetics(TableRecord):
 
 
 class Rates(NamedTuple):
-    """`growth` G in m/s (below 0 where crystals dissolve), `nucleation` B in 1/m3/s."""
+    """`growth` G in m/s (below 0 if crystals dissolve), `nucleation` B in 1/m3/s."""
 
     growth: Float[Array, ""]
     nucleation: Float[Array, ""]

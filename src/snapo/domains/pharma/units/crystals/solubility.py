@@ -100,15 +100,15 @@ def _matrix(text: str, default: Any = ...) -> Any:
 class Mixture(TableRecord):
     """A solute, number 0, in n - 1 solvents.
 
-    - `density`: of solvent per volume of solution. `a` and `alpha`: "1", `b`: K; index [n (n - 1)],
-      off the diagonals row by row. `liquid`: [n - 1] shares by mole; `ratio`: molar mass of the
-      solute over theirs.
+    - `density`: the density of solvent per volume of solution. `a` and `alpha`: "1", `b`: K; index
+      [n (n - 1)], off the diagonals row by row. `liquid`: [n - 1] shares by mole; `ratio`: molar
+      mass of the solute over theirs.
     """
 
     melting: CaseInput = ABSOLUTE("melting point of the crystals", None, example="443.6 K")
     fusion: CaseInput = ENERGY("enthalpy of fusion", None, range=POSITIVE, example="27.1 kJ/mol")
     capacity: CaseInput = UnitQuantity("J/mol/K", example="0 J/mol/K")(
-        "heat capacity of the melt less that of the crystals",
+        "heat capacity of the melt minus that of the crystals",
         "0 J/mol/K",
         alias="heat_capacity_change",
     )
@@ -123,7 +123,9 @@ class Mixture(TableRecord):
     more_keys: ClassVar = {
         "solute": (
             str | None,
-            Field(None, min_length=1, description='a name that chemicals knows, as "paracetamol"'),
+            Field(
+                None, min_length=1, description='a name that chemicals knows, such as "paracetamol"'
+            ),
         ),
         "molar_mass": (CaseInput | None, MOLAR_MASS.field("molar mass of the solute", None)),
         "solvents": (
@@ -257,7 +259,7 @@ SolubilityKind = Literal["polynomial", "exponential", "van-t-hoff", "nrtl"]
 class Solubility(TableRecord):
     """c*(T, w) in kg/m3.
 
-    - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K less `zero`
+    - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K minus `zero`
       (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
     - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)).
     - "nrtl": of a `mixture` in equilibrium with the pure crystal.

@@ -42,7 +42,7 @@ RATIO, PART = UnitQuantity(range=POSITIVE), UnitQuantity(range=INSIDE)
 class Granulation(Timed):
     """High-shear wet granulation.
 
-    - Ratios are by mass; `nuclei_size`: of the sphere of mean volume.
+    - Ratios are by mass; `nuclei_size`: the size of the sphere of mean volume.
     - `coalescence`: b at the saturation 1 and `reference_speed`.
     """
 

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from ...gas_storage.bounds.regression import AnyBasis, Regression, regression_of
-from ...gas_storage.policy.guide import Reading
+from ...gas_storage.policy.value_table import Reading
 from ...gas_storage.prices.process import GaussianFactors
 from ..core.contract import ContractLayout
 from ..core.tables import LevelRows, Surprise, Surprises, UnitValues, UnitValueTable, Values
@@ -24,21 +24,21 @@ FURTHER = 1.5  # rows: a volume no longer than that is of one row
 SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate, by their number
 
 
-class GuideTables(NamedTuple):
+class ValueTables(NamedTuple):
     """Unit values, from which a policy starts; the control variate, None with other risks."""
 
     unit_values: UnitValueTable
     surprises: Surprises | None
 
 
-def guide_tables(
+def value_tables(
     layout: ContractLayout,
     schedule: Any,
     factors: GaussianFactors,
     basis: AnyBasis,
     grid: ContractGrid,
     like: UnitValues | None = None,
-) -> GuideTables:
+) -> ValueTables:
     """The tables of the fitted value of a schedule with NumPy leaves, which has a step.
 
     A policy searches for the last row that gains where best volumes end on rows, and elsewhere for
@@ -60,7 +60,7 @@ def guide_tables(
         if surprises is not None:
             surprises.add(t, coefficients)
         later = coefficients
-    return GuideTables(units.table(), None if surprises is None else surprises.table())
+    return ValueTables(units.table(), None if surprises is None else surprises.table())
 
 
 class _UnitRows:

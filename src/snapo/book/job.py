@@ -1,6 +1,6 @@
-"""An order: one contract with some of the book's stresses, as bytes; and its answer, as bytes.
+"""A job: one contract with some of the book's stresses, as bytes; and its result, as bytes.
 
-The answer depends on nothing but the order. An order has neither the contract's name nor its
+The result depends on nothing but the job. A job has neither the contract's name nor its
 quantity, so that contracts with equal cases are computed once; its name is the hash of its bytes.
 """
 
@@ -27,25 +27,25 @@ from snapo.solver.sensitivity import Sensitivities
 from .file import BookContract, TasksTable
 from .stress import StressMove
 
-STRESSES = 25  # of one order
+STRESSES = 25  # of one job
 BATCHES = 512  # of paths, whose shares are kept
 
 
 @dataclass(frozen=True)
-class BookOrder:
+class BookJob:
     """The task of a worker: one contract with some stresses.
 
     - `case`: the text of case.toml; `files`: {name: content} of the files that it names.
     - `stresses`: the moves of each.
-    - `tasks`: of the book; `seed`: of training and paths.
+    - `tasks`: the tasks of the book; `seed`: the seed of training and paths.
     - `base`: whether the unstressed point is computed too, before the stresses.
     - `judged`: whether the derivatives are tested by bumps.
-    - `policy`: the file of a trained one; None: the order trains its policy, for the base or, where
+    - `policy`: the file of a trained one; None: the job trains its policy, for the base or, if
       a policy is trained for each stress, for its only stress.
     - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
       takes, so that it needs no training.
     - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
-      of the processors that give the same bits.
+      the fingerprint of the processors that give the same bits.
     """
 
     case: str
@@ -61,8 +61,8 @@ class BookOrder:
     adopted: bytes | None = None
 
     @classmethod
-    def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookOrder":
-        """The order of a contract, without stresses where `more`, the other fields, has none."""
+    def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookJob":
+        """The job of a contract, without stresses where `more`, the other fields, has none."""
         fields = {"stresses": (), **more}
         report = contract.tables.get("report", {})
         numbers = {key: value for key, value in report.items() if key not in TEXTS}
@@ -70,7 +70,7 @@ class BookOrder:
         return cls(to_toml(tables), contract.files, tasks=tasks, seed=seed, **fields)
 
     def pack(self) -> bytes:
-        """The order as bytes; equal orders have equal bytes."""
+        """The job as bytes; equal jobs have equal bytes."""
         table = {
             "case": self.case,
             "files": {name: _text(data) for name, data in sorted(self.files.items())},
@@ -88,8 +88,8 @@ class BookOrder:
         return json.dumps(table, sort_keys=True).encode()
 
     @classmethod
-    def unpack(cls, data: bytes) -> "BookOrder":
-        """The order of these bytes."""
+    def unpack(cls, data: bytes) -> "BookJob":
+        """The job of these bytes."""
         table = json.loads(data)
         stresses = tuple(tuple(map(_move, moves)) for moves in table["stresses"])
         policy, adopted = (
@@ -111,9 +111,9 @@ class BookOrder:
         )
 
 
-def name_of(order: bytes) -> str:
-    """The name of an order: the hash of its bytes."""
-    return hashlib.blake2b(order, digest_size=16).hexdigest()
+def name_of(job: bytes) -> str:
+    """The name of a job: the hash of its bytes."""
+    return hashlib.blake2b(job, digest_size=16).hexdigest()
 
 
 def _text(data: bytes) -> str:
@@ -137,8 +137,8 @@ class BookPoint(NamedTuple):
 
     - `status`: "ok" or "failed", with a `note`.
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
-    - `changes`: {input: [n] its numbers less those of the base}, of inputs that a stress moves.
-    - `deltas`: held derivatives with respect to the inputs, where the book asks for them.
+    - `changes`: {input: [n] its numbers minus those of the base}, of inputs that a stress moves.
+    - `deltas`: held derivatives with respect to the inputs, if the book asks for them.
     - `outputs`: the totals of the paths; `exposure`: the outputs by day.
     """
 
@@ -163,7 +163,7 @@ class OutputFigures(NamedTuple):
 
     - `value`, `standard_error`: of its mean; `deviation`, `p05`, `p95`: between paths.
     - `nominal`: at the set point of a process; `within`: the share of its batches within the
-      limits; None of other outputs.
+      limits; None for other outputs.
     """
 
     name: str
@@ -232,7 +232,7 @@ class Delta(NamedTuple):
 class Exposure(NamedTuple):
     """The mean of an output of every step.
 
-    - `days`: [T] dates, or the numbers of steps from 1 where a case has no dates.
+    - `days`: [T] dates, or the numbers of steps from 1 if a case has no dates.
     - `blocks`: [32 or fewer, T] of independent blocks of paths.
     """
 
@@ -242,12 +242,12 @@ class Exposure(NamedTuple):
     blocks: np.ndarray
 
 
-class OrderAnswer(NamedTuple):
-    """The results of an order.
+class JobResult(NamedTuple):
+    """The results of a job.
 
-    - `points`: the base first where the order has one, then those of its stresses.
+    - `points`: the base first where the job has one, then those of its stresses.
     - `policy`: the file of the trained one; `shape`: the hash of all that code is compiled for.
-    - `world`: equal for answers whose path p is the same world (`Scenarios.world`).
+    - `world`: equal for results whose path p is the same world (`Scenarios.world`).
     """
 
     points: tuple[BookPoint, ...]
@@ -256,7 +256,7 @@ class OrderAnswer(NamedTuple):
     world: str = ""
 
     def pack(self) -> bytes:
-        """The answer as bytes, an archive of arrays; equal answers have equal bytes."""
+        """The result as bytes, an archive of arrays; equal results have equal bytes."""
         arrays = dict[str, np.ndarray]()
         points = []
         for i, point in enumerate(self.points):
@@ -278,15 +278,15 @@ class OrderAnswer(NamedTuple):
         return out.getvalue()
 
     @classmethod
-    def unpack(cls, data: bytes) -> "OrderAnswer":
-        """The answer of these bytes. **Raises:** `ValueError` where they are none."""
+    def unpack(cls, data: bytes) -> "JobResult":
+        """The result of these bytes. **Raises:** `ValueError` if they are not one."""
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = dict(file)
             table = json.loads(str(arrays["table"]))
             points = tuple(_point(i, row, arrays) for i, row in enumerate(table["points"]))
         except (zipfile.BadZipFile, zlib.error, OSError, EOFError, KeyError) as error:
-            raise ValueError(f"not an answer: {error}") from None
+            raise ValueError(f"not a result: {error}") from None
         policy = arrays.get("policy")
         policy = None if policy is None else policy.tobytes()
         return cls(points, policy, table["shape"], table["world"])
@@ -310,7 +310,8 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
 class Cost(NamedTuple):
     """The cost of a result, which is not part of it.
 
-    - `cpu_seconds`: of all threads of the worker; `peak_mb`: its memory so far at most.
+    - `cpu_seconds`: the processor seconds of all threads of the worker; `peak_mb`: its memory so
+      far at most.
     - `worker`: its process and machine.
     """
 
@@ -320,19 +321,19 @@ class Cost(NamedTuple):
 
 
 def enclosed(answer: bytes, cost: Cost) -> bytes:
-    """An answer with its cost, and a checksum by which a whole one is known."""
+    """A result with its cost, and a checksum that shows whether it is complete."""
     head = {"checksum": name_of(answer), "cost": cost._asdict()}
     return json.dumps(head).encode() + b"\n" + answer
 
 
 def opened(data: bytes) -> tuple[bytes, Cost]:
-    """The answer and its cost. **Raises:** `ValueError` where they are not whole."""
+    """The result and its cost. **Raises:** `ValueError` if they are not complete."""
     head, _, answer = data.partition(b"\n")
     try:
         table = json.loads(head)
         cost, checksum = Cost(**table["cost"]), table["checksum"]
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"not an answer: {error}") from None
+        raise ValueError(f"not a result: {error}") from None
     if checksum != name_of(answer):
         raise ValueError("not a whole answer")
     return answer, cost

@@ -21,8 +21,8 @@ from ..references.marginal import MarginalValues
 
 
 class Knots(NamedTuple):
-    """One day of the guide: uniform inventories from `low` to `high`, with [rows, n] coefficients
-    in the fast factor's state `above` and `below` them, valid up to `reach`."""
+    """One day of the value table: uniform inventories from `low` to `high`, with [rows, n]
+    coefficients in the fast factor's state `above` and `below` them, valid up to `reach`."""
 
     low: Array
     high: Array
@@ -42,7 +42,7 @@ class Knots(NamedTuple):
 
 
 class ValueTable(eqx.Module):
-    """A guide: `knots` has leaves with a leading axis of days, and a method `values`."""
+    """A value table: `knots` has leaves with a leading axis of days, and a method `values`."""
 
     knots: Any
 
@@ -155,7 +155,7 @@ class Reading(NamedTuple):
 
 
 class SurpriseDay(NamedTuple):
-    """One day: its own value, the expectation of the next date's, and its functions."""
+    """One day: its value, the expectation of the next date's value, and its functions."""
 
     now: DateValues
     ahead: DateValues
@@ -191,7 +191,7 @@ class Innovations(eqx.Module):
 
 
 def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
-    """The value at the start of a day less its expectation for the next date.
+    """The value at the start of a day minus its expectation for the next date.
 
     Summed over the days, with the end date's value and less `first`, it is the sum of the
     innovations. `before` and `after` are the inventories at the start and the end of the day.
