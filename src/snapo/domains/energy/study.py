@@ -20,7 +20,7 @@ from snapo.study.training import TRAINING, trained
 
 from ..gas_storage.chapters.vega import volatilities
 from .chapters.ladder import METHODS
-from .chapters.products import PRODUCT_DELTAS, VEGA
+from .chapters.products import GAMMA, PRODUCT_DELTAS, VEGA, check_gamma
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.contract import ContractLayout
@@ -50,6 +50,9 @@ def study(case: EnergyCase, options: Options) -> Study:
     parts += [BOUND.part] if callable(relaxation) else []
     parts += [REFERENCE.part] if options.reference else []
     parts += [METHODS.part] if options.ladder else []
+    if options.gamma:
+        check_gamma(case, problem)
+        parts += [GAMMA.part]
     return Study(
         case.kind,
         _about(case),

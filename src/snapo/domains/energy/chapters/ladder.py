@@ -219,7 +219,7 @@ class EnergyMethods(ContractMethods):
         return f"{rule}: this run kept it, so that both are equal" if kept else rule
 
     def least_squares(self) -> np.ndarray:
-        """Of a contract with several levels or modes that of the fitted value, on the same paths."""
+        """Of a contract with several levels or modes those of the fitted value."""
         if self.fitted:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()
