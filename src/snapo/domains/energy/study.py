@@ -36,8 +36,10 @@ from .setup import bare_problem, make_setup, setup_at
 def study(case: EnergyCase, options: Options) -> Study:
     """All parts of a run.
 
-    **Raises:** `CaseError` where the contract cannot be met.
+    **Raises:** `CaseError` where the contract cannot be met, or has no gamma that was asked for.
     """
+    if options.gamma:
+        check_gamma(case)
     ready, problem = _Prepared(case, options.engine), bare_problem(case)
     check_limits(case, problem.schedule)
     check_nodes(case, problem.schedule)
@@ -50,9 +52,7 @@ def study(case: EnergyCase, options: Options) -> Study:
     parts += [BOUND.part] if callable(relaxation) else []
     parts += [REFERENCE.part] if options.reference else []
     parts += [METHODS.part] if options.ladder else []
-    if options.gamma:
-        check_gamma(case, problem)
-        parts += [GAMMA.part]
+    parts += [GAMMA.part] if options.gamma else []
     return Study(
         case.kind,
         _about(case),
@@ -150,4 +150,5 @@ def _result(run: StudyRun) -> dict[str, Any]:
         "upper_bound": bounds.upper.value if bounds else None,
     }
     errors = {} if error is None else {"reference_errors": {"dynamic_programming": error}}
-    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors
+    gamma = {GAMMA.key: run.get(GAMMA.key)} if GAMMA.of(run) else {}
+    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors | gamma

@@ -144,7 +144,8 @@ def _result(run: StudyRun) -> dict[str, Any]:
         "upper_bound": bounds.upper.value if bounds else None,
     }
     errors = {} if error is None else {"reference_errors": {"dynamic_programming": error}}
-    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors
+    gamma = {GAMMA.key: run.get(GAMMA.key)} if GAMMA.of(run) else {}
+    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors | gamma
 
 
 def _expired(case: StorageCase):

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.problem.problem import Problem
 from snapo.study.study import StudyRun
 
 from ...gas_storage.chapters import gamma, products, vega
@@ -42,12 +41,12 @@ def measure_vega(run: StudyRun) -> Vegas:
 VEGA = replace(vega.VEGA, measure=measure_vega)
 
 
-def check_gamma(case: EnergyCase, problem: Problem) -> None:
+def check_gamma(case: EnergyCase) -> None:
     """Refuses a contract whose gamma is not known.
 
     **Raises:** `CaseError` for prices of several commodities.
     """
-    curves = [name for name, x in problem.inputs_by_name.items() if x.group == FORWARD.group]
+    curves = sorted({x.name for x in case.numbers() if x.group == FORWARD.group})
     if len(curves) > 1:
         message = f"{case.file.name} has {len(curves)} curves, {', '.join(curves)}"
         raise CaseError("--gamma", "", None, f"it is for contracts on one commodity; {message}")

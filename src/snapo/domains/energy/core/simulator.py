@@ -98,7 +98,7 @@ class EnergySimulator(PricedSimulator):
             np.ones(()),
             layout=layout,
             first=int(case.first_step),
-            action=SharesAndMoves(layout),
+            action=SharesAndMoves(layout),  # pyright: ignore[reportCallIssue]
         )
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:

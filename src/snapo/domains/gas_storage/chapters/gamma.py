@@ -33,7 +33,7 @@ TEXT = (
 )
 SCALED = (
     "The last column of the table by product is the change of each delta if all prices rise by "
-    "1 %. Without costs it is zero: prices and value then rise in proportion."
+    "1 %. Without costs and fixed strikes it is zero: prices and value then rise in proportion."
 )
 MOST = 16  # products in a map
 
@@ -118,9 +118,9 @@ def gamma_by_product(
     scaled = [0.01 * x for x in of.along(np.array([move.price for move in moves]))]
     products, pairs = [], []
     for i, (name, first, after) in enumerate(periods):
-        dates = (str(days[k])[:10] for k in (first, after - 1))
+        start, end = (str(days[k])[:10] for k in (first, after - 1))
         numbers = moves[i].price, of.bumps[i], gamma[i, i], error[i, i], *(x[i] for x in scaled)
-        products.append(GammaProduct(name, *dates, *map(float, numbers)))
+        products.append(GammaProduct(name, start, end, *map(float, numbers)))
         for j in range(i, len(periods)):
             numbers = (float(x[i, j]) for x in (gamma, error, policy_error))
             pairs.append(GammaPair(name, periods[j].name, *numbers))
@@ -155,7 +155,7 @@ def show(run: RunFiles, result: ProductGammas) -> Sequence[Block]:
         Column("Product", "product"),
         Column("Other", "other"),
         Column("Gamma", lambda x: WithError(x.gamma, x.standard_error), unit),
-        Column("± policy", "policy", unit),
+        Column("± policy", "policy", unit, digits=2),
     ]
     caption = f"On {number(result.paths, 0)} paths; ± is half of a 95 % interval."
     blocks: list[Block] = [Text(TEXT)]
