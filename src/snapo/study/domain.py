@@ -35,7 +35,7 @@ class Options(NamedTuple):
     - `reference`: compute the exact references as well, however long they take.
     - `about`: that of an earlier run of the same case, which passed its checks for it; else None.
     - `ladder`: value the contract by all methods, on common paths; `hedge`: simulate its hedges;
-      `gamma`: second derivatives by pair of products.
+      `gamma`: measure the change of deltas with prices, by product.
     """
 
     engine: str = "auto"

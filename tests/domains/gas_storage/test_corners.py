@@ -86,8 +86,8 @@ def test_rows_lie_on_corners_where_these_are_few(tmp_path, contract, step):
 def test_three_exercises_have_rows_on_their_corners():
     """G4: 1,200, 800 and 900 of 2,900 are multiples of 100, an eighth of the least of them."""
     table = slope_table(bare_problem(read("G4")).schedule)
-    assert table.corners and table.pieces == 2 * PIECES
-    np.testing.assert_allclose((table.high - table.low) / table.pieces, 100.0)
+    assert table.corners and table.segments == 2 * PIECES
+    np.testing.assert_allclose((table.high - table.low) / table.segments, 100.0)
 
 
 @pytest.mark.prove

@@ -15,11 +15,10 @@ from snapo.domains.energy.setup import bare_problem as energy_problem
 from snapo.domains.energy.setup import factors_of, price_schedule
 from snapo.domains.energy.setup import make_setup as energy_setup
 from snapo.domains.energy.study import study
-from snapo.domains.gas_storage.chapters.gamma import moves_of
 from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.explain.chain import delivery_periods
 from snapo.domains.gas_storage.explain.curve import DeliveryPeriod
-from snapo.domains.gas_storage.hedges.gamma import GammaMatrix, gamma_matrix
+from snapo.domains.gas_storage.hedges.gamma import GammaMatrix, gamma_matrix, price_rises
 from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
 from snapo.study.domain import Options
 
@@ -29,15 +28,23 @@ CALLS = {"2019-12-15": (1200.0, "2020-01-20", 0.0), "2020-01-20": (800.0, "2020-
          "2020-03-31": (900.0, "2020-04-22", 2.8)}  # fmt: skip
 
 
+def values(problem) -> np.ndarray:
+    """The forward prices."""
+    return problem.inputs_by_name[problem.simulator.curve.name].value
+
+
 def measured(name: str, paths: int, **tables) -> tuple[GammaMatrix, list]:
     """The matrix by month of a reference case, by the rule that training begins with."""
     case = read(name, **tables)
     setup = make_setup(case, "native", fitted_value(bare_problem(case)))
-    problem, curve = setup.problem, case.market.forward_curve
-    moves = moves_of(delivery_periods(case.days, case.products), curve)
+    problem = setup.problem
+    curve = problem.simulator.curve
+    rises = price_rises(
+        delivery_periods(case.days, case.products), case.days, curve, values(problem)
+    )
     prices, engine = of_prices(problem.schedule), setup.engines.evaluate
-    found = gamma_matrix(problem, setup.policy, curve.name, moves, prices, engine, paths)
-    return found, moves
+    found = gamma_matrix(problem, setup.policy, curve.name, rises, prices, engine, paths)
+    return found, rises
 
 
 def black(day: str) -> float:
@@ -56,10 +63,10 @@ def black(day: str) -> float:
 def test_three_calls():
     """G4: on the diagonal Black's within 2 %; other pairs, and February without an exercise, are
     zero."""
-    of, moves = measured("G4", 65536)
+    of, rises = measured("G4", 65536)
     value, error = of.symmetric.value, of.standard_error
     exact = np.zeros((4, 4))
-    months = [move.name[:3] for move in moves]
+    months = [rise.name[:3] for rise in rises]
     for day in CALLS:
         i = months.index(datetime.date.fromisoformat(day).strftime("%b"))
         exact[i, i] = black(day)
@@ -72,11 +79,11 @@ def test_three_calls():
 @pytest.mark.prove
 def test_homogeneous():
     """G6, without costs: gamma times the forward prices is zero."""
-    of, moves = measured("G6", 8192)
-    product, error = of.along(np.array([move.price for move in moves]))
+    of, rises = measured("G6", 8192)
+    product, error = of.along(np.array([rise.price for rise in rises]))
     print(product, error, np.diag(of.symmetric.value))
     assert np.all(np.abs(product) <= 3 * error)
-    diagonal = np.diag(of.symmetric.value) * [move.price for move in moves]
+    diagonal = np.diag(of.symmetric.value) * [rise.price for rise in rises]
     assert np.all(diagonal > 20 * error)  # what cancels is far larger
 
 
@@ -86,17 +93,18 @@ def test_a_swing_against_a_lattice():
     the value by dynamic programming, for a move of one month with all, and of all."""
     case = swing(end=datetime.date(2027, 2, 1), annual={"min": 60.0, "max": 90.0}, shortfall=6.0)
     setup = energy_setup(case, "native")
-    problem, curve = setup.problem, case.market.forward_curve
-    moves = moves_of(delivery_periods(case.days, None), curve)
+    problem = setup.problem
+    curve = problem.simulator.curve
+    rises = price_rises(delivery_periods(case.days, None), case.days, curve, values(problem))
     prices = price_schedule(problem)
     of = gamma_matrix(
-        problem, setup.policy, curve.name, moves, prices, setup.engines.evaluate, 8192
+        problem, setup.policy, curve.name, rises, prices, setup.engines.evaluate, 8192
     )
     bare, base, step = energy_problem(case), problem.inputs_by_name[curve.name].value, 0.5
-    layout, every = case.contract.layout, sum(move.along for move in moves)
+    layout, every = case.contract.layout, sum(rise.along for rise in rises)
 
     def exact(one: float, all_of_them: float) -> float:
-        moved = bare.at({curve.name: base + one * moves[1].along + all_of_them * every})
+        moved = bare.at({curve.name: base + one * rises[1].along + all_of_them * every})
         return lattice(layout, moved.schedule, factors_of(moved), finer=2).value
 
     corners = [sign * other * exact(sign * step, other * step)
@@ -131,23 +139,26 @@ def test_both_estimates_of_a_pair():
 def test_a_move_is_of_the_numbers_of_the_days():
     """With two steps a day, as of two stores, a period has twice as many steps."""
     case = read("G4")
-    curve = case.market.forward_curve
-    one, other = moves_of([DeliveryPeriod("a", 0, 3), DeliveryPeriod("b", 3, 7)], curve)
+    problem = bare_problem(case)
+    curve = problem.simulator.curve
+    periods = [DeliveryPeriod("a", 0, 3), DeliveryPeriod("b", 3, 7)]
+    one, other = price_rises(periods, case.days, curve, values(problem))
     assert one.along.sum() == 3 and other.along.sum() == 4 and not np.any(one.along * other.along)
-    assert other.price == pytest.approx(curve.used()[3:7].mean())
+    assert other.price == pytest.approx(case.market.forward_curve.used()[3:7].mean())
     assert other.steps == slice(3, 7)
-    assert moves_of([DeliveryPeriod("b", 3, 7)], curve, 2)[0].steps == slice(6, 14)
+    assert price_rises(periods[1:], case.days, curve, values(problem), 2)[0].steps == slice(6, 14)
 
 
 @pytest.mark.prove
 def test_prices_that_are_not_random_have_no_gamma():
     case = swing(end=datetime.date(2026, 10, 8), annual=None)
     setup = energy_setup(case, "xla")
-    problem, curve = setup.problem.at({"volatility": np.zeros(1)}), case.market.forward_curve
-    moves = moves_of(delivery_periods(case.days, None), curve)
+    problem = setup.problem.at({"volatility": np.zeros(1)})
+    curve = problem.simulator.curve
+    rises = price_rises(delivery_periods(case.days, None), case.days, curve, values(problem))
     with pytest.raises(ValueError, match="is not random"):
         gamma_matrix(
-            problem, setup.policy, curve.name, moves, price_schedule(problem),
+            problem, setup.policy, curve.name, rises, price_schedule(problem),
             setup.engines.evaluate, 64,
         )  # fmt: skip
 

@@ -205,22 +205,22 @@ class EnergyMethods(ContractMethods):
         return Estimated(intrinsic_value(self.layout, self.run.setup.problem.schedule))
 
     @property
-    def fitted(self) -> bool:
+    def of_value(self) -> bool:
         """Whether least squares are those of the fitted value: of several levels or modes."""
         return bool(no_flat_volumes(self.layout)) or self.intraday
 
     @property
     def regressed(self) -> str:
-        if not self.fitted:
+        if not self.of_value:
             return super().regressed
         policy, rule = self.run.solution.policy, "the fitted value, from which training began"
         assert isinstance(policy, UnitValuePolicy)
-        kept = policy.simplest.network is None
-        return f"{rule}: this run kept it, so that both are equal" if kept else rule
+        same = policy.simplest.network is None
+        return f"{rule}: the policy of this run is the same" if same else rule
 
     def least_squares(self) -> np.ndarray:
         """Of a contract with several levels or modes those of the fitted value."""
-        if self.fitted:
+        if self.of_value:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()
         levels = levels[:, :, None][:, :, : len(self.layout.levels)]

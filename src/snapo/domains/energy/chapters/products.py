@@ -14,6 +14,7 @@ from ...gas_storage.chapters.gamma import ProductGammas, gamma_by_product
 from ...gas_storage.chapters.products import ProductDeltas, deltas_by_product
 from ...gas_storage.chapters.vega import Vegas, vega_by_month
 from ...gas_storage.explain.chain import delivery_periods
+from ...gas_storage.hedges.gamma import price_rises
 from ...gas_storage.read.tables import FORWARD
 from ..core.simulator import simulator_of
 from ..read.case import KINDS, EnergyCase
@@ -54,12 +55,11 @@ def check_gamma(case: EnergyCase) -> None:
 
 def measure_gamma(run: StudyRun) -> ProductGammas:
     """The gammas of a contract."""
-    case = case_of(run.setup)
-    together = KINDS[case.kind].steps
-    days, curve = case.days[::together], case.market.forward_curve
-    periods = delivery_periods(days, case.products)
-    prices = price_schedule(run.setup.problem)
-    return gamma_by_product(run, periods, days, curve, prices, together)
+    case, problem = case_of(run.setup), run.setup.problem
+    together, curve = KINDS[case.kind].steps, simulator_of(problem).curve
+    days, values = case.days[::together], problem.inputs_by_name[curve.name].value
+    rises = price_rises(delivery_periods(days, case.products), days, curve, values, together)
+    return gamma_by_product(run, case, rises, curve.name, price_schedule(problem))
 
 
 GAMMA = replace(gamma.GAMMA, measure=measure_gamma)

@@ -162,8 +162,8 @@ def _bumped_by_lots(
     """
     volumes = [np.abs(x.used()) for x in joint if x is not None]
     for store in stores:
-        ends = () if store.end is None else (store.end,)
-        numbers = [x.used() for x in (store.inventory, *store.limits, *ends)]
+        levels = [store.inventory, *store.limits, *([] if store.end is None else [store.end])]
+        numbers = [x.used() for x in levels]
         rates = [x.used() * store.factors[:, k] for k, x in enumerate(store.rates)]
         volumes += [*numbers, *rates]
     lot = common_measure(np.unique(np.concatenate([np.ravel(x) for x in volumes])).tolist())
@@ -173,8 +173,8 @@ def _bumped_by_lots(
         if not low.values.any():
             low = replace(low, judge_bump=lot)
             if lot and store.inventory.used() < lot:
-                words = f"{low.meaning}, which cannot be raised: the store begins with less"
-                low = replace(low, meaning=words)
+                meaning = f"{low.meaning}, which cannot be raised: the store begins with less"
+                low = replace(low, meaning=meaning)
         end = store.end
         if end is not None and not end.values.any():
             end = replace(end, judge_bump=lot)

@@ -45,7 +45,7 @@ class SharesAndMoves(Box):
         self.decisions = layout.decisions
 
     def together(self) -> list[list[int]]:
-        return [list(places) for places in self.decisions]
+        return [list(numbers) for numbers in self.decisions]
 
 
 class EnergySimulator(PricedSimulator):

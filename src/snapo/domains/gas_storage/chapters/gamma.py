@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
-from snapo.case.given import CaseInput
 from snapo.problem.simulator import Schedule
 from snapo.report.bands import heat
 from snapo.report.drawing import draw
@@ -19,9 +18,9 @@ from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 
 from ..contract.schedule import of_prices
+from ..contract.simulator import simulator_of
 from ..explain.chain import delivery_periods
-from ..explain.curve import DeliveryPeriod
-from ..hedges.gamma import ProductMove, gamma_matrix
+from ..hedges.gamma import PriceRise, gamma_matrix, price_rises
 from ..setup import case_of
 
 FILE = "gamma.csv"
@@ -35,7 +34,7 @@ SCALED = (
     "The last column of the table by product is the change of each delta if all prices rise by "
     "1 %. Without costs and fixed strikes it is zero: prices and value then rise in proportion."
 )
-MOST = 16  # products in a map
+MAX_PRODUCTS = 16  # products in a map
 
 
 @dataclass(frozen=True)
@@ -80,60 +79,63 @@ class ProductGammas:
     products: tuple[GammaProduct, ...] = ()
     pairs: tuple[GammaPair, ...] = ()
     paths: int = 0
+    volume_unit: str = ""
+    currency: str = ""
+
+    @property
+    def unit(self) -> str:
+        """Of a second derivative."""
+        return f"{self.volume_unit} per {self.currency}/{self.volume_unit}"
 
 
-def moves_of(
-    periods: Sequence[DeliveryPeriod], curve: CaseInput, steps_a_day: int = 1
-) -> list[ProductMove]:
-    """A rise of the price of each period; `steps_a_day`: steps of the simulator for each of the
-    period's days."""
-    place, prices, moves = np.asarray(curve.index)[::steps_a_day], curve.used()[::steps_a_day], []
-    for name, first, after in periods:
-        along = np.zeros(len(curve.values))
-        along[place[first:after]] = 1.0
-        steps = slice(first * steps_a_day, after * steps_a_day)
-        moves.append(ProductMove(name, along, steps, float(prices[first:after].mean())))
-    return moves
+class EnergyUnits(Protocol):
+    """The units of a case."""
+
+    @property
+    def volume_unit(self) -> str: ...
+
+    @property
+    def currency(self) -> str: ...
 
 
 def gamma_by_product(
-    run: StudyRun,
-    periods: Sequence[DeliveryPeriod],
-    days: Sequence[Any],
-    curve: CaseInput,
-    prices: Schedule,
-    steps_a_day: int = 1,
+    run: StudyRun, case: EnergyUnits, rises: Sequence[PriceRise], curve: str, prices: Schedule
 ) -> ProductGammas:
-    """The gammas of a run whose deliveries are on `days`; writes gamma.csv.
+    """The gammas of a run; writes gamma.csv.
 
-    `prices`: the schedule of the price process.
+    `curve`: the input of the forward prices; `prices`: the schedule of the price process.
     """
     setup, policy = run.setup, run.solution.policy
     if policy is None:
         return ProductGammas()
-    moves, engine = moves_of(periods, curve, steps_a_day), setup.engines.evaluate
-    problem, paths = setup.problem, setup.evaluation.sensitivity_paths
-    of = gamma_matrix(problem, policy, curve.name, moves, prices, engine, paths, run.progress)
+    problem, engine, paths = (
+        setup.problem,
+        setup.engines.evaluate,
+        setup.evaluation.sensitivity_paths,
+    )
+    of = gamma_matrix(problem, policy, curve, rises, prices, engine, paths, run.progress)
     gamma, error, policy_error = of.symmetric.value, of.standard_error, of.policy
-    scaled = [0.01 * x for x in of.along(np.array([move.price for move in moves]))]
+    scaled = [0.01 * x for x in of.along(np.array([rise.price for rise in rises]))]
     products, pairs = [], []
-    for i, (name, first, after) in enumerate(periods):
-        start, end = (str(days[k])[:10] for k in (first, after - 1))
-        numbers = moves[i].price, of.bumps[i], gamma[i, i], error[i, i], *(x[i] for x in scaled)
-        products.append(GammaProduct(name, start, end, *map(float, numbers)))
-        for j in range(i, len(periods)):
+    for i, rise in enumerate(rises):
+        numbers = rise.price, of.bumps[i], gamma[i, i], error[i, i], *(x[i] for x in scaled)
+        products.append(GammaProduct(rise.name, *rise.dates, *map(float, numbers)))
+        for j in range(i, len(rises)):
             numbers = (float(x[i, j]) for x in (gamma, error, policy_error))
-            pairs.append(GammaPair(name, periods[j].name, *numbers))
+            pairs.append(GammaPair(rise.name, rises[j].name, *numbers))
     run.write_records(FILE, GammaPair, pairs)
     available = problem.sources.evaluation.available(paths)
-    return ProductGammas(tuple(products), tuple(pairs), available)
+    units = case.volume_unit, case.currency
+    return ProductGammas(tuple(products), tuple(pairs), available, *units)
 
 
 def measure(run: StudyRun) -> ProductGammas:
     """The gammas of a store."""
-    case, schedule = case_of(run.setup), run.setup.problem.schedule
-    periods = delivery_periods(case.days, case.products)
-    return gamma_by_product(run, periods, case.days, case.market.forward_curve, of_prices(schedule))
+    case, problem = case_of(run.setup), run.setup.problem
+    curve = simulator_of(problem).curve
+    values = problem.inputs_by_name[curve.name].value
+    rises = price_rises(delivery_periods(case.days, case.products), case.days, curve, values)
+    return gamma_by_product(run, case, rises, curve.name, of_prices(problem.schedule))
 
 
 def show(run: RunFiles, result: ProductGammas) -> Sequence[Block]:
@@ -141,7 +143,7 @@ def show(run: RunFiles, result: ProductGammas) -> Sequence[Block]:
     products, pairs = result.products, result.pairs
     if not products:
         return [why_missing(run, GAMMA.name)]
-    unit = _unit(run)
+    unit = result.unit
     columns = [
         Column("Product", "product"),
         Column("Delivery", lambda x: f"{x.first} to {x.last}"),
@@ -149,7 +151,7 @@ def show(run: RunFiles, result: ProductGammas) -> Sequence[Block]:
         Column("Bump", "bump", digits=3),
         Column("Gamma", lambda x: WithError(x.gamma, x.standard_error), unit),
         Column("All prices 1 % up", lambda x: WithError(x.scaled, x.scaled_error),
-               str(run.get("volume_unit", ""))),
+               result.volume_unit),
     ]  # fmt: skip
     of_pairs = [
         Column("Product", "product"),
@@ -159,15 +161,10 @@ def show(run: RunFiles, result: ProductGammas) -> Sequence[Block]:
     ]
     caption = f"On {number(result.paths, 0)} paths; ± is half of a 95 % interval."
     blocks: list[Block] = [Text(TEXT)]
-    blocks += [_map(products, pairs, unit)] if 1 < len(products) <= MOST else []
+    blocks += [_map(products, pairs, unit)] if 1 < len(products) <= MAX_PRODUCTS else []
     blocks += [table(products, columns, caption), Text(SCALED, caveat=True)]
     folded = f"All {len(pairs)} pairs, with their errors"
     return [*blocks, table(pairs, of_pairs, folded=folded)]
-
-
-def _unit(run: RunFiles) -> str:
-    volume, currency = run.get("volume_unit", ""), run.get("currency", "")
-    return f"{volume} per {currency}/{volume}" if volume and currency else ""
 
 
 def _map(products: Sequence[GammaProduct], pairs: Sequence[GammaPair], unit: str) -> Chart:

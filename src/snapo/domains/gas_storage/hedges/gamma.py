@@ -15,8 +15,8 @@ option at the money whose price deviates by s the mean square error
 
 where the bias is half of the standard error (P. Glasserman, Monte Carlo Methods in Financial
 Engineering, Springer 2003, section 7.1). s is how far the spot price of a product moves on a path,
-about its mean over the product and half a month on either side: what moves all prices alike does
-not change decisions.
+about its mean over the product and half a month on either side: a common change of all prices
+changes no decision.
 
 The two estimates of a pair, from a bump of either product, have the same limit for the best
 decisions. Their mean is reported, and half of their difference, beyond its sampling error, is by
@@ -24,11 +24,12 @@ how much the policy may be wrong.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.engine import TRAJECTORY, Engine
+from snapo.problem.form import Use
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule
@@ -38,6 +39,7 @@ from snapo.solver.derivatives.rebuilt import problems_at
 from snapo.solver.statistics import Estimate
 
 from ..bounds.relaxation import spots_on_paths
+from ..explain.curve import DeliveryPeriod
 
 BALANCE = 11.25  # 9 / 0.8: of variance and bias, see above
 BIAS = 0.5  # of the standard error, at that bump
@@ -45,17 +47,42 @@ AROUND = 15  # steps on either side of a product
 SPREAD_PATHS, BLOCKS = 1024, 32
 
 
-class ProductMove(NamedTuple):
+class PriceRise(NamedTuple):
     """A rise by 1 of the price of a product.
 
-    - `along` [n]: of the numbers of the curve; `steps`: those of its delivery.
-    - `price`: the mean forward price.
+    - `dates`: first and last day of its delivery; `steps`: of the simulator.
+    - `along` [n]: of the numbers of the curve; `price`: the mean forward price.
     """
 
     name: str
-    along: np.ndarray
+    dates: tuple[str, str]
     steps: slice
+    along: np.ndarray
     price: float
+
+
+def price_rises(
+    periods: Sequence[DeliveryPeriod],
+    days: Sequence[Any],
+    curve: Use,
+    values: np.ndarray,
+    steps_a_day: int = 1,
+) -> list[PriceRise]:
+    """One for each period of these days of delivery.
+
+    `curve`: where the forward prices `values` [n] are used, on all steps of the simulator, of which
+    a day has `steps_a_day`.
+    """
+    name, size, rises = curve.name, len(values), []
+    index = curve.in_numpy({name: np.arange(size)})[::steps_a_day]
+    prices = curve.in_numpy({name: values})[::steps_a_day]
+    for title, first, after in periods:
+        along = np.zeros(size)
+        along[index[first:after]] = 1.0
+        dates = str(days[first])[:10], str(days[after - 1])[:10]
+        steps = slice(first * steps_a_day, after * steps_a_day)
+        rises.append(PriceRise(title, dates, steps, along, float(prices[first:after].mean())))
+    return rises
 
 
 class GammaMatrix(NamedTuple):
@@ -98,7 +125,7 @@ def gamma_matrix(
     problem: Problem,
     policy: Policy,
     curve: str,
-    moves: Sequence[ProductMove],
+    rises: Sequence[PriceRise],
     prices: Schedule,
     engine: Engine,
     paths: int,
@@ -113,30 +140,30 @@ def gamma_matrix(
     source = problem.sources.evaluation
     blocks = source.blocks(source.available(paths), BLOCKS)
     count = sum(map(len, blocks))
-    spreads = price_spreads(problem, policy, moves, prices, engine)
+    spreads = price_spreads(problem, policy, rises, prices, engine)
     if not np.all(spreads > 0):
-        name = moves[int(np.argmin(spreads))].name
+        name = rises[int(np.argmin(spreads))].name
         raise ValueError(f"the price of {name} is not random, and the value has kinks in it")
     bumps = spreads * (BALANCE / count) ** 0.2
-    along, value = np.stack([x.along for x in moves]), problem.inputs_by_name[curve].value
+    along, value = np.stack([x.along for x in rises]), problem.inputs_by_name[curve].value
     at_values, both = problems_at(problem), []
-    for move, bump in zip(moves, bumps, strict=True):
+    for rise, bump in zip(rises, bumps, strict=True):
         sides = []
         for sign in (1.0, -1.0):
-            moved = at_values({curve: value + sign * bump * move.along.reshape(value.shape)})
-            local = engine.bind(moved, controls=False)
-            path = DerivativePass(moved, local, policy, Exact(), held=True)
+            shifted = at_values({curve: value + sign * bump * rise.along.reshape(value.shape)})
+            local = engine.bind(shifted, controls=False)
+            path = DerivativePass(shifted, local, policy, Exact(), held=True)
             delta = path.derivatives(blocks).inputs[curve].blocks
             sides.append(delta.reshape(len(delta), -1) @ along.T)
         both.append((sides[0] - sides[1]) / (2 * bump))
-        progress(f"gamma: {move.name}, {len(both)} of {len(moves)}")
+        progress(f"gamma: {rise.name}, {len(both)} of {len(rises)}")
     return GammaMatrix(np.stack(both, axis=1), bumps)
 
 
 def price_spreads(
     problem: Problem,
     policy: Policy,
-    moves: Sequence[ProductMove],
+    rises: Sequence[PriceRise],
     prices: Schedule,
     engine: Engine,
 ) -> np.ndarray:
@@ -148,8 +175,8 @@ def price_spreads(
     spots = spots_on_paths(process, prices, rollout)
     spots = spots - spots.mean(axis=1, keepdims=True)
     spreads = []
-    for move in moves:
-        first, after = max(move.steps.start - AROUND, 0), move.steps.stop + AROUND
+    for rise in rises:
+        first, after = max(rise.steps.start - AROUND, 0), rise.steps.stop + AROUND
         around = spots[first : min(after, simulator.horizon)]
         spreads.append(np.sqrt(np.mean((around - around.mean(axis=0)) ** 2)))
     return np.array(spreads)

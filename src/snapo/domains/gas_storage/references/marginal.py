@@ -207,7 +207,7 @@ class SlopeTable(NamedTuple):
     - `low`, `high`: [T] the first and the last row; the rows between are evenly spaced.
     - `next_low`, `next_high`: [T] the inventories that the day can end with.
     - `corners`: whether levels lie on corners, so that a slope has two sides.
-    - `pieces`: between two levels each; rows are at the levels and half-way between them.
+    - `segments`: between two levels each; rows are at the levels and half-way between them.
     """
 
     low: np.ndarray
@@ -215,19 +215,19 @@ class SlopeTable(NamedTuple):
     next_low: np.ndarray
     next_high: np.ndarray
     corners: bool
-    pieces: int = PIECES
+    segments: int = PIECES
 
     @property
     def rows(self) -> int:
         """The number of rows."""
-        return 2 * self.pieces + 1
+        return 2 * self.segments + 1
 
     def nodes(self, t: int) -> np.ndarray:
         """Inventories at the end of day t: the parts of all pieces, and both ends of the day."""
         low, high = self.next_low[t], self.next_high[t]
         if high <= low:
             return np.array([low])
-        every = np.linspace(self.low[t], self.high[t], THIRD * self.pieces + 1)
+        every = np.linspace(self.low[t], self.high[t], THIRD * self.segments + 1)
         near = 1e-6 * (self.high[t] - self.low[t])
         inside = every[(every > low + near) & (every < high - near)]
         return np.concatenate([[low], inside, [high]])
@@ -237,7 +237,7 @@ class SlopeTable(NamedTuple):
     ) -> tuple[np.ndarray, np.ndarray]:
         """[rows, …] slopes above and below the rows, of `values` [n, …] known from low to high."""
         row = np.linspace(self.low[t], self.high[t], self.rows)
-        part = (self.high[t] - self.low[t]) / (THIRD * self.pieces)
+        part = (self.high[t] - self.low[t]) / (THIRD * self.segments)
         left = np.stack([row - part / 2, row - part / 2])
         if self.corners:
             left[:, ::2] = row[::2], row[::2] - part
@@ -253,15 +253,15 @@ def slope_table(schedule) -> SlopeTable:
     low, high = np.asarray(steps.next_low, float), np.asarray(steps.next_high, float)
     across = SlopeTable(low, high, low, high, corners=False)
     widest = np.max(high - low, initial=0.0)
-    for pieces, divisors in ((PIECES, DIVISORS), (2 * PIECES, FINE)):
+    for segments, divisors in ((PIECES, DIVISORS), (2 * PIECES, FINE)):
         volume = common_volume(steps, divisors)
         if volume is None or widest <= 0:
             continue
-        step = volume / max(1, int(pieces * volume / (widest + volume) + COMMON))
+        step = volume / max(1, int(segments * volume / (widest + volume) + COMMON))
         first = low[-1] + np.floor((low - low[-1]) / step + COMMON) * step
-        last = first + pieces * step
+        last = first + segments * step
         if np.all(last >= high - COMMON * step):
-            return SlopeTable(first, last, low, high, corners=True, pieces=pieces)
+            return SlopeTable(first, last, low, high, corners=True, segments=segments)
     return across
 
 
