@@ -1,6 +1,7 @@
 """Gamma by pair of products: Black's of three calls, and identities of stores and swings."""
 
 import datetime
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,9 +29,14 @@ CALLS = {"2019-12-15": (1200.0, "2020-01-20", 0.0), "2020-01-20": (800.0, "2020-
          "2020-03-31": (900.0, "2020-04-22", 2.8)}  # fmt: skip
 
 
+def curve_of(problem) -> Any:
+    """Where the forward prices are used."""
+    return problem.simulator.curve
+
+
 def values(problem) -> np.ndarray:
     """The forward prices."""
-    return problem.inputs_by_name[problem.simulator.curve.name].value
+    return problem.inputs_by_name[curve_of(problem).name].value
 
 
 def measured(name: str, paths: int, **tables) -> tuple[GammaMatrix, list]:
@@ -38,7 +44,7 @@ def measured(name: str, paths: int, **tables) -> tuple[GammaMatrix, list]:
     case = read(name, **tables)
     setup = make_setup(case, "native", fitted_value(bare_problem(case)))
     problem = setup.problem
-    curve = problem.simulator.curve
+    curve = curve_of(problem)
     rises = price_rises(
         delivery_periods(case.days, case.products), case.days, curve, values(problem)
     )
@@ -94,7 +100,7 @@ def test_a_swing_against_a_lattice():
     case = swing(end=datetime.date(2027, 2, 1), annual={"min": 60.0, "max": 90.0}, shortfall=6.0)
     setup = energy_setup(case, "native")
     problem = setup.problem
-    curve = problem.simulator.curve
+    curve = curve_of(problem)
     rises = price_rises(delivery_periods(case.days, None), case.days, curve, values(problem))
     prices = price_schedule(problem)
     of = gamma_matrix(
@@ -140,7 +146,7 @@ def test_a_move_is_of_the_numbers_of_the_days():
     """With two steps a day, as of two stores, a period has twice as many steps."""
     case = read("G4")
     problem = bare_problem(case)
-    curve = problem.simulator.curve
+    curve = curve_of(problem)
     periods = [DeliveryPeriod("a", 0, 3), DeliveryPeriod("b", 3, 7)]
     one, other = price_rises(periods, case.days, curve, values(problem))
     assert one.along.sum() == 3 and other.along.sum() == 4 and not np.any(one.along * other.along)
@@ -154,7 +160,7 @@ def test_prices_that_are_not_random_have_no_gamma():
     case = swing(end=datetime.date(2026, 10, 8), annual=None)
     setup = energy_setup(case, "xla")
     problem = setup.problem.at({"volatility": np.zeros(1)})
-    curve = problem.simulator.curve
+    curve = curve_of(problem)
     rises = price_rises(delivery_periods(case.days, None), case.days, curve, values(problem))
     with pytest.raises(ValueError, match="is not random"):
         gamma_matrix(
