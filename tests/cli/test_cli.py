@@ -155,7 +155,7 @@ def asked(monkeypatch):
 
 def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
     options = ["--out", str(tmp_path), "--seed", "7", "--engine", "xla", "--reference", "--resume"]
-    options += ["--policy", "before", "--seeds", "0,3", "--ladder", "--hedge"]
+    options += ["--policy", "before", "--seeds", "0,3", "--ladder", "--hedge", "--gamma"]
     assert main(["solve", "mine", *options, "--set", "a.b=1", *SIMULATOR]) == 0
     case, given = asked[0]
     assert case == (Path("mine"), ("a.b=1", "training.seed=7"), OWN.simulator)
@@ -165,6 +165,7 @@ def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
         "reference": True,
         "ladder": True,
         "hedge": True,
+        "gamma": True,
         "resume": True,
         "policy": Path("before"),
         "seeds": (0, 3),
@@ -178,7 +179,8 @@ def test_solve_has_defaults(asked):
     case, given = asked[0]
     assert case == (Path("mine"), (), None)
     bare = {"out": None, "engine": "auto", "reference": False, "ladder": False, "resume": False}
-    assert given == {**bare, "hedge": False, "policy": None, "seeds": None, "workers": None}
+    bare |= {"hedge": False, "gamma": False}
+    assert given == {**bare, "policy": None, "seeds": None, "workers": None}
 
 
 def test_what_libraries_print_stays_off_stdout(asked, tmp_path, capsys):

@@ -91,3 +91,43 @@ def test_a_planted_fault_is_found_and_nothing_else(monkeypatch, fault, of):
     monkeypatch.setattr(certificate._Replay, "gradient", lambda *given: fault(right(*given)))
     found = certified(leaking())
     assert [name for name, bump in found.items() if not bump.passed] == [of]
+
+
+class Tied(Simulator):
+    """Cash with two kinks at the limit of zero that cancel, and on some paths one that does not."""
+
+    horizon, noise_size = 1, 1
+    action = Box(0.0, 1.0)
+
+    def prepare(self, inputs):
+        return Schedule({"limit": inputs["limit"]}, {})
+
+    def initial(self, constants, noise):
+        return {"up": noise[0] if noise.size else jnp.zeros(())}
+
+    def observe(self, constants, now, state):
+        return jnp.zeros(1)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        limit = constants["limit"]
+        above = jnp.maximum(jnp.maximum(limit, 0.0), 0.0)  # at a tie a quarter of the slope
+        cancelled = above + jnp.minimum(limit, 0.0)
+        seen = jnp.where(noise[0] > 0, jnp.maximum(limit, 0.0), 0.0)
+        return state, {"profit": 3.0 * cancelled + seen}
+
+
+def test_kinks_that_cancel_are_no_false_alarm_and_a_fault_there_is_found(monkeypatch):
+    sources = Sources(*(Pseudo(seed) for seed in (1, 2, 3)))
+    tied = Problem(Tied(), {"limit": Input(0.0, move=1.0)}, Mean("profit"), sources)
+    found = certify_derivatives(tied, Constant([0.5]), paths=16)
+    assert 0 < found[0].crossing < 1 and not found[0].judged  # the tie is seen on some paths only
+    assert found[0].error > found[0].allowed
+    assert [bump.direction for bump in found] == ["", "nearby"] and found[1].passed
+    assert found[1].judged and 3.0 < found[1].adjoint < 4.0
+    right = certificate._Replay.gradient
+
+    def wrong(*given):
+        return {"limit": 1.01 * right(*given)["limit"]}
+
+    monkeypatch.setattr(certificate._Replay, "gradient", wrong)
+    assert not certify_derivatives(tied, Constant([0.5]), paths=16)[1].passed

@@ -148,6 +148,7 @@ def _solve(options: argparse.Namespace) -> Answer:
             reference=options.reference,
             ladder=options.ladder,
             hedge=options.hedge,
+            gamma=options.gamma,
             resume=options.resume,
             policy=options.policy,
             seeds=options.seeds,

@@ -142,6 +142,11 @@ def _add_solve(commands) -> None:
         action="store_true",
         help="simulate profit and loss of the contract with hedges in traded products",
     )
+    solve.add_argument(
+        "--gamma",
+        action="store_true",
+        help="measure the change of every delta with the price of every product or month",
+    )
     solve.add_argument("--resume", action="store_true", help="continue an interrupted run")
     solve.add_argument(
         "--policy",

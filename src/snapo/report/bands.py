@@ -1,6 +1,6 @@
 """Charts of distributions over time, of policies over two numbers, and of risks side by side."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -54,26 +54,31 @@ def quantile_fan(
 
 
 def heat(
-    axes: "Axes", table: np.ndarray, across: Sequence[str], down: Sequence[str], unit: str
+    axes: "Axes",
+    table: np.ndarray,
+    across: Sequence[str],
+    down: Sequence[str],
+    unit: str,
+    text: Callable[[float], str] = lambda share: f"{100 * share:.0f}",
 ) -> None:
-    """Shares from 0 to 1 in a grid [rows, columns], the first row at the bottom.
+    """Numbers in a grid [rows, columns], the first row at the bottom.
 
-    Darker is more, and the number is in the cell as a percentage; a cell without a number
-    stays empty.
+    Darker is more, and those below zero have another colour. `text`: of the number in its cell, by
+    default the percentage of a share; a cell without a number stays empty.
     """
     from matplotlib.patches import Rectangle
 
     rows, columns = table.shape
-    top = float(np.nanmax(table, initial=1e-9))
+    top = float(np.nanmax(np.abs(table), initial=1e-9))
     for i in range(rows):
         for j in range(columns):
             if not np.isfinite(table[i, j]):
                 continue
-            alpha = DARKEST * max(0.0, table[i, j]) / top
-            cell = Rectangle((j, i), 1, 1, facecolor=LIGHT["main"], alpha=alpha, linewidth=0)
+            alpha = DARKEST * abs(table[i, j]) / top
+            colour = LIGHT["main" if table[i, j] >= 0 else "withdraw"]
+            cell = Rectangle((j, i), 1, 1, facecolor=colour, alpha=alpha, linewidth=0)
             axes.add_patch(cell)
-            text = f"{100 * table[i, j]:.0f}"
-            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center")
+            axes.text(j + 0.5, i + 0.5, text(table[i, j]), ha="center", va="center")
     axes.set_xlim(0, columns)
     axes.set_ylim(0, rows)
     axes.set_xticks(np.arange(columns) + 0.5, list(across))

@@ -112,6 +112,7 @@ def solve(
     workers: "Workers | None" = None,
     ladder: bool = False,
     hedge: bool = False,
+    gamma: bool = False,
 ) -> dict[str, Any]:
     """Carries out the study of a case into the folder `out`, by default a new one in `runs` next
     to the case; `run` points to the latest of them.
@@ -119,7 +120,7 @@ def solve(
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
     trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
     `workers`: compute groups of the paths of a large problem, with the same bits. `ladder`: value
-    the contract by all methods too. `hedge`: simulate its hedges.
+    the contract by all methods too. `hedge`: simulate its hedges. `gamma`: measure it by product.
     Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
     `KeyboardInterrupt` is passed on to the caller.
 
@@ -129,7 +130,7 @@ def solve(
     from .runs.reserve import reserved
 
     requested = Wanted(
-        engine, reference, resume, policy, workers=workers, ladder=ladder, hedge=hedge
+        engine, reference, resume, policy, workers=workers, ladder=ladder, hedge=hedge, gamma=gamma
     )
     began = time.perf_counter()
     if seeds is not None:

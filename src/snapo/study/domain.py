@@ -34,7 +34,8 @@ class Options(NamedTuple):
     - `engine`: "auto", "xla" or "native".
     - `reference`: compute the exact references as well, however long they take.
     - `about`: that of an earlier run of the same case, which passed its checks for it; else None.
-    - `ladder`: value the contract by all methods, on common paths; `hedge`: simulate its hedges.
+    - `ladder`: value the contract by all methods, on common paths; `hedge`: simulate its hedges;
+      `gamma`: measure the change of deltas with prices, by product.
     """
 
     engine: str = "auto"
@@ -42,6 +43,7 @@ class Options(NamedTuple):
     about: Mapping[str, Any] | None = None
     ladder: bool = False
     hedge: bool = False
+    gamma: bool = False
 
 
 class Case(Protocol):

@@ -23,7 +23,11 @@ from .run_folder import CASE, differences
 from .runs.origin import origin
 
 # Options of `snapo solve`, the part of a study that each asks for, and the noun of its message.
-OPTIONAL = ("ladder", "methods", "methods to compare"), ("hedge", "hedge", "hedge to simulate")
+OPTIONAL = (
+    ("ladder", "methods", "methods to compare"),
+    ("hedge", "hedge", "hedge to simulate"),
+    ("gamma", "gamma", "gamma by product"),
+)
 
 if TYPE_CHECKING:
     from snapo.engine import Workers
@@ -92,7 +96,8 @@ def use_every_core() -> None:
 class Wanted(NamedTuple):
     """The options of `snapo solve` other than the case.
 
-    - `engine`, `reference`, `ladder`, `hedge`: as in `Options`; `resume`: continue the run.
+    - `engine`, `reference`, `ladder`, `hedge`, `gamma`: as in `Options`.
+    - `resume`: continue the run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
     - `about`: that of another run of the same case, which passed its checks for this one too.
     - `workers`: compute groups of paths, with the same bits.
@@ -106,6 +111,7 @@ class Wanted(NamedTuple):
     workers: "Workers | None" = None
     ladder: bool = False
     hedge: bool = False
+    gamma: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +161,12 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
     before = run_folder.check_same(out, decides) if requested.resume else None
     about = entries_of(RunRecord, before).about or None if before else requested.about
     request = Options(
-        requested.engine, requested.reference, about, requested.ladder, requested.hedge
+        requested.engine,
+        requested.reference,
+        about,
+        requested.ladder,
+        requested.hedge,
+        requested.gamma,
     )
     study = _with_notes(loaded.domain.study(loaded.case, request), loaded.case.notes)
     for option, part, noun in OPTIONAL:

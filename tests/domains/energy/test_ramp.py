@@ -11,7 +11,7 @@ from tests.domains.energy.energy_cases import HOME, case_at, plant
 import snapo
 from snapo.case.error import CaseError
 from snapo.domains.energy.contracts.ramp import power_steps
-from snapo.domains.energy.core.simulator import EnergySimulator
+from snapo.domains.energy.core.simulator import EnergySimulator, simulator_of
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.intrinsic import intrinsic_value
 from snapo.domains.energy.methods.lattice import lattice
@@ -23,6 +23,7 @@ from snapo.solver.derivatives.verdict import verdicts
 from snapo.solver.evaluate import evaluate
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.statistics import Estimate
+from snapo.solver.verdict.constant import constant_decisions
 from snapo.testing.derivatives import wrong_derivatives
 
 HOURS = 20
@@ -313,3 +314,18 @@ def test_a_derivative_at_a_kink_is_not_known():
 def test_mistakes_are_named(changes, words):
     with pytest.raises(CaseError, match=words):
         plant(**changes)
+
+
+def test_an_option_that_is_never_best_is_no_decision_that_never_changes():
+    """The weights of the moves of a mode are one decision; the powers themselves are fixed."""
+    of = simulator_of(bare_problem(ramped(end=datetime.datetime(2026, 1, 6))))
+    layout, groups = of.layout, of.action.together()
+    before = [move.before for move in layout.moves]
+    several = [mode for mode in range(len(layout.modes)) if before.count(mode) > 1]
+    assert layout.fixed_volumes and len(groups) == len(several)
+    assert sorted(map(len, groups)) == sorted(before.count(mode) for mode in several)
+    # On both paths the first option is best in turns; the others of its mode never are.
+    taken = np.zeros((2, 2, of.action.size))
+    taken[0][:, groups[0][0]] = taken[1][:, groups[0][1]] = 1.0
+    still = constant_decisions(of.action, taken)
+    assert [item.number for item in still] == list(range(2, len(groups) + 1))

@@ -327,3 +327,15 @@ def test_a_plan_goes_on_with_the_inventories_of_its_day(tmp_path):
     assert [x.inventory.positions[0] for x in later.contract.stores] == [
         ("contract", "inventory", 0), ("contract", "inventory", 1)
     ]  # fmt: skip
+
+
+def test_limits_of_zero_are_tested_by_a_volume_of_the_nodes(tmp_path):
+    """Between the nodes of the fitted value its rule is worse: V jumps with any smaller bump."""
+    inputs = bare_problem(case(tmp_path, **TIGHT)).inputs_by_name
+    for name in ("fast_min_inventory", "slow_min_inventory", "slow_end_inventory"):
+        assert not inputs[name].value.any() and inputs[name].judge_bump == 1.0, name
+        assert "cannot be raised" not in inputs[name].meaning
+    assert inputs["slow_max_inventory"].judge_bump is None
+    empty = case(tmp_path, fast={"inventory": 0.0}, **TIGHT)
+    words = bare_problem(empty).inputs_by_name["fast_min_inventory"].meaning
+    assert words.endswith("which cannot be raised: the store begins with less")

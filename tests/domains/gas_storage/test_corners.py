@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.domains.gas_storage.storage_cases import CASES, changed
+from tests.domains.gas_storage.storage_cases import CASES, changed, read
 
 from snapo.domains.gas_storage.references.intrinsic import values_after
 from snapo.domains.gas_storage.references.lattice import lattice
-from snapo.domains.gas_storage.references.marginal import PIECES, ROWS, marginal_values, slope_table
+from snapo.domains.gas_storage.references.marginal import PIECES, marginal_values, slope_table
 from snapo.domains.gas_storage.setup import bare_problem, factors, fitted_value, make_setup
 from snapo.solver.evaluate import evaluate
 
@@ -52,7 +52,7 @@ def test_without_noise_the_table_has_the_slopes_of_both_sides(tmp_path):
     for t, line in enumerate(values_after(schedule, "linear", low, high)):
         if high[t + 1] <= low[t + 1]:
             continue
-        row = np.linspace(found.low[t], found.high[t], ROWS)
+        row = np.linspace(found.low[t], found.high[t], found.above.shape[1])
         inside = (row > low[t + 1] + 1) & (row < high[t + 1] - 1)
         above, below = ((line(row + d) - line(row)) / d for d in (0.01, -0.01))
         np.testing.assert_allclose(found.above[t, inside, 0], above[inside], atol=1e-8)
@@ -81,6 +81,13 @@ def test_rows_lie_on_corners_where_these_are_few(tmp_path, contract, step):
         np.testing.assert_allclose(levels, step, rtol=0.01)
         np.testing.assert_allclose(table.low / step, np.round(table.low / step), atol=0.05)
     assert np.all(table.low <= table.next_low + 3) and np.all(table.high >= table.next_high - 3)
+
+
+def test_three_exercises_have_rows_on_their_corners():
+    """G4: 1,200, 800 and 900 of 2,900 are multiples of 100, an eighth of the least of them."""
+    table = slope_table(bare_problem(read("G4")).schedule)
+    assert table.corners and table.segments == 2 * PIECES
+    np.testing.assert_allclose((table.high - table.low) / table.segments, 100.0)
 
 
 @pytest.mark.prove

@@ -12,13 +12,14 @@ from snapo.study.chapters.profile import profile
 from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
+from ..gas_storage.chapters.gamma import GAMMA
 from ..gas_storage.chapters.products import PRODUCT_DELTAS
 from ..gas_storage.chapters.vega import VEGA
 from .chapters.values import VALUES
 
 OVER_TIME = profile()
 SECTIONS = (
-    headline, VALUES, METHODS, value_bounds, OVER_TIME, sensitivities, PRODUCT_DELTAS, VEGA,
+    headline, VALUES, METHODS, value_bounds, OVER_TIME, sensitivities, PRODUCT_DELTAS, VEGA, GAMMA,
     DISTRIBUTION, history, CERTIFICATE, making,
 )  # fmt: skip
 MENU = {

@@ -20,7 +20,7 @@ from snapo.study.training import TRAINING, trained
 
 from ..gas_storage.chapters.vega import volatilities
 from .chapters.ladder import METHODS
-from .chapters.products import PRODUCT_DELTAS, VEGA
+from .chapters.products import GAMMA, PRODUCT_DELTAS, VEGA, check_gamma
 from .chapters.reference import INTRINSIC, REFERENCE, ExactValue
 from .chapters.values import VALUES
 from .core.contract import ContractLayout
@@ -36,8 +36,10 @@ from .setup import bare_problem, make_setup, setup_at
 def study(case: EnergyCase, options: Options) -> Study:
     """All parts of a run.
 
-    **Raises:** `CaseError` if the contract cannot be met.
+    **Raises:** `CaseError` if the contract cannot be met, or has no gamma that was asked for.
     """
+    if options.gamma:
+        check_gamma(case)
     ready, problem = _Prepared(case, options.engine), bare_problem(case)
     check_limits(case, problem.schedule)
     check_nodes(case, problem.schedule)
@@ -50,6 +52,7 @@ def study(case: EnergyCase, options: Options) -> Study:
     parts += [BOUND.part] if callable(relaxation) else []
     parts += [REFERENCE.part] if options.reference else []
     parts += [METHODS.part] if options.ladder else []
+    parts += [GAMMA.part] if options.gamma else []
     return Study(
         case.kind,
         _about(case),
@@ -147,4 +150,5 @@ def _result(run: StudyRun) -> dict[str, Any]:
         "upper_bound": bounds.upper.value if bounds else None,
     }
     errors = {} if error is None else {"reference_errors": {"dynamic_programming": error}}
-    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors
+    gamma = {GAMMA.key: run.get(GAMMA.key)} if GAMMA.of(run) else {}
+    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors | gamma

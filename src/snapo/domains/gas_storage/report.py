@@ -27,6 +27,7 @@ from snapo.study.domain import Report
 
 from .chapters.certificate import CERTIFICATE, assumptions, history
 from .chapters.deltas import DELTAS, month_painter
+from .chapters.gamma import GAMMA
 from .chapters.hedge import HEDGE
 from .chapters.position import POSITION, Cycles, Position, inventory
 from .chapters.products import PRODUCT_DELTAS
@@ -134,7 +135,7 @@ def today(run: StorageRun) -> Section:
 
 SECTIONS = (
     headline, today, VALUES, METHODS, value_bounds, cash_flow, POSITION, inventory, DELTAS,
-    QUOTE_DELTAS, PRODUCT_DELTAS, VEGA, HEDGE, risk, sliders, history, CERTIFICATE,
+    QUOTE_DELTAS, PRODUCT_DELTAS, VEGA, GAMMA, HEDGE, risk, sliders, history, CERTIFICATE,
     assumptions, making,
 )  # fmt: skip
 MENU = {

@@ -14,6 +14,7 @@ from .bounds.relaxation import StoreRelaxation
 from .bounds.value_iteration import FittedValue
 from .chapters.certificate import CERTIFICATE
 from .chapters.deltas import DELTAS
+from .chapters.gamma import GAMMA
 from .chapters.hedge import HEDGE
 from .chapters.ladder import METHODS
 from .chapters.position import POSITION
@@ -51,6 +52,8 @@ def study(case: StorageCase, options: Options) -> Study:
         parts.append(METHODS.part)
     if options.hedge:
         parts.append(HEDGE.part)
+    if options.gamma:
+        parts.append(GAMMA.part)
     parts.append(VALUES.part)
     return Study(
         KIND,
@@ -141,7 +144,8 @@ def _result(run: StudyRun) -> dict[str, Any]:
         "upper_bound": bounds.upper.value if bounds else None,
     }
     errors = {} if error is None else {"reference_errors": {"dynamic_programming": error}}
-    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors
+    gamma = {GAMMA.key: run.get(GAMMA.key)} if GAMMA.of(run) else {}
+    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors | gamma
 
 
 def _expired(case: StorageCase):

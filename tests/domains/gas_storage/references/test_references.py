@@ -19,7 +19,7 @@ from tests.domains.gas_storage.references.reference_schedules import Factor
 
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
 from snapo.domains.gas_storage.references.lattice import lattice, refined, relevant_factors
-from snapo.domains.gas_storage.references.marginal import DEGREE, ROWS, marginal_values
+from snapo.domains.gas_storage.references.marginal import DEGREE, PIECES, marginal_values
 
 
 def small(factors, days=40, interpolation="linear", seed=3, **terms):
@@ -347,7 +347,7 @@ def test_marginal_values_are_a_good_policy():
     schedule = schedule._replace(factors=of._replace(variance=of.variance - 0.3**2 * years))
     of = schedule.factors
     table = marginal_values(schedule, schedule.factors, "linear")
-    assert table.above.shape == table.below.shape == (341, ROWS, DEGREE + 1)
+    assert table.above.shape == table.below.shape == (341, 2 * PIECES + 1, DEGREE + 1)
     spots = spot_paths(schedule, 2048)
     factor = (np.log(spots / steps.forward) + of.variance[:-1] / 2) / of.loading[:-1, 0]
     earned = follow_marginal_values(schedule, table, spots, factor)
@@ -372,7 +372,7 @@ def test_marginal_values_without_noise_are_slopes_of_the_intrinsic_value():
     assert np.all(table.above[..., 1:] == 0) and np.all(table.below[..., 1:] == 0)
     values = [intrinsic(ten_days(stock), "linear").value for stock in (20.0, 22.0)]
     # The most, 10, leaves at once: the unit in the middle is the one at 21 - 10.
-    row = np.linspace(table.low[0], table.high[0], ROWS)
+    row = np.linspace(table.low[0], table.high[0], 2 * PIECES + 1)
     slope = np.interp(11, row, table.above[0, :, 0])
     assert ten_days().steps.forward[0] > slope
     assert_allclose((values[1] - values[0]) / 2, slope, rtol=1e-9)

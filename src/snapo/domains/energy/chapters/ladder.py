@@ -207,9 +207,23 @@ class EnergyMethods(ContractMethods):
     def by_day(self) -> Estimated:
         return Estimated(intrinsic_value(self.layout, self.run.setup.problem.schedule))
 
+    @property
+    def of_value(self) -> bool:
+        """Whether least squares are those of the fitted value: of several levels or modes."""
+        return bool(no_flat_volumes(self.layout)) or self.intraday
+
+    @property
+    def regressed(self) -> str:
+        if not self.of_value:
+            return super().regressed
+        policy, rule = self.run.solution.policy, "the fitted value, from which training began"
+        assert isinstance(policy, UnitValuePolicy)
+        same = policy.simplest.network is None
+        return f"{rule}: the policy of this run is the same" if same else rule
+
     def least_squares(self) -> np.ndarray:
-        """For a contract with several levels or modes the fitted value, on the same paths."""
-        if no_flat_volumes(self.layout) or self.intraday:
+        """Of a contract with several levels or modes those of the fitted value."""
+        if self.of_value:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()
         levels = levels[:, :, None][:, :, : len(self.layout.levels)]

@@ -1,18 +1,24 @@
-"""Deltas by traded product, of a daily contract, and vega by delivery month, of any contract."""
+"""Deltas by traded product, of a daily contract; vega by delivery month, of any contract; gamma by
+pair of products or months, of a contract on one commodity."""
 
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.case.error import CaseError
 from snapo.study.study import StudyRun
 
-from ...gas_storage.chapters import products, vega
+from ...gas_storage.chapters import gamma, products, vega
+from ...gas_storage.chapters.gamma import ProductGammas, gamma_by_product
 from ...gas_storage.chapters.products import ProductDeltas, deltas_by_product
 from ...gas_storage.chapters.vega import Vegas, vega_by_month
+from ...gas_storage.explain.chain import delivery_periods
+from ...gas_storage.hedges.gamma import price_rises
+from ...gas_storage.read.tables import FORWARD
 from ..core.simulator import simulator_of
-from ..read.case import KINDS
-from ..setup import case_of
+from ..read.case import KINDS, EnergyCase
+from ..setup import case_of, price_schedule
 
 
 def measure(run: StudyRun) -> ProductDeltas:
@@ -34,3 +40,26 @@ def measure_vega(run: StudyRun) -> Vegas:
 
 
 VEGA = replace(vega.VEGA, measure=measure_vega)
+
+
+def check_gamma(case: EnergyCase) -> None:
+    """Refuses a contract whose gamma is not known.
+
+    **Raises:** `CaseError` for prices of several commodities.
+    """
+    curves = sorted({x.name for x in case.numbers() if x.group == FORWARD.group})
+    if len(curves) > 1:
+        message = f"{case.file.name} has {len(curves)} curves, {', '.join(curves)}"
+        raise CaseError("--gamma", "", None, f"it is for contracts on one commodity; {message}")
+
+
+def measure_gamma(run: StudyRun) -> ProductGammas:
+    """The gammas of a contract."""
+    case, problem = case_of(run.setup), run.setup.problem
+    together, curve = KINDS[case.kind].steps, simulator_of(problem).curve
+    days, values = case.days[::together], problem.inputs_by_name[curve.name].value
+    rises = price_rises(delivery_periods(days, case.products), days, curve, values, together)
+    return gamma_by_product(run, case, rises, curve.name, price_schedule(problem))
+
+
+GAMMA = replace(gamma.GAMMA, measure=measure_gamma)

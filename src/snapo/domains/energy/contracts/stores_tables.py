@@ -17,6 +17,7 @@ from snapo.case.table import CaseTable, TableContext, parse
 
 from ...gas_storage.read.limits import read_limits, small_move
 from ...gas_storage.read.tables import ContractTable, FileName
+from ..methods.measure import common_measure
 from .stores import JOINT_FLOW, STORES, Store, StoresContract, layout_of
 
 JOINT = Quantity("{volume_unit}/day", NOT_NEGATIVE, "contract", move=1.0, by="date")
@@ -139,6 +140,7 @@ def read_stores(
     )
     limits = opened.net_injection, opened.net_withdrawal
     into, out = (x and x.on(days, where.notes) for x in limits)
+    stores = _bumped_by_lots(stores, (into, out))
     joint = into is not None or out is not None or not opened.transfers
     names = [x.name for x in opened.stores]
     return StoresContract(
@@ -148,6 +150,36 @@ def read_stores(
         layout=layout_of(names, opened.volume_unit, joint, opened.transfers),
         transfers=opened.transfers,
     )
+
+
+def _bumped_by_lots(
+    stores: tuple[Store, ...], joint: tuple[CaseInput | None, ...]
+) -> tuple[Store, ...]:
+    """The stores with limits of zero that are tested by the common measure of all volumes.
+
+    A smaller bump leaves inventories between the nodes of a fitted value, which is worse there: its
+    loss, divided by the bump, would be most of the derivative.
+    """
+    volumes = [np.abs(x.used()) for x in joint if x is not None]
+    for store in stores:
+        levels = [store.inventory, *store.limits, *([] if store.end is None else [store.end])]
+        numbers = [x.used() for x in levels]
+        rates = [x.used() * store.factors[:, k] for k, x in enumerate(store.rates)]
+        volumes += [*numbers, *rates]
+    lot = common_measure(np.unique(np.concatenate([np.ravel(x) for x in volumes])).tolist())
+    result = []
+    for store in stores:
+        low, high = store.limits
+        if not low.values.any():
+            low = replace(low, judge_bump=lot)
+            if lot and store.inventory.used() < lot:
+                meaning = f"{low.meaning}, which cannot be raised: the store begins with less"
+                low = replace(low, meaning=meaning)
+        end = store.end
+        if end is not None and not end.values.any():
+            end = replace(end, judge_bump=lot)
+        result.append(replace(store, limits=(low, high), end=end))
+    return tuple(result)
 
 
 def _read_store(

@@ -135,6 +135,17 @@ class ContractLayout(NamedTuple):
         return tuple(m for m, mode in enumerate(before) if before.count(mode) > 1)
 
     @property
+    def decisions(self) -> tuple[tuple[int, ...], ...]:
+        """The places in an action of each decision: a share, which no move fixes, or the weights of
+        the moves of a mode, of which one is made."""
+        before, count = [self.moves[m].before for m in self.choices], len(self.pairs)
+        shares = () if self.fixed_volumes else tuple((i,) for i in range(count))
+        return shares + tuple(
+            tuple(count + k for k, mode in enumerate(before) if mode == one)
+            for one in dict.fromkeys(before)
+        )
+
+    @property
     def signs(self) -> tuple[int, ...]:
         """[levels] 1, or -1 for one that flows move against the first level that they move."""
         signs = np.ones(len(self.levels), int)

@@ -35,6 +35,19 @@ from .tables import Surprises, UnitValueTable, at_end, of_step
 NEAR = 1e-6  # of the largest volume: rounding does not close a move
 
 
+class SharesAndMoves(Box):
+    """The action of a contract: the weights of the moves of a mode are one decision."""
+
+    decisions: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+
+    def __init__(self, layout: ContractLayout):
+        super().__init__(0.0, 1.0, len(layout.pairs) + len(layout.choices))
+        self.decisions = layout.decisions
+
+    def together(self) -> list[list[int]]:
+        return [list(numbers) for numbers in self.decisions]
+
+
 class EnergySimulator(PricedSimulator):
     """A contract and its prices.
 
@@ -85,9 +98,7 @@ class EnergySimulator(PricedSimulator):
             np.ones(()),
             layout=layout,
             first=int(case.first_step),
-            action=Box(  # pyright: ignore[reportCallIssue]
-                0.0, 1.0, len(layout.pairs) + len(layout.choices)
-            ),
+            action=SharesAndMoves(layout),  # pyright: ignore[reportCallIssue]
         )
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:

@@ -18,7 +18,7 @@ import numpy as np
 from ..prices.process import GaussianFactors
 from ..references.day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
 from ..references.lattice_day import inventory_nodes
-from ..references.marginal import ROWS, slope_table
+from ..references.marginal import slope_table
 from ..references.piecewise import visited
 from .day_grid import DayGrid, best_value, day_grids, largest_rate, one_day, spacing_of
 from .regression import AnyBasis, Recent, basis_of, regression_of
@@ -170,7 +170,7 @@ def fitted_marginal(schedule, fitted_value: FittedValue) -> FittedMarginal:
     basis, steps = fitted_value.basis, schedule.steps
     horizon, rows = len(steps.forward), slope_table(schedule)
     available = regression_of(basis)
-    table = np.zeros((2, horizon, ROWS, basis.plain))
+    table = np.zeros((2, horizon, rows.rows, basis.plain))
     for t in range(horizon):
         nodes, drift = fitted_value.nodes[t + 1], available.drift(t)
         if nodes.size == 1:  # no choice of inventory: the spot is as good as any

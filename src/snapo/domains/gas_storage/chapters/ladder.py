@@ -58,6 +58,11 @@ class ContractMethods(abc.ABC):
     def by_day(self) -> Estimated:
         """The intrinsic value."""
 
+    @property
+    def regressed(self) -> str:
+        """The meaning of `least_squares` in a report."""
+        return "regression on other paths"
+
     @abc.abstractmethod
     def least_squares(self) -> np.ndarray:
         """[N]"""
@@ -115,7 +120,7 @@ class ContractMethods(abc.ABC):
                 "planned again each day, minus the spread",
                 lambda: self.traded.rolling(),
             ),
-            ValuationMethod(ladder.LEAST_SQUARES, "regression on other paths", self.least_squares),
+            ValuationMethod(ladder.LEAST_SQUARES, self.regressed, self.least_squares),
             ValuationMethod(ladder.LATTICE, "dynamic programming", self.lattice),
         ]
         return ladder.side_by_side(self.run, self.paths, methods)

@@ -195,10 +195,10 @@ def spline_weights(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
     return spline(np.clip(points, nodes[0], nodes[-1]))
 
 
-PIECES = 16  # between two levels
-ROWS = 2 * PIECES + 1  # one at each level, and one half-way to the next
+PIECES = 16  # between the levels of a table; twice as many where only these are on all corners
 THIRD = 3  # parts of a piece: a slope at a corner is taken over one part
 COMMON, DIVISORS = 0.05, 4  # how near daily volumes are to multiples of which part of the least
+FINE = 8  # the smallest part, of a table with twice as many pieces
 
 
 class SlopeTable(NamedTuple):
@@ -207,6 +207,7 @@ class SlopeTable(NamedTuple):
     - `low`, `high`: [T] the first and the last row; the rows between are evenly spaced.
     - `next_low`, `next_high`: [T] the inventories that the day can end with.
     - `corners`: whether levels lie on corners, so that a slope has two sides.
+    - `segments`: between two levels each; rows are at the levels and half-way between them.
     """
 
     low: np.ndarray
@@ -214,13 +215,19 @@ class SlopeTable(NamedTuple):
     next_low: np.ndarray
     next_high: np.ndarray
     corners: bool
+    segments: int = PIECES
+
+    @property
+    def rows(self) -> int:
+        """The number of rows."""
+        return 2 * self.segments + 1
 
     def nodes(self, t: int) -> np.ndarray:
         """Inventories at the end of day t: the parts of all pieces, and both ends of the day."""
         low, high = self.next_low[t], self.next_high[t]
         if high <= low:
             return np.array([low])
-        every = np.linspace(self.low[t], self.high[t], THIRD * PIECES + 1)
+        every = np.linspace(self.low[t], self.high[t], THIRD * self.segments + 1)
         near = 1e-6 * (self.high[t] - self.low[t])
         inside = every[(every > low + near) & (every < high - near)]
         return np.concatenate([[low], inside, [high]])
@@ -229,8 +236,8 @@ class SlopeTable(NamedTuple):
         self, t: int, values: Callable[[np.ndarray], np.ndarray], low: float, high: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """[rows, …] slopes above and below the rows, of `values` [n, …] known from low to high."""
-        row = np.linspace(self.low[t], self.high[t], ROWS)
-        part = (self.high[t] - self.low[t]) / (THIRD * PIECES)
+        row = np.linspace(self.low[t], self.high[t], self.rows)
+        part = (self.high[t] - self.low[t]) / (THIRD * self.segments)
         left = np.stack([row - part / 2, row - part / 2])
         if self.corners:
             left[:, ::2] = row[::2], row[::2] - part
@@ -245,25 +252,27 @@ def slope_table(schedule) -> SlopeTable:
     steps = schedule.steps
     low, high = np.asarray(steps.next_low, float), np.asarray(steps.next_high, float)
     across = SlopeTable(low, high, low, high, corners=False)
-    volume = common_volume(steps)
     widest = np.max(high - low, initial=0.0)
-    if volume is None or widest <= 0:
-        return across
-    step = volume / max(1, int(PIECES * volume / (widest + volume) + COMMON))
-    first = low[-1] + np.floor((low - low[-1]) / step + COMMON) * step
-    last = first + PIECES * step
-    if np.any(last < high - COMMON * step):
-        return across
-    return SlopeTable(first, last, low, high, corners=True)
+    for segments, divisors in ((PIECES, DIVISORS), (2 * PIECES, FINE)):
+        volume = common_volume(steps, divisors)
+        if volume is None or widest <= 0:
+            continue
+        step = volume / max(1, int(segments * volume / (widest + volume) + COMMON))
+        first = low[-1] + np.floor((low - low[-1]) / step + COMMON) * step
+        last = first + segments * step
+        if np.all(last >= high - COMMON * step):
+            return SlopeTable(first, last, low, high, corners=True, segments=segments)
+    return across
 
 
-def common_volume(steps) -> float | None:
-    """The volume of which all daily ones are multiples; None if they depend on the inventory."""
+def common_volume(steps, divisors: int = DIVISORS) -> float | None:
+    """The volume of which all daily ones are multiples, at least so small a part of the least;
+    None if they depend on the inventory."""
     volumes = np.concatenate([steps.injection_rate, steps.withdrawal_rate])
     if np.any(np.ptp(volumes, axis=1) > 0) or np.any(np.asarray(steps.inventory_loss) != 0):
         return None
     volumes = np.unique(volumes[volumes > 0])
-    for part in range(1, DIVISORS + 1) if len(volumes) else ():
+    for part in range(1, divisors + 1) if len(volumes) else ():
         volume = volumes[0] / part
         if np.all(np.abs(volumes - np.round(volumes / volume) * volume) <= COMMON * volume):
             return float(volume)
@@ -321,14 +330,14 @@ def _with_noise(
     """[2, T, rows, n] above and below."""
     steps, constants = schedule.steps, schedule.constants
     horizon = len(steps.forward)
-    polynomials, reach = np.zeros((2, horizon, ROWS, DEGREE + 1)), _reach(grid)
+    polynomials, reach = np.zeros((2, horizon, table.rows, DEGREE + 1)), _reach(grid)
     volumes = free_volumes(schedule, interpolation)
     nodes = table.nodes(horizon - 1)
     value = end_value(schedule, nodes[:, None], grid.spot(horizon, constants.end_forward))
     for t in reversed(range(horizon)):
         after = grid.after(t).expect(value)
         spot = grid.spot(t, steps.forward[t])
-        sides = np.zeros((2, ROWS, 1)) + steps.gas_discount[t] * spot
+        sides = np.zeros((2, table.rows, 1)) + steps.gas_discount[t] * spot
         if len(nodes) > 1:
             at = partial(_interpolated, nodes, after)
             sides = table.slopes(t, at, nodes[0], nodes[-1])
@@ -347,7 +356,7 @@ def _without_noise(schedule, interpolation: Interpolation, table: SlopeTable) ->
     steps = schedule.steps
     low = np.append(steps.low, steps.next_low[-1:])
     high = np.append(steps.high, steps.next_high[-1:])
-    slopes = np.zeros((2, len(steps.forward), ROWS, DEGREE + 1))
+    slopes = np.zeros((2, len(steps.forward), table.rows, DEGREE + 1))
     for t, line in enumerate(values_after(schedule, interpolation, low, high)):
         slopes[:, t, :, 0] = steps.gas_discount[t] * steps.forward[t]
         if high[t + 1] > low[t + 1]:

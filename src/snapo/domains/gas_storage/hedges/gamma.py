@@ -1,0 +1,182 @@
+"""Gamma by pair of products: second derivatives of the value with respect to forward prices.
+
+    gamma[i, j] = d delta[i] / d F[j] = (delta[i](F + h e[j]) - delta[i](F - h e[j])) / 2h
+
+The deltas are held derivatives (envelope theorem), each with the decisions that are best at its
+curve: with the same decisions on both sides cash is linear in prices, and gamma would be zero.
+Everything made from the inputs, such as the fitted value, is made again for every moved curve, and
+all deltas are on the same paths.
+
+The bump. A delta jumps on a path where a decision changes: of N paths a share in proportion to h
+does, so the standard error falls as 1 / sqrt(N h), while the bias grows as h^2. For the gamma of an
+option at the money whose price deviates by s the mean square error
+
+    (s / 0.8 N h + (h / s)^4 / 36) gamma^2    is least at    h = s (11.25 / N)^(1/5),
+
+where the bias is half of the standard error (P. Glasserman, Monte Carlo Methods in Financial
+Engineering, Springer 2003, section 7.1). s is how far the spot price of a product moves on a path,
+about its mean over the product and half a month on either side: a common change of all prices
+changes no decision.
+
+The two estimates of a pair, from a bump of either product, have the same limit for the best
+decisions. Their mean is reported, and half of their difference, beyond its sampling error, is by
+how much the policy may be wrong.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.engine import TRAJECTORY, Engine
+from snapo.problem.form import Use
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import Schedule
+from snapo.problem.smooth import Exact
+from snapo.solver.derivatives.by_block import DerivativePass
+from snapo.solver.derivatives.rebuilt import problems_at
+from snapo.solver.statistics import Estimate
+
+from ..bounds.relaxation import spots_on_paths
+from ..explain.curve import DeliveryPeriod
+
+BALANCE = 11.25  # 9 / 0.8: of variance and bias, see above
+BIAS = 0.5  # of the standard error, at that bump
+AROUND = 15  # steps on either side of a product
+SPREAD_PATHS, BLOCKS = 1024, 32
+
+
+class PriceRise(NamedTuple):
+    """A rise by 1 of the price of a product.
+
+    - `dates`: first and last day of its delivery; `steps`: of the simulator.
+    - `along` [n]: of the numbers of the curve; `price`: the mean forward price.
+    """
+
+    name: str
+    dates: tuple[str, str]
+    steps: slice
+    along: np.ndarray
+    price: float
+
+
+def price_rises(
+    periods: Sequence[DeliveryPeriod],
+    days: Sequence[Any],
+    curve: Use,
+    values: np.ndarray,
+    steps_a_day: int = 1,
+) -> list[PriceRise]:
+    """One for each period of these days of delivery.
+
+    `curve`: where the forward prices `values` [n] are used, on all steps of the simulator, of which
+    a day has `steps_a_day`.
+    """
+    name, size, rises = curve.name, len(values), []
+    index = curve.in_numpy({name: np.arange(size)})[::steps_a_day]
+    prices = curve.in_numpy({name: values})[::steps_a_day]
+    for title, first, after in periods:
+        along = np.zeros(size)
+        along[index[first:after]] = 1.0
+        dates = str(days[first])[:10], str(days[after - 1])[:10]
+        steps = slice(first * steps_a_day, after * steps_a_day)
+        rises.append(PriceRise(title, dates, steps, along, float(prices[first:after].mean())))
+    return rises
+
+
+class GammaMatrix(NamedTuple):
+    """The matrix [n, n] of n products, in units of volume per unit of price, present value.
+
+    - `both` [B, n, n]: delta i for a bump of product j at [:, j, i], by block of paths.
+    - `bumps` [n]: of the prices.
+    """
+
+    both: np.ndarray
+    bumps: np.ndarray
+
+    @property
+    def symmetric(self) -> Estimate:
+        """The mean of both estimates of each pair."""
+        return Estimate((self.both + self.both.transpose(0, 2, 1)) / 2)
+
+    @property
+    def standard_error(self) -> np.ndarray:
+        """Sampling, and the bias of the bump."""
+        return np.hypot(1.0, BIAS) * self.symmetric.standard_error
+
+    @property
+    def policy(self) -> np.ndarray:
+        """By how much the policy may be wrong: half of the difference of both estimates, beyond its
+        standard error."""
+        apart = Estimate(self.both - self.both.transpose(0, 2, 1))
+        excess = apart.value**2 - apart.standard_error**2
+        return np.sqrt(np.maximum(excess, 0.0)) / 2
+
+    def along(self, prices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """[n] the matrix times prices [n], and its standard error: without costs zero, where prices
+        move in proportion to the curve and it is level within each product, since the value is
+        homogeneous of degree one."""
+        product = Estimate(self.symmetric.blocks @ prices)
+        return product.value, np.hypot(1.0, BIAS) * product.standard_error
+
+
+def gamma_matrix(
+    problem: Problem,
+    policy: Policy,
+    curve: str,
+    rises: Sequence[PriceRise],
+    prices: Schedule,
+    engine: Engine,
+    paths: int,
+    progress: Callable[[str], None] = lambda text: None,
+) -> GammaMatrix:
+    """Gamma of the products, two passes for each.
+
+    `curve`: the input of the forward prices; `prices`: the schedule of the price process.
+
+    **Raises:** `ValueError` where prices are not random: the value has kinks in forward prices.
+    """
+    source = problem.sources.evaluation
+    blocks = source.blocks(source.available(paths), BLOCKS)
+    count = sum(map(len, blocks))
+    spreads = price_spreads(problem, policy, rises, prices, engine)
+    if not np.all(spreads > 0):
+        name = rises[int(np.argmin(spreads))].name
+        raise ValueError(f"the price of {name} is not random, and the value has kinks in it")
+    bumps = spreads * (BALANCE / count) ** 0.2
+    along, value = np.stack([x.along for x in rises]), problem.inputs_by_name[curve].value
+    at_values, both = problems_at(problem), []
+    for rise, bump in zip(rises, bumps, strict=True):
+        sides = []
+        for sign in (1.0, -1.0):
+            shifted = at_values({curve: value + sign * bump * rise.along.reshape(value.shape)})
+            local = engine.bind(shifted, controls=False)
+            path = DerivativePass(shifted, local, policy, Exact(), held=True)
+            delta = path.derivatives(blocks).inputs[curve].blocks
+            sides.append(delta.reshape(len(delta), -1) @ along.T)
+        both.append((sides[0] - sides[1]) / (2 * bump))
+        progress(f"gamma: {rise.name}, {len(both)} of {len(rises)}")
+    return GammaMatrix(np.stack(both, axis=1), bumps)
+
+
+def price_spreads(
+    problem: Problem,
+    policy: Policy,
+    rises: Sequence[PriceRise],
+    prices: Schedule,
+    engine: Engine,
+) -> np.ndarray:
+    """[n] the deviation of the spot price from the mean of its path around each product."""
+    source, simulator = problem.sources.evaluation, problem.simulator
+    draws = source.draws(np.arange(source.available(SPREAD_PATHS)), simulator)
+    rollout = engine.bind(problem).values(policy, draws, Exact(), record=TRAJECTORY)
+    process = getattr(simulator, "process")  # noqa: B009, of every kind of energy contract
+    spots = spots_on_paths(process, prices, rollout)
+    spots = spots - spots.mean(axis=1, keepdims=True)
+    spreads = []
+    for rise in rises:
+        first, after = max(rise.steps.start - AROUND, 0), rise.steps.stop + AROUND
+        around = spots[first : min(after, simulator.horizon)]
+        spreads.append(np.sqrt(np.mean((around - around.mean(axis=0)) ** 2)))
+    return np.array(spreads)
