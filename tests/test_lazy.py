@@ -5,11 +5,19 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
+from tests.study.fake import install
 
+from snapo.cli.main import main
 from snapo.problem.carry.save import KINDS, class_of
+from snapo.problem.record import Input
+from snapo.solver.derivatives.table import Sensitivities
+from snapo.solver.solution_file import about_sensitivities, arrays_of, save_named
+from snapo.solver.statistics import Estimate
 from snapo.study.domain import find, installed
 from snapo.study.kind import Kind
+from snapo.study.runs.store import folders
 
 
 @pytest.mark.parametrize("name", ["snapo", "snapo.gym"])
@@ -78,3 +86,38 @@ def test_cases_are_read_and_checked_without_jax(tmp_path):
     by running it."""
     kinds = [kind for kind in installed() if kind != "own"]
     assert len(kinds) >= 9 and not loaded_by_checks(kinds, SOLVER + PICTURES + JAX, tmp_path)
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch, capsys):
+    """A case with two runs that have a value and a sensitivity."""
+    install(monkeypatch, fake="tests.study.fake:DOMAIN")
+    (tmp_path / "case.toml").write_text('kind = "fake"\nnumbers = [1, 2, 4]\n')
+    for number in (4, 6):
+        assert main(["solve", str(tmp_path), "--set", f"numbers=[1, 2, {number}]"]) == 0
+    capsys.readouterr()
+    for number, run in enumerate(folders(tmp_path)):
+        estimate = Estimate(np.arange(4.0) + number)
+        table = Sensitivities({"price": Input(30.0, "EUR")}, {"price": estimate})
+        about = about_sensitivities(table)
+        save_named(run / "solution.npz", arrays_of({}, table), about)
+    yield tmp_path, *folders(tmp_path)
+    installed.cache_clear()
+
+
+@pytest.mark.parametrize("command", ["runs", "compare", "cache"])
+def test_what_was_computed_is_shown_without_jax(runs, command):
+    """It took nine tenths of these commands. Intervals need a special function of SciPy."""
+    case, *both = map(str, runs)
+    words = [command, *{"runs": [case], "compare": both, "cache": []}[command]]
+    heavy = {*JAX, *SOLVER, *PICTURES} - {"snapo.solver", "snapo.report", "scipy.special"}
+    code = (
+        f"import sys; from snapo.cli.main import main; assert main({words}) == 0\n"
+        f"print('loaded', *({heavy} & sys.modules.keys()))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    *answer, last = run.stdout.splitlines()
+    assert len(answer) >= 2 and last == "loaded"
+    assert command != "compare" or any(
+        line.split()[:3] == ["price", "1.5", "2.5"] for line in answer
+    )

@@ -15,7 +15,6 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 from snapo.problem.objective import CVaR
 
@@ -133,6 +132,8 @@ def critical(degrees: float = np.inf, level: float = LEVEL, comparisons: int = 1
 
     Bonferroni's bound: each has (1 - level) / comparisons to spare.
     """
+    from scipy import special  # late: it takes as long as reading a case
+
     spare = (1 - level) / max(1, comparisons)
     return float(-special.stdtrit(degrees, spare / 2)) if degrees > 0 else np.nan
 

@@ -106,7 +106,7 @@ def ways_of(layout: ContractLayout, passages: Any, before: list[int], after: lis
 
 @cache
 def _machine() -> "Linked":
-    from snapo.engine.code_cache import linked_code  # late, as above
+    from snapo.lanes.machine.code_cache import linked_code  # late, as above
 
     return linked_code(_text(), {"best": 2})
 
