@@ -12,8 +12,8 @@ from tests.study.fake import install
 from snapo.cli.main import main
 from snapo.problem.carry.save import KINDS, class_of
 from snapo.problem.record import Input
+from snapo.solver.derivatives.solution_file import about_sensitivities, arrays_of, save_named
 from snapo.solver.derivatives.table import Sensitivities
-from snapo.solver.solution_file import about_sensitivities, arrays_of, save_named
 from snapo.solver.statistics import Estimate
 from snapo.study.domain import find, installed
 from snapo.study.kind import Kind

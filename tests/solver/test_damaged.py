@@ -10,7 +10,8 @@ import pytest
 from snapo.problem.actions import Box
 from snapo.problem.policies.rules import Constant
 from snapo.problem.policy import MLP, Residual
-from snapo.solver import checkpoint, solution_file
+from snapo.solver import checkpoint
+from snapo.solver.derivatives import solution_file
 from snapo.solver.train import Progress, Record, Training, initial_progress
 
 

@@ -11,7 +11,8 @@ from tests.solver.test_sensitivity import INPUTS, Sale
 import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
-from snapo.solver import checkpoint, solution_file
+from snapo.solver import checkpoint
+from snapo.solver.derivatives import solution_file
 from snapo.solver.learning.log import start_notes
 from snapo.solver.learning.progress import Interrupted
 from snapo.solver.learning.settings import resolve_auto

@@ -10,12 +10,12 @@ from jaxtyping import PyTree
 from snapo.problem.carry.arrays import write_arrays
 from snapo.problem.carry.save import PolicyFileError, described, filled, leaves_of
 
+from .derivatives.solution_file import CheckpointError, entries, read_checked
 from .learning.conditioning import Growth
 from .learning.features import FeatureScale
 from .learning.progress import Progress, Record, Round
 from .learning.windows import blank
 from .limits import Dual
-from .solution_file import CheckpointError, entries, read_checked
 
 POLICIES = ("policy", "halfway")  # their settings are those of all policies of a training
 _TREES = ("policy", "average", "best", "halfway", "recent", "optimiser", "critic")

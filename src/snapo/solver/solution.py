@@ -16,7 +16,7 @@ from snapo.problem.carry.save import save as save_policy
 from snapo.problem.policy import Policy, features
 from snapo.problem.problem import Problem
 
-from . import solution_file
+from .derivatives import solution_file
 from .derivatives.table import Sensitivities, SensitivityRow
 from .derivatives.verdict import COLUMNS
 from .figures import Figures

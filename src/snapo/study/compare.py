@@ -10,7 +10,8 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.report.checksums import changed_files
 from snapo.report.folder import RunResult
-from snapo.solver import solution_file, statistics
+from snapo.solver import statistics
+from snapo.solver.derivatives import solution_file
 from snapo.solver.derivatives.interval import Interval, Reported
 from snapo.solver.statistics import Estimate, rounded
 from snapo.solver.tables import HALFWAY, POLICY, SOLUTION

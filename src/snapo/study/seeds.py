@@ -16,9 +16,9 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, Sobol, stream
 from snapo.report.folder import RunResult
 from snapo.report.record import RunRecord, entries_of
 from snapo.solver import statistics
+from snapo.solver.checkpoint import CheckpointError
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
 from snapo.solver.solution import Solution
-from snapo.solver.solution_file import CheckpointError
 from snapo.solver.tables import write_csv
 
 from . import run_folder

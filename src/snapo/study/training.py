@@ -9,7 +9,8 @@ from snapo.case.error import CaseError
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
 from snapo.report.record import RunRecord, entries_of
-from snapo.solver import checkpoint, solution_file
+from snapo.solver import checkpoint
+from snapo.solver.derivatives import solution_file
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
 from snapo.solver.learning.progress import Interrupted

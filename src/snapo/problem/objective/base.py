@@ -31,14 +31,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from .. import functional
+
 Totals = Mapping[str, np.ndarray]
 Weights = dict[str, np.ndarray]
-
-
-def _functional() -> Any:
-    from .. import functional  # late: results are read without JAX, which evaluates a formula
-
-    return functional
 
 
 @dataclass(frozen=True)
@@ -83,11 +79,11 @@ class Objective(abc.ABC):
 
     def value(self, totals: Totals) -> float:
         """The objective on these paths."""
-        return _functional().value(self, self.used(totals))
+        return functional.value(self, self.used(totals))
 
     def weights(self, totals: Totals) -> Weights:
         """Its derivative with respect to every path total used: {name: [N]}."""
-        return _functional().weights(self, self.used(totals))
+        return functional.weights(self, self.used(totals))
 
     def climb(self, totals: Totals) -> Weights:
         """The weights used in training: the derivative wherever it exists."""
@@ -95,7 +91,7 @@ class Objective(abc.ABC):
 
     def influence(self, totals: Totals) -> np.ndarray:
         """[N] numbers with the value as their mean, whose spread gives its sampling error."""
-        return _functional().influence(self, self.used(totals))
+        return functional.influence(self, self.used(totals))
 
     def certainty_equivalent(self, value: float) -> float | None:
         """The certainty equivalent; None if the objective does not declare one."""

@@ -13,7 +13,7 @@ from snapo.problem.scenarios import Pseudo, Scenarios
 from snapo.problem.simulator import Simulator
 from snapo.report.checksums import changed_files
 from snapo.report.folder import RunResult
-from snapo.solver import solution_file
+from snapo.solver.derivatives import solution_file
 from snapo.solver.solution import POLICY, SOLUTION
 from snapo.study import run_folder
 from snapo.study.domain import find, installed

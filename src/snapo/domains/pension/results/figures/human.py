@@ -102,8 +102,8 @@ def _rate_volatility(case: PensionCase, values: dict[str, Any]) -> dict[int, flo
 
 def _median(case: PensionCase, values: dict[str, Any]) -> np.ndarray:
     """[n] returns per year along the path on which every shock is zero."""
-    # Bases and mortality do not matter to returns.
-    market = replace(case, lee_carter=None)
+    # Bases, mortality and swaps do not matter to returns.
+    market = replace(case, lee_carter=None, overlay=None)
 
     def simulate():
         terms, steps, _ = market_schedule(market, values, np.array([round(1 / case.step)]))

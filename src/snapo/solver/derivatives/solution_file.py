@@ -10,9 +10,9 @@ import numpy as np
 from snapo.problem.carry.arrays import read_arrays, write_arrays
 from snapo.problem.record import Input
 
-from .derivatives.interval import Curvature, Reported, Verdict
-from .derivatives.table import Sensitivities
-from .statistics import Estimate
+from ..statistics import Estimate
+from .interval import Curvature, Reported, Verdict
+from .table import Sensitivities
 
 
 class CheckpointError(ValueError):
