@@ -19,8 +19,7 @@ from snapo.study.domain import find, installed
 
 ROUNDS = 3
 IMPORTS = ("-c", "import equinox")
-NEEDED = {"pension": 3.5}  # its liability is computed in several ways
-USUAL = 0.8
+NEEDED = 0.8
 
 
 def seconds(arguments: Sequence[str]) -> float:
@@ -45,7 +44,7 @@ def table(kinds: Sequence[str] = ()) -> Iterator[str]:
             command += [] if example is None else ["--simulator", example]
             rounds = [(seconds(command), seconds(IMPORTS)) for _ in range(ROUNDS)]
         own, imports = map(min, zip(*rounds))
-        needed = "-" if example is not None else NEEDED.get(kind, USUAL)
+        needed = "-" if example is not None else NEEDED
         yield f"{kind:<16}{own:12.2f}{imports:11.2f}{own / imports:7.2f}{needed:>8}"
 
 

@@ -5,11 +5,19 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
+from tests.study.fake import install
 
+from snapo.cli.main import main
 from snapo.problem.carry.save import KINDS, class_of
+from snapo.problem.record import Input
+from snapo.solver.derivatives.solution_file import about_sensitivities, arrays_of, save_named
+from snapo.solver.derivatives.table import Sensitivities
+from snapo.solver.statistics import Estimate
 from snapo.study.domain import find, installed
 from snapo.study.kind import Kind
+from snapo.study.runs.store import folders
 
 
 @pytest.mark.parametrize("name", ["snapo", "snapo.gym"])
@@ -57,14 +65,14 @@ PICTURES = "scipy.stats", "matplotlib"
 JAX = "jax", "jaxlib", "equinox", "jaxtyping", "scipy.special"
 
 
-def loaded_by_checks(kinds: list[str], heavy: tuple[str, ...], folder: Path, then: str = "") -> str:
+def loaded_by_checks(kinds: list[str], heavy: tuple[str, ...], folder: Path) -> str:
     """Which modules of `heavy` are loaded by `new` and `check` of each kind, one after the other."""
     code = (
         "import sys; from pathlib import Path; from snapo.cli.main import main\n"
         f"for kind in {kinds}:\n"
         f"    case = str(Path({str(folder)!r}) / kind)\n"
         "    assert main(['new', kind, case]) == main(['check', case]) == 0\n"
-        f"    print('loaded by', kind, *(name for name in {heavy} if name in sys.modules))\n{then}"
+        f"    print('loaded by', kind, *(name for name in {heavy} if name in sys.modules))"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     lines = [line for line in run.stdout.splitlines() if line.startswith("loaded by")]
@@ -74,16 +82,42 @@ def loaded_by_checks(kinds: list[str], heavy: tuple[str, ...], folder: Path, the
 
 def test_cases_are_read_and_checked_without_jax(tmp_path):
     """JAX, Equinox and the special functions of SciPy took two thirds of every check, solver and
-    compiler 1.7 of the 3.0 processor seconds of a gas storage. A fund is evaluated by traces of
-    JAX, and the simulator of a user is examined by running it."""
-    kinds = [kind for kind in installed() if kind not in ("own", "pension")]
-    assert len(kinds) >= 8 and not loaded_by_checks(kinds, SOLVER + PICTURES + JAX, tmp_path)
+    compiler 1.7 of the 3.0 processor seconds of a gas storage. The simulator of a user is examined
+    by running it."""
+    kinds = [kind for kind in installed() if kind != "own"]
+    assert len(kinds) >= 9 and not loaded_by_checks(kinds, SOLVER + PICTURES + JAX, tmp_path)
 
 
-def test_a_fund_is_checked_without_solver_and_compiler(tmp_path):
-    """They took 8 of the 10 processor seconds of `snapo check`."""
-    then = (
-        "from jax._src.xla_bridge import backends_are_initialized\n"
-        "print('loaded by', 'fund', *['XLA'] * backends_are_initialized())"
+@pytest.fixture
+def runs(tmp_path, monkeypatch, capsys):
+    """A case with two runs that have a value and a sensitivity."""
+    install(monkeypatch, fake="tests.study.fake:DOMAIN")
+    (tmp_path / "case.toml").write_text('kind = "fake"\nnumbers = [1, 2, 4]\n')
+    for number in (4, 6):
+        assert main(["solve", str(tmp_path), "--set", f"numbers=[1, 2, {number}]"]) == 0
+    capsys.readouterr()
+    for number, run in enumerate(folders(tmp_path)):
+        estimate = Estimate(np.arange(4.0) + number)
+        table = Sensitivities({"price": Input(30.0, "EUR")}, {"price": estimate})
+        about = about_sensitivities(table)
+        save_named(run / "solution.npz", arrays_of({}, table), about)
+    yield tmp_path, *folders(tmp_path)
+    installed.cache_clear()
+
+
+@pytest.mark.parametrize("command", ["runs", "compare", "cache"])
+def test_what_was_computed_is_shown_without_jax(runs, command):
+    """It took nine tenths of these commands. Intervals need a special function of SciPy."""
+    case, *both = map(str, runs)
+    words = [command, *{"runs": [case], "compare": both, "cache": []}[command]]
+    heavy = {*JAX, *SOLVER, *PICTURES} - {"snapo.solver", "snapo.report", "scipy.special"}
+    code = (
+        f"import sys; from snapo.cli.main import main; assert main({words}) == 0\n"
+        f"print('loaded', *({heavy} & sys.modules.keys()))"
     )
-    assert not loaded_by_checks(["pension"], SOLVER + PICTURES, tmp_path, then)
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    *answer, last = run.stdout.splitlines()
+    assert len(answer) >= 2 and last == "loaded"
+    assert command != "compare" or any(
+        line.split()[:3] == ["price", "1.5", "2.5"] for line in answer
+    )

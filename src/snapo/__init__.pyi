@@ -92,7 +92,9 @@ from snapo.solver.certificate import bump_check as bump_check
 from snapo.solver.certificate import feasibility as feasibility
 from snapo.solver.derivatives.interval import Interval as Interval
 from snapo.solver.derivatives.interval import Reported as Reported
-from snapo.solver.derivatives.verdict import Verdict as Verdict
+from snapo.solver.derivatives.interval import Verdict as Verdict
+from snapo.solver.derivatives.table import Sensitivities as Sensitivities
+from snapo.solver.derivatives.table import SensitivityRow as SensitivityRow
 from snapo.solver.evaluate import Simulation as Simulation
 from snapo.solver.evaluate import Value as Value
 from snapo.solver.evaluate import evaluate as evaluate
@@ -107,8 +109,6 @@ from snapo.solver.limits import LimitFound as LimitFound
 from snapo.solver.relaxations.stop import Relaxation as Relaxation
 from snapo.solver.seeds import Seeds as Seeds
 from snapo.solver.seeds import solve_seeds as solve_seeds
-from snapo.solver.sensitivity import Sensitivities as Sensitivities
-from snapo.solver.sensitivity import SensitivityRow as SensitivityRow
 from snapo.solver.sensitivity import second_order as second_order
 from snapo.solver.sensitivity import sensitivities as sensitivities
 from snapo.solver.solution import Solution as Solution

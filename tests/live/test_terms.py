@@ -8,8 +8,8 @@ from scipy import stats
 
 from snapo.live.terms import Deltas, derivatives, handles, slopes, usual
 from snapo.problem.inputs import Input
-from snapo.solver.derivatives.verdict import plain
-from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.derivatives.interval import plain
+from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.statistics import Estimate
 
 

@@ -11,6 +11,7 @@ from snapo.problem.actions import Box
 from snapo.problem.policies.rules import Constant
 from snapo.problem.policy import MLP, Residual
 from snapo.solver import checkpoint
+from snapo.solver.derivatives import solution_file
 from snapo.solver.train import Progress, Record, Training, initial_progress
 
 
@@ -39,7 +40,7 @@ def read(file, progress: Progress) -> None:
     """Either the same progress, or a message that names the file."""
     try:
         found = checkpoint.load(file, progress)
-    except checkpoint.CheckpointError as error:
+    except solution_file.CheckpointError as error:
         assert str(file) in str(error) and "\n" not in str(error)
     else:
         assert same(found, progress)
@@ -56,7 +57,7 @@ def test_a_file_that_is_cut_short(file, progress):
     data = file.read_bytes()
     for part in range(20):
         file.write_bytes(data[: len(data) * part // 20])
-        with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
+        with pytest.raises(solution_file.CheckpointError, match="cannot be read"):
             checkpoint.load(file, progress)
 
 
@@ -80,20 +81,20 @@ def test_another_kind_of_file(file, progress, tmp_path):
     }
     for content in others.values():
         file.write_bytes(content)
-        with pytest.raises(checkpoint.CheckpointError):
+        with pytest.raises(solution_file.CheckpointError):
             checkpoint.load(file, progress)
     checkpoint.save_arrays(file, {"policy": policy}, {"versions": {}})
-    with pytest.raises(checkpoint.CheckpointError, match="another shape"):
+    with pytest.raises(solution_file.CheckpointError, match="another shape"):
         checkpoint.load(file, progress)
     trees = {name: getattr(progress, name) for name in checkpoint._TREES}
     for header in ({}, [], {"step": 1, "best_value": 0.0, "stale": 0, "status": "", "history": 3}):
         checkpoint.save_arrays(file, trees, header)  # pyright: ignore[reportArgumentType]
-        with pytest.raises(checkpoint.CheckpointError, match="not a file of this kind"):
+        with pytest.raises(solution_file.CheckpointError, match="not a file of this kind"):
             checkpoint.load(file, progress)
-    with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
+    with pytest.raises(solution_file.CheckpointError, match="cannot be read"):
         checkpoint.load(tmp_path, progress)
     np.savez(file, leaf_0=np.zeros(3))
-    with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
+    with pytest.raises(solution_file.CheckpointError, match="cannot be read"):
         checkpoint.load(file, progress)
 
 
@@ -121,6 +122,6 @@ def test_another_kind_of_file(file, progress, tmp_path):
 )
 def test_a_policy_of_the_same_shape_that_is_another_one(file, progress, other, named):
     """Another activation, other actions: the same numbers would be another rule."""
-    with pytest.raises(checkpoint.CheckpointError, match="contains a") as refused:
+    with pytest.raises(solution_file.CheckpointError, match="contains a") as refused:
         checkpoint.load(file, initial_progress(other, Training(steps=3)))
     assert named in str(refused.value) or "another shape" in str(refused.value)

@@ -12,6 +12,7 @@ import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
+from snapo.solver.derivatives import solution_file
 from snapo.solver.learning.log import start_notes
 from snapo.solver.learning.progress import Interrupted
 from snapo.solver.learning.settings import resolve_auto
@@ -63,12 +64,12 @@ def test_a_checkpoint_of_another_policy_or_a_damaged_one_is_refused(tmp_path):
     wider = initial_progress(
         snapo.MLP(PROBLEM.action, 2, key=jax.random.key(0), hidden=(5,)), SHORT
     )
-    with pytest.raises(checkpoint.CheckpointError, match="another shape"):
+    with pytest.raises(solution_file.CheckpointError, match="another shape"):
         checkpoint.load(file, wider)
     whole = file.read_bytes()
     for damaged in (b"", b"not a checkpoint", whole[: len(whole) // 2]):
         file.write_bytes(damaged)
-        with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
+        with pytest.raises(solution_file.CheckpointError, match="cannot be read"):
             checkpoint.load(file, fresh())
 
 
@@ -199,7 +200,7 @@ def test_a_solution_is_loaded_as_it_was_saved(tmp_path):
     alone = snapo.Solution.load(tmp_path).policy
     np.testing.assert_array_equal(parameters(alone), parameters(solution.policy))
     (tmp_path / "solution.npz").write_bytes(b"")
-    with pytest.raises(checkpoint.CheckpointError, match="solution"):
+    with pytest.raises(solution_file.CheckpointError, match="solution"):
         snapo.Solution.load(tmp_path)
 
 

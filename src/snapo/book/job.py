@@ -21,8 +21,8 @@ from snapo.case.report import TEXTS
 from snapo.case.toml import to_toml
 from snapo.solver import statistics
 from snapo.solver.derivatives.interval import HELD
+from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.provenance import versions
-from snapo.solver.sensitivity import Sensitivities
 
 from .file import BookContract, TasksTable
 from .stress import StressMove

@@ -189,8 +189,14 @@ def around(values: np.ndarray) -> np.ndarray:
         window = range(max(i - AROUND, 0), min(i + AROUND + 1, runs.size))
         near = sorted((j for j in window if j != i), key=lambda j: (abs(j - i), j))
         if near:
-            usual[i] = np.median(runs[near[:AROUND]])
+            usual[i] = _median(runs[near[:AROUND]])
     return usual[np.cumsum(np.isin(np.arange(values.size), first)) - 1]
+
+
+def _median(values: np.ndarray) -> float:
+    """That of NumPy loads its masked arrays."""
+    ordered, half = np.sort(values), len(values) // 2
+    return ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2
 
 
 def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:

@@ -1,7 +1,6 @@
 """`[report]` of every kind of case: texts and a picture of the user on the page of a run."""
 
 import base64
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -71,6 +70,8 @@ def logo(folder: Path, name: str) -> str:
 
 def _check_svg(content: bytes) -> None:
     """**Raises:** `ValueError` if a drawing has scripts, or would load something."""
+    import xml.etree.ElementTree as ElementTree  # late: few cases have a drawing
+
     before = content.partition(b"<svg")[0]
     if b"<!ENTITY" in content or (b"<!DOCTYPE" in before and b"[" in before):
         raise ValueError("an SVG file with entities is not accepted")

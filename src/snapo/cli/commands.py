@@ -354,7 +354,7 @@ def _schema(options: argparse.Namespace) -> Answer:
 
 
 def _cache(options: argparse.Namespace) -> Answer:
-    from snapo.engine import code_cache
+    from snapo.lanes.machine import code_cache
 
     if options.empty:
         code_cache.empty()

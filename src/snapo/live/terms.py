@@ -13,10 +13,8 @@ from snapo.case.error import CaseError, Unquoted
 from snapo.case.given import SourceNumbers
 from snapo.problem.inputs import Input
 from snapo.report.quantity import number, power, raised, unit_words
-from snapo.solver.derivatives.bump import one_percent
-from snapo.solver.derivatives.interval import Interval, Reported
-from snapo.solver.derivatives.verdict import plain
-from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.derivatives.interval import Interval, Reported, one_percent, plain
+from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.statistics import LEVEL, Estimate, critical
 
 NONE: Mapping[str, SourceNumbers] = {}

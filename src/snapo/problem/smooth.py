@@ -19,16 +19,13 @@ infinities and at temperature zero: the branch not taken is evaluated at a harml
 
 import abc
 from collections.abc import Sequence
-from functools import partial
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from .record import TreeRecord, field
+from .record.arrays import Array, ArrayLike, Float, custom_jvp, jax
+from .record.either import updated, xp
 
 
-class Constraints(eqx.Module):
+class Constraints(TreeRecord):
     """The operations of limits; `Smooth` and `Exact` differ in few of them."""
 
     @abc.abstractmethod
@@ -64,12 +61,12 @@ class Constraints(eqx.Module):
     def minimum(self, a: ArrayLike, b: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         """min(a, b) = a - max(a - b, 0). Smooth: below the exact by at most 3 w / 16, at a = b."""
         gap, finite = _finite_difference(a, b)
-        return jnp.where(finite, a - self.positive_part(gap, scale), jnp.minimum(a, b))
+        return xp.where(finite, a - self.positive_part(gap, scale), xp.minimum(a, b))
 
     def maximum(self, a: ArrayLike, b: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         """max(a, b) = b + max(a - b, 0). Smooth: above the exact by at most 3 w / 16, at a = b."""
         gap, finite = _finite_difference(a, b)
-        return jnp.where(finite, b + self.positive_part(gap, scale), jnp.maximum(a, b))
+        return xp.where(finite, b + self.positive_part(gap, scale), xp.maximum(a, b))
 
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         """x within [low, high], low <= high. Smooth: within, with an error of at most 3 w / 16.
@@ -83,7 +80,7 @@ class Constraints(eqx.Module):
         self, scores: Float[Array, " n"], options: Float[Array, "n ..."], scale: ArrayLike = 1.0
     ) -> Array:
         """The option with the largest score; smooth: the softmax-weighted mean of all options."""
-        return jnp.tensordot(self.weights(scores, scale), options, axes=1)
+        return xp.tensordot(self.weights(scores, scale), options, axes=1)
 
     def simplex(
         self,
@@ -106,26 +103,26 @@ class Constraints(eqx.Module):
         - Bounds must be attainable: sum(low) <= total <= sum(high), in every group too.
         """
         n = logits.shape[0]
-        low, high = (jnp.broadcast_to(jnp.asarray(b, logits.dtype), (n,)) for b in (low, high))
+        low, high = (xp.broadcast_to(xp.asarray(b, logits.dtype), (n,)) for b in (low, high))
         if not groups:
-            return _fill(logits, low, high, jnp.asarray(total, logits.dtype))
-        members = [jnp.asarray(g[0]) for g in groups]
+            return _fill(logits, low, high, xp.asarray(total, logits.dtype))
+        members = [xp.asarray(g[0]) for g in groups]
         grouped = {int(i) for g in groups for i in g[0]}
         if len(grouped) < sum(len(g[0]) for g in groups):
             raise ValueError("simplex: an asset is in two groups; groups must be disjoint.")
-        alone = jnp.asarray([i for i in range(n) if i not in grouped], int)
-        mean = jnp.stack([logits[m].mean() for m in members])
-        floor = jnp.stack([jnp.maximum(low[m].sum(), g[1]) for m, g in zip(members, groups)])
-        cap = jnp.stack([jnp.minimum(high[m].sum(), g[2]) for m, g in zip(members, groups)])
+        alone = xp.asarray([i for i in range(n) if i not in grouped], int)
+        mean = xp.stack([logits[m].mean() for m in members])
+        floor = xp.stack([xp.maximum(low[m].sum(), g[1]) for m, g in zip(members, groups)])
+        cap = xp.stack([xp.minimum(high[m].sum(), g[2]) for m, g in zip(members, groups)])
         sums = _fill(
-            jnp.concatenate([mean, logits[alone]]),
-            jnp.concatenate([floor, low[alone]]),
-            jnp.concatenate([cap, high[alone]]),
-            jnp.asarray(total, logits.dtype),
+            xp.concatenate([mean, logits[alone]]),
+            xp.concatenate([floor, low[alone]]),
+            xp.concatenate([cap, high[alone]]),
+            xp.asarray(total, logits.dtype),
         )
-        shares = jnp.zeros_like(logits).at[alone].set(sums[len(groups) :])
+        shares = updated(xp.zeros_like(logits), alone, sums[len(groups) :])
         for group_sum, m in zip(sums, members):
-            shares = shares.at[m].set(_fill(logits[m], low[m], high[m], group_sum))
+            shares = updated(shares, m, _fill(logits[m], low[m], high[m], group_sum))
         return shares
 
 
@@ -138,49 +135,49 @@ class Smooth(Constraints):
     1.0
     """
 
-    temperature: Array = eqx.field(converter=jnp.asarray)
+    temperature: Array = field(converter=lambda x: xp.asarray(x))
 
     def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         width = self.temperature * scale
-        rounded = jnp.abs(x) < width
-        u = jnp.where(rounded, x, 0.0) / jnp.where(width > 0, width, 1.0)
+        rounded = xp.abs(x) < width
+        u = xp.where(rounded, x, 0.0) / xp.where(width > 0, width, 1.0)
         corner = width * (u + 1) ** 3 * (3 - u) / 16
-        return jnp.where(rounded, corner, jnp.where(jnp.asarray(x) < 0, 0.0, x))
+        return xp.where(rounded, corner, xp.where(xp.asarray(x) < 0, 0.0, x))
 
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         room, finite = _finite_difference(high, low)
         narrow = finite & (self.temperature * scale > room)
-        minimum = jnp.where(narrow, room, 0.0) / jnp.where(narrow, self.temperature, 1.0)
-        return super().clip(x, low, high, jnp.where(narrow, minimum, scale))
+        minimum = xp.where(narrow, room, 0.0) / xp.where(narrow, self.temperature, 1.0)
+        return super().clip(x, low, high, xp.where(narrow, minimum, scale))
 
     def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         scaled, hot = self._scaled(x, scale)
-        return jnp.where(hot, jax.nn.sigmoid(scaled), _step(x))
+        return xp.where(hot, jax.nn.sigmoid(scaled), _step(x))
 
     def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         a, hot = self._scaled(first, scale)
         b, _ = self._scaled(last, scale)
-        wide = jnp.abs(a - b) > 0.4
-        gap = jnp.where(wide, a - b, 1.0)
+        wide = xp.abs(a - b) > 0.4
+        gap = xp.where(wide, a - b, 1.0)
         quotient = (jax.nn.softplus(a) - jax.nn.softplus(b)) / gap
         # Nearly equal ends: the quotient loses digits, three Gauss points are exact to 1e-9.
         mid, half = (a + b) / 2, (a - b) / 2 * 0.7745966692414834
         gauss = 4 * jax.nn.sigmoid(mid) / 9
         gauss += 5 * (jax.nn.sigmoid(mid - half) + jax.nn.sigmoid(mid + half)) / 18
-        return jnp.where(hot, jnp.where(wide, quotient, gauss), Exact().share(first, last))
+        return xp.where(hot, xp.where(wide, quotient, gauss), Exact().share(first, last))
 
     def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
         scaled, hot = self._scaled(scores, scale)
-        return jnp.where(hot, jax.nn.softmax(scaled), Exact().weights(scores))
+        return xp.where(hot, jax.nn.softmax(scaled), Exact().weights(scores))
 
     def round(self, x: ArrayLike) -> Array:
-        return jnp.where(self.temperature > 0, x, jnp.round(x))
+        return xp.where(self.temperature > 0, x, xp.round(x))
 
     def _scaled(self, x, scale) -> tuple[Array, Array]:
         """x / (temperature * scale) and whether the temperature is above zero."""
         width = self.temperature * scale
         hot = width > 0
-        return jnp.where(hot, x, 0.0) / jnp.where(hot, width, 1.0), hot
+        return xp.where(hot, x, 0.0) / xp.where(hot, width, 1.0), hot
 
 
 class Exact(Constraints):
@@ -193,45 +190,45 @@ class Exact(Constraints):
     """
 
     def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        x = jnp.asarray(x)
-        return jnp.where(x < 0, jnp.zeros_like(x), x)
+        x = xp.asarray(x)
+        return xp.where(x < 0, xp.zeros_like(x), x)
 
     def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         return _step(x)
 
     def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        first, last = jnp.asarray(first), jnp.asarray(last)
+        first, last = xp.asarray(first), xp.asarray(last)
         crossing = (first > 0) != (last > 0)
-        gap = jnp.where(crossing, first - last, 1.0)
-        positive = jnp.maximum(first, 0.0) - jnp.maximum(last, 0.0)
-        return jnp.where(crossing, positive / gap, _step(first))
+        gap = xp.where(crossing, first - last, 1.0)
+        positive = xp.maximum(first, 0.0) - xp.maximum(last, 0.0)
+        return xp.where(crossing, positive / gap, _step(first))
 
     def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
-        return jax.nn.one_hot(jnp.argmax(scores), scores.shape[0], dtype=scores.dtype)
+        return jax.nn.one_hot(xp.argmax(scores), scores.shape[0], dtype=scores.dtype)
 
     def round(self, x: ArrayLike) -> Array:
-        return jnp.round(x)
+        return xp.round(x)
 
 
 EXACT = Exact()
 
 
 def _step(x: ArrayLike) -> Array:
-    x = jnp.asarray(x)
-    return (x > 0).astype(jnp.result_type(x, jnp.float32) if x.dtype.kind != "f" else x.dtype)
+    x = xp.asarray(x)
+    return (x > 0).astype(xp.result_type(x, xp.float32) if x.dtype.kind != "f" else x.dtype)
 
 
 def _finite_difference(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     """a - b where that is finite, else 0, and whether it was."""
-    finite = jnp.isfinite(jnp.asarray(a) - jnp.asarray(b))
-    return jnp.where(finite, a, 0.0) - jnp.where(finite, b, 0.0), finite
+    finite = xp.isfinite(xp.asarray(a) - xp.asarray(b))
+    return xp.where(finite, a, 0.0) - xp.where(finite, b, 0.0), finite
 
 
 def _fill(logits: Array, low: Array, high: Array, total: Array) -> Array:
     """low + (high - low) logistic(logits + level), adding up to `total`."""
     # Only differences count; extreme ones are cut, so that the level is always found.
-    middle = jax.lax.stop_gradient(jnp.max(logits) + jnp.min(logits)) / 2
-    logits = jnp.clip(logits - middle, -FARTHEST, FARTHEST)
+    middle = jax.lax.stop_gradient(xp.max(logits) + xp.min(logits)) / 2
+    logits = xp.clip(logits - middle, -FARTHEST, FARTHEST)
     level = _level(logits, low, high, total)
     return low + (high - low) * jax.nn.sigmoid(logits + level)
 
@@ -239,48 +236,47 @@ def _fill(logits: Array, low: Array, high: Array, total: Array) -> Array:
 FARTHEST = 250.0  # from the middle logit
 
 
-@jax.custom_jvp
-def _level(logits: Array, low: Array, high: Array, total: Array) -> Array:
-    """The level at which `_fill` adds up: bisection, then Newton, in a fixed number of steps."""
-
-    def excess(level):
-        return jnp.sum(low + (high - low) * jax.nn.sigmoid(logits + level)) - total
-
-    def halve(_, bracket):
-        left, right = bracket
-        middle = (left + right) / 2
-        above = excess(middle) > 0
-        return jnp.where(above, left, middle), jnp.where(above, middle, right)
-
-    def newton(_, level):
-        slope = jnp.sum(_slopes(logits + level, low, high))
-        moved = level - excess(level) / jnp.where(slope > 0, slope, 1.0)
-        return jnp.where(slope > 0, jnp.clip(moved, left, right), level)
-
-    # Of the shares' places in their ranges, the mean is known: the largest logit's lies above it,
-    # the smallest's below.
-    tiny, width = jnp.finfo(logits.dtype).tiny, jnp.sum(high - low)
-    mean = (total - jnp.sum(low)) / jnp.where(width > 0, width, 1.0)
-    position = jnp.log(jnp.maximum(mean, tiny)) - jnp.log(jnp.maximum(1 - mean, tiny))
-    bracket = (position - jnp.max(logits), position - jnp.min(logits))
-    # 11 halvings leave an error e of an eighth at most. The sum's curvature is at most its slope,
-    # so that each Newton step leaves about e^2 / 2: 1e-2, 3e-5, 1e-9, 1e-18.
-    left, right = jax.lax.fori_loop(0, 11, halve, bracket)
-    steps = 3 if logits.dtype == jnp.float32 else 4
-    return jax.lax.fori_loop(0, steps, newton, (left + right) / 2)
-
-
 def _slopes(x: Array, low: Array, high: Array) -> Array:
     return (high - low) * jax.nn.sigmoid(x) * jax.nn.sigmoid(-x)
 
 
-@partial(_level.defjvp)
 def _level_derivative(primals, tangents):
     """Implicit differentiation of sum(shares) = total."""
     logits, low, high, total = primals
     d_logits, d_low, d_high, d_total = tangents
     level = _level(logits, low, high, total)
     slopes, part = _slopes(logits + level, low, high), jax.nn.sigmoid(logits + level)
-    moved = jnp.sum(slopes * d_logits + (1 - part) * d_low + part * d_high) - d_total
-    slope = jnp.sum(slopes)
-    return level, jnp.where(slope > 0, -moved / jnp.where(slope > 0, slope, 1.0), 0.0)
+    moved = xp.sum(slopes * d_logits + (1 - part) * d_low + part * d_high) - d_total
+    slope = xp.sum(slopes)
+    return level, xp.where(slope > 0, -moved / xp.where(slope > 0, slope, 1.0), 0.0)
+
+
+@custom_jvp(_level_derivative)
+def _level(logits: Array, low: Array, high: Array, total: Array) -> Array:
+    """The level at which `_fill` adds up: bisection, then Newton, in a fixed number of steps."""
+
+    def excess(level):
+        return xp.sum(low + (high - low) * jax.nn.sigmoid(logits + level)) - total
+
+    def halve(_, bracket):
+        left, right = bracket
+        middle = (left + right) / 2
+        above = excess(middle) > 0
+        return xp.where(above, left, middle), xp.where(above, middle, right)
+
+    def newton(_, level):
+        slope = xp.sum(_slopes(logits + level, low, high))
+        moved = level - excess(level) / xp.where(slope > 0, slope, 1.0)
+        return xp.where(slope > 0, xp.clip(moved, left, right), level)
+
+    # Of the shares' places in their ranges, the mean is known: the largest logit's lies above it,
+    # the smallest's below.
+    tiny, width = xp.finfo(logits.dtype).tiny, xp.sum(high - low)
+    mean = (total - xp.sum(low)) / xp.where(width > 0, width, 1.0)
+    position = xp.log(xp.maximum(mean, tiny)) - xp.log(xp.maximum(1 - mean, tiny))
+    bracket = (position - xp.max(logits), position - xp.min(logits))
+    # 11 halvings leave an error e of an eighth at most. The sum's curvature is at most its slope,
+    # so that each Newton step leaves about e^2 / 2: 1e-2, 3e-5, 1e-9, 1e-18.
+    left, right = jax.lax.fori_loop(0, 11, halve, bracket)
+    steps = 3 if logits.dtype == xp.float32 else 4
+    return jax.lax.fori_loop(0, steps, newton, (left + right) / 2)

@@ -16,9 +16,8 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64, pull_back
-from .derivatives.bump import SIGNIFICANT, one_percent
-from .derivatives.interval import HELD, UNKNOWN
-from .derivatives.verdict import Verdict
+from .derivatives.bump import SIGNIFICANT
+from .derivatives.interval import HELD, UNKNOWN, Verdict, one_percent
 
 TOLERANCE = 1e-6  # of the family's largest derivative
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of the value, divided by the step

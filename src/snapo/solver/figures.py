@@ -29,10 +29,10 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
-from .derivatives.bump import MOVE
+from .derivatives.interval import MOVE
+from .derivatives.table import Sensitivities
 from .evaluate import simulate
 from .learning.progress import Record
-from .sensitivity import Sensitivities
 
 PATHS, POINTS, CELLS = 1024, 121, 61
 

@@ -16,17 +16,25 @@ from snapo.problem.carry.save import save as save_policy
 from snapo.problem.policy import Policy, features
 from snapo.problem.problem import Problem
 
-from . import checkpoint
+from .derivatives import solution_file
+from .derivatives.table import Sensitivities, SensitivityRow
 from .derivatives.verdict import COLUMNS
 from .figures import Figures
 from .learning.bar import in_notebook
 from .learning.conditioning import Growth
 from .learning.progress import Record
 from .limits import LimitFound
-from .sensitivity import Sensitivities, SensitivityRow
 from .statistics import plus_minus, rounded
 from .tables import (
+    GROWTH,
+    HALFWAY,
+    HISTORY,
+    POLICY,
+    RESULT,
+    SENSITIVITIES,
+    SOLUTION,
     TRAINING,
+    VERDICTS,
     SheetTable,
     flat,
     frame,
@@ -37,10 +45,6 @@ from .tables import (
     write_tables,
     write_text,
 )
-
-POLICY, HALFWAY, SOLUTION = "policy.npz", "halfway.npz", "solution.npz"
-SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
-HISTORY, RESULT, GROWTH = "history.csv", "result.json", "adjoints.csv"
 
 
 @dataclass(frozen=True)
@@ -264,15 +268,15 @@ class Solution:
             if policy is not None:
                 save_policy(policy, folder / name, observed or features(policy), code=True)
         header = (
-            self.summary() | self._beside() | checkpoint.about_sensitivities(self.sensitivities)
+            self.summary() | self._beside() | solution_file.about_sensitivities(self.sensitivities)
         )
         header |= {
             "policy": self.policy is not None,
             "history": self.history,
             "growth": self.growth,
         }
-        arrays = checkpoint.arrays_of(self.totals, self.sensitivities)
-        checkpoint.save_named(folder / SOLUTION, arrays, header)
+        arrays = solution_file.arrays_of(self.totals, self.sensitivities)
+        solution_file.save_named(folder / SOLUTION, arrays, header)
 
     @classmethod
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
@@ -290,18 +294,18 @@ class Solution:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
             message = f"{folder / SOLUTION}: this is not a file of this kind ({error})."
-            raise checkpoint.CheckpointError(message) from None
+            raise solution_file.CheckpointError(message) from None
 
     @classmethod
     def _read(cls, folder: Path, like: Policy | None) -> "Solution":
-        arrays, header = checkpoint.load_named(folder / SOLUTION)
+        arrays, header = solution_file.load_named(folder / SOLUTION)
         names = {"policy": POLICY, "halfway": HALFWAY}
         policies: dict[str, Any] = {
             name: _policy(folder / file, like) if header[name] else None
             for name, file in names.items()
         }
         totals = {name: array for (kind, name), array in arrays.items() if kind == "total"}
-        sensitivities = checkpoint.sensitivities_of(arrays, header) if header["inputs"] else None
+        sensitivities = solution_file.sensitivities_of(arrays, header) if header["inputs"] else None
         history = tuple(Record(*record) for record in header["history"])
         plain: dict[str, Any] = {name: header[name] for name in PLAIN}
         plain["notes"] = tuple(plain["notes"])
@@ -357,4 +361,4 @@ def _policy(file: Path, like: Policy | None) -> Policy | None:
             return stored(file, Policy).policy
         return load(file, Policy, like)
     except PolicyFileError as error:
-        raise checkpoint.CheckpointError(str(error)) from None
+        raise solution_file.CheckpointError(str(error)) from None

@@ -15,9 +15,6 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
-
-from snapo.problem.objective import CVaR
 
 SHOWN = 3  # numbers of an array that are printed
 LEVEL = 0.95  # of an interval, by default
@@ -133,6 +130,8 @@ def critical(degrees: float = np.inf, level: float = LEVEL, comparisons: int = 1
 
     Bonferroni's bound: each has (1 - level) / comparisons to spare.
     """
+    from scipy import special  # late: it takes as long as reading a case
+
     spare = (1 - level) / max(1, comparisons)
     return float(-special.stdtrit(degrees, spare / 2)) if degrees > 0 else np.nan
 
@@ -243,7 +242,13 @@ def ratio(top: np.ndarray, bottom: np.ndarray, groups: np.ndarray | None = None)
 
 def tail(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> Sampled:
     """The mean of the smallest 1 - level of the paths."""
-    return mean(CVaR("", level).influence({"": np.asarray(values)}), groups)
+    return mean(_in_tail(np.asarray(values), level), groups)
+
+
+def _in_tail(values: np.ndarray, level: float) -> np.ndarray:
+    from snapo.problem.objective import CVaR  # late: it loads JAX
+
+    return CVaR("", level).influence({"": values})
 
 
 def deviation(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
@@ -270,7 +275,7 @@ def shortfall(
     low, high = np.quantile(values, np.clip([share - half, share + half], 0.0, 1.0))
     at_risk = result + (high - low) / (2 * half) * (share - below)
     risk = mean(values - at_risk, groups)._replace(value=float(values.mean()) - result)
-    return risk, mean(values - CVaR("", level).influence({"": values}), groups)
+    return risk, mean(values - _in_tail(values, level), groups)
 
 
 def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> Sampled:

@@ -10,6 +10,11 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+# Files of a solution.
+POLICY, HALFWAY, SOLUTION = "policy.npz", "halfway.npz", "solution.npz"
+SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
+HISTORY, RESULT, GROWTH = "history.csv", "result.json", "adjoints.csv"
+
 
 def write_csv(file: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
     """A table with a header; numbers keep all their digits."""

@@ -10,10 +10,11 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.report.checksums import changed_files
 from snapo.report.folder import RunResult
-from snapo.solver import checkpoint, statistics
+from snapo.solver import statistics
+from snapo.solver.derivatives import solution_file
 from snapo.solver.derivatives.interval import Interval, Reported
-from snapo.solver.solution import HALFWAY, POLICY, SOLUTION, Solution
 from snapo.solver.statistics import Estimate, rounded
+from snapo.solver.tables import HALFWAY, POLICY, SOLUTION
 
 from . import run_folder
 from .run_folder import GROUPS, Difference, differences, in_words
@@ -252,8 +253,8 @@ def _result(run: Path) -> RunResult:
 def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
     """Differences between the values of each group of paths, where the scenarios are the same."""
     try:
-        results = [checkpoint.load_named(run / GROUPS) for run in (first, second)]
-    except checkpoint.CheckpointError:
+        results = [solution_file.load_named(run / GROUPS) for run in (first, second)]
+    except solution_file.CheckpointError:
         return None, "independent: one of the runs has no values by group of paths"
     (one, ours), (other, theirs) = results
     for key, text in (("source", "scenarios"), ("noise", "noise"), ("paths", "numbers of paths")):
@@ -275,8 +276,8 @@ def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePa
     """Reported derivatives that differ, by the difference that they make for the input's move.
     Those that are unknown in one of the runs are left out."""
     try:
-        one, other = (Solution.load(run).sensitivities for run in (first, second))
-    except checkpoint.CheckpointError:
+        one, other = (solution_file.sensitivities_in(run / SOLUTION) for run in (first, second))
+    except solution_file.CheckpointError:
         return []
     if one is None or other is None:
         return []

@@ -20,8 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.problem.carry.arrays import read_arrays
 from snapo.problem.carry.latest import followed
-from snapo.problem.carry.save import PolicyFileError, described, read_arrays, stored
+from snapo.problem.carry.save import PolicyFileError, described, stored
 from snapo.problem.policy import Policy, trainable
 from snapo.report.folder import RunResult
 from snapo.report.quantity import decimals, finite, measured, number

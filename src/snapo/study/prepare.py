@@ -85,7 +85,7 @@ def use_every_core() -> None:
     """
     import jax
 
-    from snapo.engine.code_cache import keep_programs
+    from snapo.lanes.machine.code_cache import keep_programs
 
     keep_programs()
     jax.config.update("jax_default_device", "cpu")

@@ -24,7 +24,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ from snapo.case.report import TEXTS
 from snapo.report.checksums import changed_files, checksum, is_sealed, sealed
 from snapo.report.folder import RESULT, read_table
 from snapo.report.record import PartState, RunRecord, RunSettings, entries_of
-from snapo.solver.provenance import versions
-from snapo.solver.solution import (
+from snapo.solver.tables import (
     GROWTH,
     HALFWAY,
     HISTORY,
@@ -42,10 +41,11 @@ from snapo.solver.solution import (
     SENSITIVITIES,
     SOLUTION,
     VERDICTS,
+    write_text,
 )
-from snapo.solver.tables import write_text
 
-from .study import Part
+if TYPE_CHECKING:
+    from .study import Part
 
 RUN, CASE, PARTS = "run.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
@@ -122,6 +122,8 @@ def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) ->
     The keys of the case as they were read (with `--set`), the bytes of the files next to it, the
     options of the command, the versions of the libraries and the machine.
     """
+    from snapo.solver.provenance import versions  # late: a list of runs needs no JAX
+
     files = {
         case_file.name: hashlib.sha256(case_file.read_bytes()).hexdigest()
         for case_file in case_files(file.parent)
@@ -321,14 +323,14 @@ def in_words(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def write_part(out: Path, part: Part, tables: Mapping[str, Any]) -> dict[str, Any]:
+def write_part(out: Path, part: "Part", tables: Mapping[str, Any]) -> dict[str, Any]:
     """Keeps the tables of a part, and returns them as they come back from its file."""
     text = json.dumps(plain_json(tables))
     write_text(out / PARTS / part.file, text)
     return json.loads(text)
 
 
-def read_part(out: Path, part: Part) -> dict[str, Any] | None:
+def read_part(out: Path, part: "Part") -> dict[str, Any] | None:
     """The tables of a part that was done before; None if its file is not there or damaged."""
     return read_table(out / PARTS / part.file)
 

@@ -10,6 +10,7 @@ from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
 from snapo.report.record import RunRecord, entries_of
 from snapo.solver import checkpoint
+from snapo.solver.derivatives import solution_file
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
 from snapo.solver.learning.progress import Interrupted
@@ -121,7 +122,7 @@ def _keep_groups(run: StudyRun, solution: Solution) -> None:
     value = value_of_groups(problem.objective, solution.totals, source, controls)
     noise = (simulator.horizon, simulator.initial_noise_size, simulator.noise_size)
     scenarios = {"source": fingerprint(source), "noise": noise, "paths": solution.paths["evaluate"]}
-    checkpoint.save_named(run.folder / GROUPS, {("groups",): value}, scenarios)
+    solution_file.save_named(run.folder / GROUPS, {("groups",): value}, scenarios)
 
 
 def fingerprint(source: Scenarios) -> str:
@@ -159,7 +160,7 @@ def load_checkpoint(file: Path, fresh: Progress, mark: str = "") -> Progress:
     """
     try:
         return checkpoint.load(file, fresh, mark)
-    except checkpoint.CheckpointError as error:
+    except solution_file.CheckpointError as error:
         message = str(error).removeprefix(f"{file}: ").rstrip(".")
         message = f"{message}; solve without --resume, or remove this file"
         raise CaseError(str(file), "", None, message) from None

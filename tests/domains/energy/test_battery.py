@@ -13,7 +13,7 @@ from snapo.domains.energy.methods.intrinsic import intrinsic_value
 from snapo.domains.energy.methods.lattice import refined
 from snapo.domains.energy.read.hours import hours_of
 from snapo.domains.energy.setup import bare_problem, factors_of
-from snapo.solver.derivatives.bump import one_percent
+from snapo.solver.derivatives.interval import one_percent
 
 HOURS = [f"2026-05-04T{hour:02d}:00" for hour in range(6)]
 

@@ -17,7 +17,7 @@ from snapo.domains.energy.setup import bare_problem, make_setup
 from snapo.domains.energy.summary import lines
 from snapo.problem.policy import Policy
 from snapo.solver.bound import bound
-from snapo.solver.derivatives.bump import one_percent
+from snapo.solver.derivatives.interval import one_percent
 from snapo.solver.evaluate import evaluate, path_totals
 
 FIRM = {"shortfall": "firm"}

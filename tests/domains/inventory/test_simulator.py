@@ -21,7 +21,7 @@ from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import value_and_gradient
 from snapo.solver.certificate import certify_derivatives, in_the_mean
-from snapo.solver.derivatives.verdict import Verdict
+from snapo.solver.derivatives.interval import Verdict
 from snapo.solver.evaluate import evaluate
 
 NORMAL = {"kind": "normal", "mean": 5.0, "deviation": 1.6}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.problem.carry.save import read_arrays, write_arrays
+from snapo.problem.carry.arrays import read_arrays, write_arrays
 from snapo.problem.policy import Network, Policy
 
 KEY = jax.random.key(3)

@@ -11,7 +11,8 @@ import pytest
 import snapo
 from snapo.engine import Xla
 from snapo.problem.scenarios import Sources
-from snapo.solver.derivatives.bump import WIDE, Reaction, _Bumper, one_percent, reactions
+from snapo.solver.derivatives.bump import WIDE, Reaction, _Bumper, reactions
+from snapo.solver.derivatives.interval import one_percent
 from snapo.solver.derivatives.rebuilt import LONG, on_line, problems_at, rebuilt_once
 from snapo.solver.statistics import Estimate
 

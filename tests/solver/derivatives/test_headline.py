@@ -7,7 +7,7 @@ from tests.solver.twelve import INPUTS, Hidden, LostSales, policy, problem
 import snapo
 from snapo.engine.native import Native
 from snapo.problem.smooth import Exact
-from snapo.solver.derivatives.bump import one_percent
+from snapo.solver.derivatives.interval import one_percent
 from snapo.solver.statistics import critical
 
 SURE = 3.0  # standard errors

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from snapo.solver.derivatives.interval import HELD, Curvature, Reported
-from snapo.solver.derivatives.verdict import plain
+from snapo.solver.derivatives.interval import HELD, Curvature, Reported, plain
 from snapo.solver.statistics import Estimate
 
 BLOCKS = 32

@@ -9,8 +9,8 @@ import snapo
 from snapo.problem.scenarios import Sources
 from snapo.solver.certificate import certify_derivatives
 from snapo.solver.derivatives.bump import reactions
-from snapo.solver.derivatives.interval import HELD, RANGE, THROUGH, UNKNOWN
-from snapo.solver.derivatives.verdict import Verdict, holm, reported, verdicts
+from snapo.solver.derivatives.interval import HELD, RANGE, THROUGH, UNKNOWN, Verdict
+from snapo.solver.derivatives.verdict import holm, reported, verdicts
 
 PATHS = 4096
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.solver.sensitivity import Sensitivities, SensitivityRow
+from snapo.solver.derivatives.table import Sensitivities, SensitivityRow
 from snapo.solver.statistics import Estimate
 from snapo.solver.tables import frame
 

@@ -12,6 +12,7 @@ from jaxtyping import PyTree
 
 from snapo.lanes import ACCIDENTS, Unsupported, jax_private
 from snapo.lanes.machine import pipeline
+from snapo.lanes.machine.code_cache import linked_code
 from snapo.lanes.machine.linked import KernelMemory
 from snapo.lanes.machine.pipeline import host
 from snapo.problem.code.version import of_rollout, read_context
@@ -21,7 +22,6 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..arrays import with_memory
 from ..base import Engine, Window, checked
-from ..code_cache import linked_code
 from .kernel.context import KernelStages
 from .kernel.kernel import Kernel, emit
 from .rollout import FunctionSetup, SharedTree, cast, traced

@@ -21,9 +21,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from snapo.lanes.machine import disk
+from snapo.lanes.machine.code_cache import linked_code
 from snapo.lanes.machine.linked import KernelMemory
 
-from ..code_cache import linked_code
 from ..workers import OTHER, Lost, Workers
 from .kernel.kernel import KernelCode
 from .runtime import GroupRunner, KernelInputs, Runner

@@ -18,11 +18,11 @@ import numpy as np
 
 from snapo.lanes.emit.storage import Layout
 from snapo.lanes.machine import disk
+from snapo.lanes.machine.code_cache import KERNELS, code_folder
 from snapo.lanes.machine.pipeline import host
 from snapo.lanes.program.cut import Leaf
 from snapo.problem.code import described
 
-from ..code_cache import KERNELS, code_folder
 from .kernel.kernel import Kernel
 from .rollout import FunctionSetup, KernelTrees, SharedTree, initial_state, parted
 

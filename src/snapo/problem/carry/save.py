@@ -1,9 +1,7 @@
 """`policy.save(file)` and `snapo.load_policy(file)`: a policy in a file that describes itself."""
 
 import dataclasses
-import json
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache, partial
@@ -17,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..smooth import Exact
+from .arrays import read_arrays, write_arrays
 from .latest import followed
 
 
@@ -71,32 +70,6 @@ def _function_name(function: Any) -> str:
         plain = [item for item in values if " at 0x" not in item]
         return f"{_function_name(function.func)}({', '.join(plain)})"
     return str(getattr(function, "__name__", type(function).__name__))
-
-
-def write_arrays(file: Path, arrays: Mapping[str, np.ndarray], header: Any) -> None:
-    """Through a temporary file next to the target; `header` is data for JSON."""
-    text = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    partial = file.with_name(file.name + ".partial")
-    with partial.open("wb") as stream:
-        np.savez(stream, header=text, **arrays)  # pyright: ignore[reportArgumentType]
-        stream.flush()
-        os.fsync(stream.fileno())
-    partial.replace(file)
-
-
-def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], Any]:
-    """The arrays `leaf_0`, `leaf_1` … in their order, and the header.
-
-    **Raises:** `ValueError` for any defect of the file.
-    """
-    try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            header = json.loads(stored["header"].tobytes().decode())
-            names = [f"leaf_{i}" for i in range(len(stored.files) - 1)]
-            return {name: stored[name] for name in names}, header
-    except Exception as error:  # a damaged byte can be a compression, a key or a size as well
-        message = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{file}: this file cannot be read ({message}).") from None
 
 
 # {class: its module}. Domains' modules are loaded where a file names one of theirs.

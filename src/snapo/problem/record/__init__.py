@@ -87,8 +87,8 @@ class TreeRecord(metaclass=RecordType):
             left_open |= dict.fromkeys(getattr(base, "__left_open__", ()), True)
         cls.__abstractvars__ = frozenset(name for name, missing in left_open.items() if missing)
         cls.__own_init__ = "__init__" in vars(cls) or cls.__own_init__
-        dataclasses.dataclass(frozen=True, eq=False, init=not cls.__own_init__)(cls)
-        del cls.__setattr__, cls.__delattr__  # those of `TreeRecord` let `__init__` set fields
+        # Not frozen: the methods of `TreeRecord` refuse changes, and let `__init__` set fields.
+        dataclasses.dataclass(eq=False, init=not cls.__own_init__)(cls)
         _CLASSES.append(cls)
         for register in _REGISTER:
             register(cls)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import jax
     import jax.flatten_util
     import jax.numpy as jnp
+    from jax.typing import ArrayLike
     from jaxtyping import Array, Bool, Float, Int, PyTree
 else:
 
@@ -48,7 +49,7 @@ else:
             return cls
 
     eqx, jax, jnp = map(_Library, ("equinox", "jax", "jax.numpy"))
-    Bool = Float = Int = PyTree = Array
+    ArrayLike = Bool = Float = Int = PyTree = Array
 
 P = ParamSpec("P")
 NumbersOf = Callable[[Any], Any]  # the numbers of an input where they are used

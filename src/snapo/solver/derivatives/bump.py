@@ -16,7 +16,6 @@ import numpy as np
 from scipy import special
 
 from snapo.engine import Engine
-from snapo.problem.inputs import Input
 from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -25,9 +24,9 @@ from snapo.problem.scenarios import BLOCKS
 from ..adjoint import DROPPED, finite
 from ..evaluate import path_totals, value_of
 from ..statistics import Estimate
+from .interval import blocks_along, one_percent
 from .rebuilt import forget, on_line, problems_at, rebuilt_once
 
-MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
 FEW = 16  # a share of the paths, one in 16, is enough where the reaction is plainly nothing
 FEWEST = 4  # blocks in any case
@@ -90,16 +89,6 @@ class Reaction(NamedTuple):
             return 0.0
         degrees = len(self.reaction) - 1 or np.inf
         return float(2 * special.stdtr(degrees, -abs(value) / error))
-
-
-def one_percent(values: Input) -> np.ndarray:
-    """The bump: 1 % of every number, if the input states no other; where all are zero, of its
-    `move`."""
-    if values.judge_bump is not None:
-        return np.full(values.value.shape, values.judge_bump)
-    if values.value.any():
-        return MOVE * values.value
-    return np.full(values.value.shape, MOVE * (values.move or 0.0))
 
 
 def block_means(objective: Objective, totals: Totals, blocks: list[np.ndarray]) -> np.ndarray:
@@ -174,11 +163,6 @@ def _uncertainty(reaction: Reaction) -> float:
         return 0.0
     size = max(abs(float(np.mean(reaction.held))), abs(value), np.finfo(float).tiny)
     return error / size + (1.0 if abs(value) > SIGNIFICANT * error else 0.0)
-
-
-def blocks_along(estimate: Estimate, direction: np.ndarray) -> np.ndarray:
-    """[B]: a derivative along a direction of its input, by block."""
-    return (estimate.blocks * direction).reshape(len(estimate.blocks), -1).sum(1)
 
 
 class _Bumper:

@@ -8,13 +8,18 @@ against the loss (see `margin`). The error of the value is of second order in th
 the error of a derivative of first order: it grows with the root of the gap.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from snapo.problem.record import Input
+
 from ..statistics import LEVEL, SHOWN, Estimate, critical
 
 HELD, THROUGH, RANGE, UNKNOWN = "held", "through the policy", "range", "not known"
+MOVE = 0.01  # of every number of an input
+AGREE = 3.0  # standard errors between the smooth derivative and the bump
 SHARE_UNSEEN = 0.5  # of the standard error of a reaction that the estimate leaves out
 
 
@@ -166,3 +171,65 @@ def _multiple(direction: np.ndarray, by: np.ndarray) -> float | None:
         return None
     times = float(np.sum(direction * by)) / square
     return times if np.allclose(direction, times * by, rtol=1e-9, atol=0) else None
+
+
+def one_percent(values: Input) -> np.ndarray:
+    """The bump: 1 % of every number, where the input states no other; where all are zero, of its
+    `move`."""
+    if values.judge_bump is not None:
+        return np.full(values.value.shape, values.judge_bump)
+    if values.value.any():
+        return MOVE * values.value
+    return np.full(values.value.shape, MOVE * (values.move or 0.0))
+
+
+def blocks_along(estimate: Estimate, direction: np.ndarray) -> np.ndarray:
+    """[B]: a derivative along a direction of its input, by block."""
+    return (estimate.blocks * direction).reshape(len(estimate.blocks), -1).sum(1)
+
+
+def plain(held: Estimate, by: np.ndarray, source: str = HELD) -> Reported:
+    """The held derivative with only its sampling error."""
+    empty = np.zeros((0, *by.shape))
+    complete = blocks_along(held, by)
+    nothing = np.zeros(by.shape)
+    return Reported(source, held, by, complete, nothing, empty, empty, Curvature.nothing())
+
+
+class Verdict(NamedTuple):
+    """One input bumped by one percent: the change of the value, and the derivatives along it.
+
+    - `source`: of the reported derivative, see `Reported`.
+    - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump less held, paired.
+    - `up`, `down`: the change of the value for an increase and a decrease of the input;
+      `side_error` of their difference.
+    - `probability`: the p-value of the reaction; `tested`: whether there is one.
+    - `corner`: "kink", "jump" or "".
+    """
+
+    source: str
+    held: tuple[float, float]
+    bump: tuple[float, float]
+    reaction: tuple[float, float]
+    up: float
+    down: float
+    side_error: float
+    probability: float
+    tested: bool
+    corner: str = ""
+
+    @classmethod
+    def of(cls, numbers: Sequence) -> "Verdict":
+        """The verdict that was written as a list of its fields."""
+        source, held, bump, reaction, *rest = numbers
+        return cls(source, tuple(held), tuple(bump), tuple(reaction), *rest)
+
+    @property
+    def two_sided(self) -> bool:
+        """Whether the one-sided derivatives differ, because of a corner or of curvature."""
+        return abs(self.up - self.down) > AGREE * self.side_error
+
+    def row(self, name: str) -> tuple:
+        """The verdict as a line of verdicts.csv, see `COLUMNS`."""
+        pairs = (*self.held, *self.bump, *self.reaction)
+        return name, self.source, *pairs, self.up, self.down, self.probability

@@ -21,9 +21,9 @@ from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Exact
 
 from ..evaluate import path_totals
-from .bump import block_means, one_percent
+from .bump import block_means
 from .by_block import DerivativePass
-from .interval import THROUGH, Curvature, Reported
+from .interval import THROUGH, Curvature, Reported, one_percent
 from .rebuilt import problems_at
 from .surface import WIDEST, Surface, distance_factor, shifted_policy
 from .verdict import spread_of

@@ -7,62 +7,33 @@ reaction is then added as far as it exceeds its own error (James and Stein's shr
 noise (a control variate), and the interval includes the rest.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
 from snapo.problem.problem import Problem
 
 from ..statistics import Estimate
-from .bump import Reaction, blocks_along, one_percent
-from .interval import HELD, RANGE, SHARE_UNSEEN, THROUGH, UNKNOWN, Curvature, Reported
+from .bump import Reaction
+from .interval import (
+    AGREE,
+    HELD,
+    RANGE,
+    SHARE_UNSEEN,
+    THROUGH,
+    UNKNOWN,
+    Reported,
+    Verdict,
+    blocks_along,
+    one_percent,
+    plain,
+)
 
 LEVEL = 0.01  # the probability that any right held derivative of a run is refuted
-AGREE = 3.0  # standard errors between the smooth derivative and the bump
 COLUMNS = (
     "input", "source", "held", "held_error", "bump", "bump_error", "reaction", "reaction_error",
     "more", "less", "probability",
 )  # fmt: skip
-
-
-class Verdict(NamedTuple):
-    """One input bumped by one percent: the change of the value, and the derivatives along it.
-
-    - `source`: the source of the reported derivative, see `Reported`.
-    - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump minus held, paired.
-    - `up`, `down`: the change of the value for an increase and a decrease of the input;
-      `side_error` of their difference.
-    - `probability`: the p-value of the reaction; `tested`: whether there is one.
-    - `corner`: "kink", "jump" or "".
-    """
-
-    source: str
-    held: tuple[float, float]
-    bump: tuple[float, float]
-    reaction: tuple[float, float]
-    up: float
-    down: float
-    side_error: float
-    probability: float
-    tested: bool
-    corner: str = ""
-
-    @classmethod
-    def of(cls, numbers: Sequence) -> "Verdict":
-        """The verdict that was written as a list of its fields."""
-        source, held, bump, reaction, *rest = numbers
-        return cls(source, tuple(held), tuple(bump), tuple(reaction), *rest)
-
-    @property
-    def two_sided(self) -> bool:
-        """Whether the one-sided derivatives differ, because of a corner or of curvature."""
-        return abs(self.up - self.down) > AGREE * self.side_error
-
-    def row(self, name: str) -> tuple:
-        """The verdict as a line of verdicts.csv, see `COLUMNS`."""
-        pairs = (*self.held, *self.bump, *self.reaction)
-        return name, self.source, *pairs, self.up, self.down, self.probability
 
 
 def verdicts(
@@ -149,14 +120,6 @@ def spread_of(estimate: Estimate, by: np.ndarray) -> np.ndarray:
     if not size.sum() > 0:
         size = np.where(by != 0, 1.0, 0.0)
     return size / max(float(size.sum()), 1e-300) / np.where(by != 0, by, 1.0)
-
-
-def plain(held: Estimate, by: np.ndarray, source: str = HELD) -> Reported:
-    """The held derivative with only its sampling error."""
-    empty = np.zeros((0, *by.shape))
-    complete = blocks_along(held, by)
-    nothing = np.zeros(by.shape)
-    return Reported(source, held, by, complete, nothing, empty, empty, Curvature.nothing())
 
 
 def _of(

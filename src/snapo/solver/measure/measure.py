@@ -21,6 +21,7 @@ from ..derivatives.bump import reactions
 from ..derivatives.margin import floor_of, margin_of, passes, with_margin
 from ..derivatives.rebuilt import LONG, fewer, rebuilt_once
 from ..derivatives.surface import Surface, coordinates, rollouts, surface_of
+from ..derivatives.table import Sensitivities
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import (
     Value,
@@ -36,7 +37,7 @@ from ..learning.progress import INTERRUPTED
 from ..learning.settings import TrainingPlan
 from ..limits import limits_found, notes_of
 from ..provenance import why_broken
-from ..sensitivity import Sensitivities, sensitivities_and_totals, through_policy
+from ..sensitivity import sensitivities_and_totals, through_policy
 from ..statistics import of_shares
 from ..train import Progress
 from ..verdict.convergence import AS_BEGUN, ending

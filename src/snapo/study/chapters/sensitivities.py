@@ -24,9 +24,8 @@ from snapo.report.quantity import (
     rough,
     unit_words,
 )
-from snapo.solver.derivatives.bump import one_percent
-from snapo.solver.derivatives.verdict import Verdict
-from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.derivatives.interval import Verdict, one_percent
+from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.statistics import Estimate
 
 from ..chapter import Chapter

@@ -20,11 +20,12 @@ from tests.domains.pension.market_cases import (
     rates,
 )
 
-from snapo.domains.pension.fund.simulator import OUTPUTS, PensionSimulator
+from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.assets.priced import Property
 from snapo.domains.pension.policies.allocation import new_policy
 from snapo.domains.pension.policies.classical import ConstantMix, LiabilityDriven
 from snapo.domains.pension.records.assets import Overlay
+from snapo.domains.pension.records.case import OUTPUTS
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.market import Correlation, SuppliedScenarios
 from snapo.engine import Xla

@@ -19,6 +19,7 @@ from tests.domains.pension.market_cases import curve
 
 from snapo.domains.pension.chapters.stress import from_zero_rates, zero_rates
 from snapo.domains.pension.market.smith_wilson import fit, heart, log_bond
+from snapo.problem.record.either import jacobian, with_numpy
 
 # Par swap rates after the adjustment for credit risk, which Q b and the speed imply.
 TENOR = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15, 20]
@@ -144,3 +145,18 @@ def test_the_heart_is_symmetric_and_zero_at_time_zero():
     found = np.asarray(heart(times, times, jnp.asarray(0.2)))
     assert found == pytest.approx(found.T, abs=1e-15)
     assert found[0] == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("speed", [0.12, None])
+@pytest.mark.parametrize("quote", ["zero", "swap"])
+def test_numpy_evaluates_and_differentiates_the_curve_as_jax_does(quote, speed):
+    """A check does so; by a computed speed too, whose search no derivative repeats."""
+    rates, years = np.array([0.01, 0.02, 0.026, 0.034, 0.03]), np.array([0.5, 4.0, 40.0, 120.0])
+    curve = replace(swaps([1, 2, 3, 5, 10], rates, speed), quote=quote)
+
+    def function(rate):
+        return log_bond(curve, rate, ULTIMATE, years)
+
+    exact = jax.jit(lambda rate: (function(rate), jax.jacrev(function)(rate)))(rates)
+    np.testing.assert_allclose(with_numpy(function)(rates), exact[0], rtol=1e-10)
+    np.testing.assert_allclose(jacobian(function, rates), exact[1], rtol=1e-8, atol=1e-9)

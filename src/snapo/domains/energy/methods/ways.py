@@ -111,7 +111,7 @@ def ways_of(
 
 @cache
 def _machine() -> "Linked":
-    from snapo.engine.code_cache import linked_code  # late, as above
+    from snapo.lanes.machine.code_cache import linked_code  # late, as above
 
     return linked_code(_text(), {"best": 2})
 

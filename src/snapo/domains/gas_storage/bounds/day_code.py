@@ -135,7 +135,7 @@ def _numbers(rows: GridRows) -> np.ndarray:
 
 @cache
 def _machine() -> "Linked":
-    from snapo.engine.code_cache import linked_code  # late, as above
+    from snapo.lanes.machine.code_cache import linked_code  # late, as above
 
     return linked_code(_text(), {"day": 4})
 

@@ -18,7 +18,7 @@ from snapo.report.missing import why_missing
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
 from snapo.report.quantity import MONTHS, SPACE, decimals, long_month, number, plus_minus_half
 from snapo.report.rows import Column, table
-from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.derivatives.table import Sensitivities
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
 

@@ -13,7 +13,7 @@ from snapo.problem.scenarios import Pseudo, Scenarios
 from snapo.problem.simulator import Simulator
 from snapo.report.checksums import changed_files
 from snapo.report.folder import RunResult
-from snapo.solver import checkpoint
+from snapo.solver.derivatives import solution_file
 from snapo.solver.solution import POLICY, SOLUTION
 from snapo.study import run_folder
 from snapo.study.domain import find, installed
@@ -100,8 +100,8 @@ def explained_kinds() -> list[str]:
 
 def _shares(folder: Path) -> np.ndarray | None:
     try:
-        return checkpoint.load_named(folder / run_folder.GROUPS)[0]["groups",]
-    except (checkpoint.CheckpointError, KeyError):
+        return solution_file.load_named(folder / run_folder.GROUPS)[0]["groups",]
+    except (solution_file.CheckpointError, KeyError):
         return None
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from snapo.problem.inputs import plain
 from snapo.report.bands import Layer, stack
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Mark, Table, Text
@@ -15,7 +14,7 @@ from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
 from ..records.case import PensionCase
-from ..records.inputs import pension_inputs
+from ..records.inputs import input_values
 from ..regulation.bases import Bases, bases
 from ..regulation.position import RecoveryCourse, Stand, stand
 from ..results.figures.in_words import in_words
@@ -103,7 +102,7 @@ def measure(run: StudyRun) -> Reconciliation:
     local, human = examined.figures, examined.human
     flow = np.asarray(local.cash_flow)
     complete = len(flow) // steps * steps
-    inputs = plain(pension_inputs(case))
+    inputs = input_values(case)
     result = FundFigures(
         lines=tuple(examined.lines),
         remarks=tuple(examined.remarks),

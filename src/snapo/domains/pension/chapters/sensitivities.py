@@ -12,7 +12,7 @@ from snapo.report.drawing import draw
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import SPACE, decimals, number, plus_minus_half, rough
-from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter
 from snapo.study.chapters.sensitivities import SHARE, ReportedInterval, direction, interval

@@ -8,11 +8,11 @@ path.
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from numpy.typing import ArrayLike
+
+from snapo.problem.record.arrays import Array, jax
+from snapo.problem.record.either import xp
 
 from ..market.assets.asset_class import ratios
 from ..market.assets.swaps import swap_gains
@@ -32,7 +32,7 @@ class Stress(NamedTuple):
         `weights` [n] and `notional` [b] in one unit. Borrowed cash can exceed the eligible assets:
         there is no collateral then."""
         there = self.cover @ weights
-        return jnp.asarray(self.need @ notional - jnp.where(there >= 0, there, 0.0))
+        return xp.asarray(self.need @ notional - xp.where(there >= 0, there, 0.0))
 
 
 def eligible(case: PensionModel) -> np.ndarray:
@@ -51,7 +51,7 @@ def stress(case: PensionModel, inputs: dict[str, Any], rise: Any) -> Stress:
 
     def after(steps: np.ndarray, linked: bool) -> Array | np.ndarray:
         years = steps * case.step * (real if linked else 1)
-        return before(steps, linked) * jnp.exp(-rise * years)
+        return before(steps, linked) * xp.exp(-rise * years)
 
     return Stress(eligible(case) * ratios(case, before, after), -swap_gains(case, before, after))
 
@@ -60,12 +60,12 @@ def stressed(case: PensionModel, rise: ArrayLike) -> Stress:
     """The same at the case's own numbers, in 64 bits; for many rises [r] at once, [r, n] and
     [r, b]."""
     with jax.enable_x64(True):
-        item = jnp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")
-        result = item(jnp.asarray(rise, jnp.float64))
+        item = xp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")
+        result = item(xp.asarray(rise, xp.float64))
         return Stress(*map(np.asarray, result))
 
 
 def slope(case: PensionModel) -> np.ndarray:
     """[b] d need / d rise at once: durations of the swaps, in years."""
     with jax.enable_x64(True):
-        return np.asarray(jax.jacfwd(lambda x: stress(case, {}, x).need)(jnp.zeros(())))
+        return np.asarray(jax.jacfwd(lambda x: stress(case, {}, x).need)(xp.zeros(())))

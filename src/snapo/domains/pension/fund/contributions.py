@@ -8,10 +8,10 @@ where assets and liability earn them, payments are level and the gap is closed a
 
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 from snapo.problem.smooth import Constraints
 
 from ..market.curve import log_bond
@@ -59,7 +59,7 @@ class NoContribution(ContributionRule):
     kind, by_cost = "none", False
 
     def amount(self, terms, due, smooth):
-        return jnp.zeros_like(due.salaries)
+        return xp.zeros_like(due.salaries)
 
 
 class FixedContribution(ContributionRule):
@@ -122,7 +122,7 @@ def log_discount(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) 
         return log_bond(case.curve, inputs, years) + added
     if basis.future_indexation == "full":  # a real rate
         added = added + log_bond(case.inflation.break_even, inputs, years)
-    return jnp.asarray(added)
+    return xp.asarray(added)
 
 
 def annuity(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
@@ -133,7 +133,7 @@ def annuity(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | 
         return None
     now = np.arange(case.steps)
     end = now + period - now % period
-    discount = jnp.exp(log_discount(case, inputs, np.arange(end[-1] + 1) * case.step))
-    paid = jnp.concatenate([jnp.zeros(1), jnp.cumsum(discount)])
+    discount = xp.exp(log_discount(case, inputs, np.arange(end[-1] + 1) * case.step))
+    paid = xp.concatenate([xp.zeros(1), xp.cumsum(discount)])
     first = 0 if case.plan.timing == "advance" else 1
     return case.step * (paid[end + first] - paid[now + first]) / discount[now]

@@ -2,9 +2,8 @@
 
 from typing import ClassVar
 
-import jax.numpy as jnp
-from jaxtyping import Array
-
+from snapo.problem.record.arrays import Array
+from snapo.problem.record.either import xp
 from snapo.problem.smooth import Constraints
 
 from .terms import PlanTerms
@@ -29,7 +28,7 @@ class NoIncrease(IncreaseRule):
     kind = "none"
 
     def granted(self, terms, ratio, growth, smooth):
-        return jnp.zeros_like(ratio)
+        return xp.zeros_like(ratio)
 
 
 class FixedIncrease(NoIncrease):
@@ -63,7 +62,7 @@ class Conditional(Capped):
 
     def granted(self, terms, ratio, growth, smooth):
         # Equal ratios make the ramp a jump; a width of a millionth keeps it finite.
-        width = jnp.maximum(terms.upper - terms.lower, 1e-6)
+        width = xp.maximum(terms.upper - terms.lower, 1e-6)
         share = smooth.clip((ratio - terms.lower) / width, 0.0, 1.0, RATIO)
         return super().granted(terms, ratio, growth, smooth) * share
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ..records.case import PensionModel
 
@@ -88,16 +88,16 @@ def _level(position: int) -> Callable[[View], Array]:
 
 
 def _ratio(view: View) -> Array:
-    return jnp.where(view.ratio > MIN_RATIO, view.ratio, MIN_RATIO)
+    return xp.where(view.ratio > MIN_RATIO, view.ratio, MIN_RATIO)
 
 
 def _relative(view: View) -> Array:
-    return jnp.log(_ratio(view) / (view.terms.assets / view.terms.liability)) / RATIO
+    return xp.log(_ratio(view) / (view.terms.assets / view.terms.liability)) / RATIO
 
 
 FEATURES: dict[str, Feature] = {
     "time": Feature(lambda view: 2 * view.now.time - 1),
-    "funding_ratio": Feature(lambda view: jnp.log(_ratio(view)) / RATIO),
+    "funding_ratio": Feature(lambda view: xp.log(_ratio(view)) / RATIO),
     # The funding ratio itself is there already.
     "relative_funding": Feature(_relative, usual=_no),
     "rates": Feature(_rates, _rate_count, _generated),
@@ -126,7 +126,7 @@ FEATURES: dict[str, Feature] = {
         lambda case: case.buckets,
         lambda case: case.overlay is not None,
     ),
-    "accrued": Feature(lambda view: jnp.log(view.state.theta) / RATIO, usual=_no),
+    "accrued": Feature(lambda view: xp.log(view.state.theta) / RATIO, usual=_no),
 }
 
 
@@ -146,4 +146,4 @@ def observe(
     """The observation of one path at the start of a step; `ratio` is the funding ratio F."""
     view = View(case, terms, now, state, ratio)
     observed = [FEATURES[name] for name in case.observation if FEATURES[name].size(case)]
-    return jnp.concatenate([jnp.reshape(feature.see(view), (-1,)) for feature in observed])
+    return xp.concatenate([xp.reshape(feature.see(view), (-1,)) for feature in observed])

@@ -1,10 +1,9 @@
 """Contribution and indexation of a plan, on one path: its rules within their limits."""
 
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Array
 
+from snapo.problem.record.arrays import Array, ArrayLike
+from snapo.problem.record.either import xp
 from snapo.problem.smooth import Constraints
 
 from ..people.fixed_increases import due as increases_due
@@ -35,10 +34,10 @@ def contribution(
     - `normal_cost`: value of the step's accrual; `payroll`: salaries of the step at wages of time
       0, `wage` over that of time 0; `step`: its length in years; `annuity` of level payments.
     """
-    rule, salaries = plan.contribution, jnp.asarray(payroll * jnp.asarray(wage))
+    rule, salaries = plan.contribution, xp.asarray(payroll * xp.asarray(wage))
     by_rate = rule.normal_cost == "rate"
     normal = terms.rate * salaries if by_rate else (1 + terms.loading) * normal_cost
-    money = (jnp.asarray(assets), jnp.asarray(liability), salaries, jnp.asarray(normal))
+    money = (xp.asarray(assets), xp.asarray(liability), salaries, xp.asarray(normal))
     due = ContributionDue(*money, step, annuity)
     regular = CONTRIBUTIONS[rule.kind].amount(terms, due, smooth)
     if rule.has_floor:
@@ -67,9 +66,9 @@ def indexation(
 
     - `ratio`: the policy funding ratio; `price_growth`: since the last date, I / I_last - 1.
     """
-    rule, ratio = plan.indexation, jnp.asarray(ratio)
-    granted = INCREASES[rule.kind].granted(terms, ratio, jnp.asarray(price_growth), smooth)
-    cut = jnp.zeros_like(ratio)
+    rule, ratio = plan.indexation, xp.asarray(ratio)
+    granted = INCREASES[rule.kind].granted(terms, ratio, xp.asarray(price_growth), smooth)
+    cut = xp.zeros_like(ratio)
     if rule.cut_years > 0:
         cut = smooth.positive_part(1 - ratio / terms.required, RATIO) / rule.cut_years
     return granted, cut

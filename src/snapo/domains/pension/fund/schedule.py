@@ -2,12 +2,11 @@
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from snapo.problem.simulator import Schedule
+from snapo.problem.record import Schedule
+from snapo.problem.record.arrays import Array, Float, jax
+from snapo.problem.record.either import added, at_once, xp
 
 from ..market.curve import log_bond
 from ..market.dynamics import market_schedule
@@ -85,15 +84,13 @@ def make_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
         market=terms,
         plan=plan_terms(case, inputs),
         assets=use(inputs, assets.amount),
-        liability=jnp.sum(
-            result.accrued[0] * jnp.exp(shape[0] - terms.slope @ terms.start.factors)
-        ),
+        liability=xp.sum(result.accrued[0] * xp.exp(shape[0] - terms.slope @ terms.start.factors)),
         weight=use(inputs, assets.weight),
         cost=use(inputs, assets.cost),
         fee=use(inputs, assets.fee) * case.step,
         swaps=_swaps(case, inputs, payment_nodes),
         limits=trading_limits(assets, case.step),
-        scales=jax.tree.map(jnp.asarray, scales(case)),
+        scales=jax.tree.map(xp.asarray, scales(case)),
         last=jax.tree.map(lambda leaf: leaf[-1], result),
         last_shape=shape[-1],
     )
@@ -103,9 +100,9 @@ def make_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
             market=without_empty(steps),
             people=jax.tree.map(lambda leaf: leaf[:-1], result),
             shape=shape[:-1],
-            due=jnp.asarray(due, float),
-            averaging=jnp.asarray(averaging, float),
-            time=jnp.arange(case.steps) / case.steps,
+            due=xp.asarray(due, float),
+            averaging=xp.asarray(averaging, float),
+            time=xp.arange(case.steps) / case.steps,
             agreed=agreed(case, inputs),
             annuity=annuity(case, inputs),
         ),
@@ -117,7 +114,7 @@ def agreed(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | N
     plan = case.plan.contribution.schedule
     if plan is None:
         return None
-    return jnp.zeros(case.steps).at[plan.step.copy()].add(use(inputs, plan.amount))
+    return added(xp.zeros(case.steps), plan.step.copy(), use(inputs, plan.amount))
 
 
 def _swaps(case: PensionModel, inputs: dict[str, Any], payment_nodes: np.ndarray) -> Swaps | None:
@@ -133,13 +130,13 @@ def _swaps(case: PensionModel, inputs: dict[str, Any], payment_nodes: np.ndarray
     return Swaps(
         notional=use(inputs, overlay.notional),
         # Copies: JAX remembers an array of the case in the type it met first, and policies hold it.
-        low=jnp.asarray(overlay.low.copy()),
-        high=jnp.asarray(overlay.high.copy()),
+        low=xp.asarray(overlay.low.copy()),
+        high=xp.asarray(overlay.high.copy()),
         cost=use(inputs, overlay.cost),
-        at_par=jnp.asarray(overlay.at_par),
+        at_par=xp.asarray(overlay.at_par),
         leverage=use(inputs, overlay.leverage),
         stress=stress(case, inputs, use(inputs, overlay.collateral_stress)),
-        nearest=jnp.asarray(nearest),
+        nearest=xp.asarray(nearest),
     )
 
 
@@ -152,7 +149,7 @@ def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "
     comes with the path, and only the addition to it is left here.
     """
     basis, years = case.liability, payment_years(case)
-    added = jnp.zeros(len(years))
+    added = xp.zeros(len(years))
     if basis.basis != "risk-free":
         added = -added_rate(case, inputs, years) * years
     if limited(case):
@@ -180,17 +177,16 @@ def added_rate(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) ->
     """
     basis, rate = case.liability, use(inputs, case.liability.rate)
     if not basis.annual:
-        return rate * jnp.ones(len(years))
+        return rate * xp.ones(len(years))
     if basis.basis == "fixed":
-        return jnp.log1p(rate) * jnp.ones(len(years))
+        return xp.log1p(rate) * xp.ones(len(years))
     derived = case.derived
     if derived is None or derived.annual_bond is None:
-        return jnp.log1p(rate * jnp.asarray(annual_bond(case, years)))
-    return jnp.log1p(rate * jnp.asarray(derived.annual_bond[: len(years)]))
+        return xp.log1p(rate * xp.asarray(annual_bond(case, years)))
+    return xp.log1p(rate * xp.asarray(derived.annual_bond[: len(years)]))
 
 
 def annual_bond(case: PensionModel, years: np.ndarray) -> np.ndarray:
     """1 / (1 + annual zero rate) of the case's own curve, at each of `years`."""
     when = np.maximum(years, case.step)  # a payment now needs no rate
-    with jax.enable_x64(True), jax.ensure_compile_time_eval():
-        return np.exp(np.asarray(log_bond(case.curve, {}, when)) / when)
+    return np.exp(np.asarray(at_once(log_bond)(case.curve, {}, when)) / when)

@@ -34,43 +34,6 @@ from .schedule import FundTerms, Period, annual_bond, make_schedule, payment_yea
 from .terms import scales
 from .trading import Holdings, drifted, trade
 
-# Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
-AT_END = (
-    "funding_ratio",
-    "log_relative",
-    "surplus",
-    "surplus_ratio",
-    "assets",
-    "liability",
-    "pv_assets",
-    "pv_liability",
-    "discount",
-    "pv_shortfall",
-)
-# Sums over the steps; "pv_" discounts, "_square" is of 1 - F below 1 and per year, "normal_cost"
-# the value of the accrual, "granted" and "cut" the indexation; "funding" is F before each step,
-# "bound_excess" by how much weights leave their bounds.
-EACH_STEP = (
-    "contribution",
-    "benefit",
-    "expenses",
-    "cost",
-    "normal_cost",
-    "granted",
-    "cut",
-    "pv_contribution",
-    "pv_benefit",
-    "pv_expenses",
-    "pv_cost",
-    "pv_accrual",
-    "pv_indexation",
-    "shortfall_square",
-    "collateral_shortfall",
-    "funding",
-    "bound_excess",
-)
-OUTPUTS = AT_END + EACH_STEP
-
 
 class FundFlows(NamedTuple):
     """Money of a step: contributions received, benefits and expenses paid."""
@@ -229,7 +192,7 @@ class PensionSimulator(Simulator):
         return after._replace(assets=assets, weights=weights, overlay=overlay)
 
     def _outputs(self, constants: FundTerms, state: FundState, done: Happened, smooth):
-        """The named scalars of a step, see `EACH_STEP`."""
+        """The named scalars of a step, see `records.case.OUTPUTS`."""
         books, flows, held = done.books, done.flows, done.held
         before = jnp.exp(state.market.log_discount)
         paid = before if self._in_advance else jnp.exp(done.move.market.log_discount)

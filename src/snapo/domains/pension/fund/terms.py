@@ -2,9 +2,10 @@
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ..people.cash_flows import reserved
 from ..records.assets import Assets
@@ -79,17 +80,17 @@ class TradingLimits(NamedTuple):
 def trading_limits(assets: Assets, step: float) -> TradingLimits:
     """The trading limits of a case."""
     groups = [
-        jnp.array([getattr(group, side) for group in assets.groups], float)
+        xp.array([getattr(group, side) for group in assets.groups], float)
         for side in ("low", "high")
     ]
     return TradingLimits(
         # Copies: JAX remembers an array of the case in the type it met first.
-        jnp.array(assets.low),
-        jnp.array(assets.high),
+        xp.array(assets.low),
+        xp.array(assets.high),
         *groups,
-        max_sale=None if assets.max_sale is None else jnp.array(assets.max_sale) * step,
-        band=None if assets.band is None else jnp.array(assets.band),
-        turnover=None if assets.turnover is None else jnp.array(assets.turnover) * step,
+        max_sale=None if assets.max_sale is None else xp.array(assets.max_sale) * step,
+        band=None if assets.band is None else xp.array(assets.band),
+        turnover=None if assets.turnover is None else xp.array(assets.turnover) * step,
     )
 
 

@@ -7,9 +7,10 @@ mortality, ratings, currencies, asset classes with a separate shock.
 from collections.abc import Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import updated, xp
 
 from ..records.assets import Assets
 from ..records.case import PensionModel
@@ -43,8 +44,8 @@ def matrix(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "B B"]:
     below = np.tril_indices(len(position), -1)
     rows, columns = np.array(position, int)[below[0]], np.array(position, int)[below[1]]
     values = use(inputs, case.correlation.lower)
-    lower = jnp.zeros((len(names), len(names))).at[rows, columns].set(values)
-    return jnp.eye(len(names)) + lower + lower.T
+    lower = updated(xp.zeros((len(names), len(names))), (rows, columns), values)
+    return xp.eye(len(names)) + lower + lower.T
 
 
 def check_correlation(correlations: np.ndarray) -> float:

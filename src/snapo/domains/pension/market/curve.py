@@ -2,9 +2,10 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ..records.inputs import use
 from ..records.market import MarketCurve
@@ -26,8 +27,8 @@ def log_bond(curve: MarketCurve, inputs: dict[str, Any], years: np.ndarray) -> F
         at_nodes = -rate * nodes
         inside = -_between(nodes, rate, years) * np.minimum(years, nodes[-1])
     else:
-        at_nodes = -jnp.cumsum(rate * np.diff(nodes, prepend=0.0))
-        from_zero = jnp.concatenate([jnp.zeros(1), at_nodes])
+        at_nodes = -xp.cumsum(rate * np.diff(nodes, prepend=0.0))
+        from_zero = xp.concatenate([xp.zeros(1), at_nodes])
         inside = _between(np.concatenate([[0.0], nodes]), from_zero, years)
     outside = np.maximum(years - nodes[-1], 0.0)
     forward = rate[0]
@@ -47,4 +48,4 @@ def _between(nodes: np.ndarray, values: Array, at: np.ndarray) -> Array:
     lower = np.maximum(upper - 1, 0)
     width = np.where(upper > lower, nodes[upper] - nodes[lower], 1.0)
     share = np.clip((nodes[upper] - at) / width, 0.0, 1.0) * (upper > lower)
-    return jnp.asarray(share) * values[lower] + (1 - share) * values[upper]
+    return xp.asarray(share) * values[lower] + (1 - share) * values[upper]

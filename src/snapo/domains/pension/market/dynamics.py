@@ -8,9 +8,10 @@ and the rest later: shown' = a r + (1 - a) shown.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ..records.case import PensionModel
 from ..records.inputs import use
@@ -28,7 +29,7 @@ from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
 def shown_now(case: PensionModel) -> Array | None:
     """[q] the last returns that appraisals have shown; None in a case without any."""
     count = len(case.assets.smoothed)
-    return jnp.zeros(count) if count else None
+    return xp.zeros(count) if count else None
 
 
 def appraised(
@@ -43,7 +44,7 @@ def appraised(
     displayed = smoothing * log[smoothed] + (1 - smoothing) * displayed
     order = np.arange(len(case.assets.classes))
     order[smoothed] = len(order) + np.arange(len(smoothed))
-    return jnp.concatenate([log, displayed])[order], displayed
+    return xp.concatenate([log, displayed])[order], displayed
 
 
 class AssetTerms(NamedTuple):
@@ -174,9 +175,9 @@ def generated_schedule(
     onward = log_bond(case.curve, inputs, times[:-1] + LONG) - price[:-1]
     long = -(onward + shape(long_slope, results[0])[:-1, 0]) / LONG
     market = MarketTerms(
-        start=at_start(jnp.zeros(len(both.decay)), spread_now(case, inputs), shown_now(case)),
+        start=at_start(xp.zeros(len(both.decay)), spread_now(case, inputs), shown_now(case)),
         slope=node_slope,
-        rate_slope=jnp.stack([long_slope[0] / LONG, jnp.asarray(kinds[0].loads)]),
+        rate_slope=xp.stack([long_slope[0] / LONG, xp.asarray(kinds[0].loads)]),
         shock=factor(together),
         decay=both.decay,
         reach=both.reach,
@@ -187,7 +188,7 @@ def generated_schedule(
         assets=terms,
     )
     item = MarketSteps(
-        rate_level=jnp.stack([long, nominal_shift / d], axis=1),
+        rate_level=xp.stack([long, nominal_shift / d], axis=1),
         cash_shift=nominal_shift + risk[:, rates] @ both.reached[rates],
         price_shift=indices.price,
         index_volatility=indices.index_volatility,
@@ -202,14 +203,14 @@ def _nodes(case: PensionModel, both, kinds, result, years: np.ndarray):
     """`slope` [J, g] and `shape` [T+1, J] of the basis on which liabilities are valued."""
     which = 1 if case.liability.future_indexation == "full" else 0
     if case.liability.basis == "fixed":
-        return jnp.zeros((len(years), len(both.decay))), jnp.zeros((case.steps + 1, len(years)))
+        return xp.zeros((len(years), len(both.decay))), xp.zeros((case.steps + 1, len(years)))
     slopes = slope(both, kinds[which], years)
     return slopes, shape(slopes, result[which])
 
 
 def _mortality_volatility(case: PensionModel, inputs: dict[str, Any]) -> Array:
     lee_carter = case.lee_carter
-    return jnp.zeros(()) if lee_carter is None else use(inputs, lee_carter.volatility)
+    return xp.zeros(()) if lee_carter is None else use(inputs, lee_carter.volatility)
 
 
 def generated_move(
@@ -221,7 +222,7 @@ def generated_move(
     count = case.rates.count()
     # The factors' integrals over the step.
     complete = terms.reach * market.factors + now.volatility * shock[position.iota]
-    cash = now.cash_shift + jnp.sum(complete[:count])
+    cash = now.cash_shift + xp.sum(complete[:count])
     grown = grow(market.log_price, market.log_wage, complete[count], now, terms, position, shock)
     moved = returns(case, terms.assets, now, market, shock, cash)
     mortality = market.mortality
@@ -236,7 +237,7 @@ def generated_move(
         reported=moved.reported,
         log_discount=market.log_discount - cash,
     )
-    return Move(cash, jnp.exp(moved.log), moved.swaps, after, moved.beneath)
+    return Move(cash, xp.exp(moved.log), moved.swaps, after, moved.beneath)
 
 
 def supplied_schedule(
@@ -253,33 +254,33 @@ def supplied_schedule(
     short = np.array([case.step])
     terms = MarketTerms(
         start=at_start(start),
-        slope=jnp.asarray(slopes(nodes * case.step) * (not fixed)),
-        rate_slope=jnp.asarray(
+        slope=xp.asarray(slopes(nodes * case.step) * (not fixed)),
+        rate_slope=xp.asarray(
             np.concatenate([slopes(np.array([LONG])) / LONG, slopes(short) / short])
         ),
         swap_slope=None if case.overlay is None else _swap_slope(case, slopes),
     )
-    steps = MarketSteps(rate_level=jnp.zeros((case.steps, 2)))
-    return terms, steps, jnp.zeros((case.steps + 1, len(nodes)))
+    steps = MarketSteps(rate_level=xp.zeros((case.steps, 2)))
+    return terms, steps, xp.zeros((case.steps + 1, len(nodes)))
 
 
 def _swap_slope(case: PensionModel, slopes: Callable) -> Array:
     """[2, J, k] slopes of the swaps' payments before and after a step."""
     due = fixed_legs(case).steps
     both = [slopes(steps * case.step) for steps in (due, due - 1)]
-    return jnp.asarray(np.stack(both))
+    return xp.asarray(np.stack(both))
 
 
 def supplied_move(case: PensionModel, terms: MarketTerms, market: Market, noise: Array) -> Move:
     """A step of a scenario file: returns, inflation, wage growth, zero rates at its end."""
     count = len(case.assets.classes)
     gross, zeros = 1 + noise[:count], noise[count + 2 :]
-    cash = jnp.log(gross[case.assets.cash])
+    cash = xp.log(gross[case.assets.cash])
     swaps = None
     if terms.swap_slope is not None:
         before, later = terms.swap_slope[0] @ market.factors, terms.swap_slope[1] @ zeros
-        growth = jnp.expm1(before - later - cash)
-        swaps = jnp.log1p(gain(fixed_legs(case), jnp.exp(-before), growth))
+        growth = xp.expm1(before - later - cash)
+        swaps = xp.log1p(gain(fixed_legs(case), xp.exp(-before), growth))
     after = market._replace(
         factors=zeros,
         log_price=market.log_price + noise[count],

@@ -18,10 +18,10 @@ where the shift of step t is ln P(0, t) - ln P(0, t+d) + (G_t+d - G_t) / 2.
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import scan, xp
 
 from ..records.case import PensionModel
 from ..records.inputs import use
@@ -64,17 +64,15 @@ def factors(case: PensionModel, inputs: dict[str, Any]) -> MarketFactors:
     rates, inflation = case.rates, case.inflation
     both = [(rates.mean_reversion, inflation.mean_reversion)]
     both += [(rates.price_of_risk, inflation.price_of_risk)]
-    reversion, price = (jnp.append(use(inputs, a), use(inputs, b)) for a, b in both)
-    volatility = jnp.column_stack(
-        [use(inputs, rates.volatility), use(inputs, inflation.volatility)]
-    )
+    reversion, price = (xp.append(use(inputs, a), use(inputs, b)) for a, b in both)
+    volatility = xp.column_stack([use(inputs, rates.volatility), use(inputs, inflation.volatility)])
     nodes, weights = np.polynomial.legendre.leggauss(8 if case.step < 0.5 else 16)
     inner = reach(reversion[:, None], case.step * (nodes + 1) / 2)
     return MarketFactors(
         mean_reversion=reversion,
         volatility=volatility,
         price_of_risk=0 * price if case.risk_neutral else price,
-        decay=jnp.exp(-reversion * case.step),
+        decay=xp.exp(-reversion * case.step),
         reach=reach(reversion, case.step),
         reached=inner @ (weights * case.step / 2),
     )
@@ -82,7 +80,7 @@ def factors(case: PensionModel, inputs: dict[str, Any]) -> MarketFactors:
 
 def nominal(case: PensionModel) -> BondLoads:
     """Bonds that pay money."""
-    return BondLoads(np.append(np.ones(case.rates.count()), 0.0), jnp.zeros(case.steps))
+    return BondLoads(np.append(np.ones(case.rates.count()), 0.0), xp.zeros(case.steps))
 
 
 def real(case: PensionModel, inputs: dict[str, Any]) -> BondLoads:
@@ -112,9 +110,9 @@ def moments(
         )
         return after, after
 
-    start = jnp.zeros((count, count)), jnp.zeros(count), jnp.zeros(())
-    _, later = jax.lax.scan(step, start, steps)
-    return Moments(*(jnp.concatenate([zero[None], item]) for zero, item in zip(start, later)))
+    start = xp.zeros((count, count)), xp.zeros(count), xp.zeros(())
+    _, later = scan(step, start, steps, case.steps)
+    return Moments(*(xp.concatenate([zero[None], item]) for zero, item in zip(start, later)))
 
 
 def _grow(factors: MarketFactors, bond: BondLoads, covariance: Array, position: Slots):
@@ -125,7 +123,7 @@ def _grow(factors: MarketFactors, bond: BondLoads, covariance: Array, position: 
     local = bond.loading[:, None]
     ds = moved[:, :, None] * moved[:, None, :] * covariance[zeta[:, None], zeta]
     dc = moved * (loaded @ covariance[zeta[:, None], iota].T + local * covariance[zeta, index])
-    among = jnp.sum(loaded @ covariance[iota[:, None], iota] * loaded, axis=1)
+    among = xp.sum(loaded @ covariance[iota[:, None], iota] * loaded, axis=1)
     across = loaded @ covariance[iota, index]
     dtotal = among + bond.loading * (2 * across + bond.loading * covariance[index, index])
     return ds, dc, dtotal
@@ -133,15 +131,15 @@ def _grow(factors: MarketFactors, bond: BondLoads, covariance: Array, position: 
 
 def shift(log_bond: Float[Array, " T1"], result: Moments) -> Float[Array, " T"]:
     """The part of K on top of its factors in each step, so that the initial curve is met."""
-    return -jnp.diff(log_bond) + jnp.diff(result.total) / 2
+    return -xp.diff(log_bond) + xp.diff(result.total) / 2
 
 
 def slope(factors: MarketFactors, bond: BondLoads, years: np.ndarray) -> Float[Array, "n g"]:
     """l B(u): by how much ln P(t, t+u) falls per unit of each factor."""
-    return jnp.asarray(bond.loads) * reach(factors.mean_reversion, years[:, None])
+    return xp.asarray(bond.loads) * reach(factors.mean_reversion, years[:, None])
 
 
 def shape(slopes: Float[Array, "n g"], result: Moments) -> Float[Array, "T1 n"]:
     """ln P(t, t+u) at factors of zero, beyond the ratio of the initial prices."""
-    convexity = jnp.einsum("ni,tij,nj->tn", slopes, result.factors, slopes) / 2
+    convexity = xp.einsum("ni,tij,nj->tn", slopes, result.factors, slopes) / 2
     return -result.cross @ slopes.T - convexity

@@ -13,9 +13,10 @@ of ln I falls by C(u, T).
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ..records.case import PensionModel
 from ..records.inputs import use
@@ -67,20 +68,20 @@ def price_growth(case: PensionModel, inputs: dict[str, Any], today: bool = False
     # Payments follow an increase all the year; the middle one represents them.
     after = ((item - 1) / 2 + (case.plan.timing == "arrears")) * d
     due = model.with_rates(years[:, 1:, None], years[:, None, :], after)  # [phases, n, k]
-    at = jnp.concatenate([jnp.zeros((len(phases), 1)), model.with_rates_at(years[:, 1:])], axis=1)
-    variance = jnp.diagonal(spread, axis1=1, axis2=2)
-    falls = jnp.diff(due, axis=2)
-    own_fall = jnp.diagonal(falls, axis1=1, axis2=2)
+    at = xp.concatenate([xp.zeros((len(phases), 1)), model.with_rates_at(years[:, 1:])], axis=1)
+    variance = xp.diagonal(spread, axis1=1, axis2=2)
+    falls = xp.diff(due, axis=2)
+    own_fall = xp.diagonal(falls, axis1=1, axis2=2)
     phase = np.searchsorted(phases, first)
     mean = model.forward(times, dates[phase])
-    steady = jnp.diff(at, axis=1) - jnp.diff(variance, axis=1) / 2 - own_fall
-    together = jnp.einsum("ki,pij,lj->pkl", step, spread, step)
+    steady = xp.diff(at, axis=1) - xp.diff(variance, axis=1) / 2 - own_fall
+    together = xp.einsum("ki,pij,lj->pkl", step, spread, step)
     return PriceGrowth(
         phase=phase,
         first=first,
-        mean=jnp.diff(mean, axis=1) + steady[phase],
-        load=jnp.diff(reach(model.reversion, years), axis=1),
-        variance=jnp.diagonal(together, axis1=1, axis2=2),
+        mean=xp.diff(mean, axis=1) + steady[phase],
+        load=xp.diff(reach(model.reversion, years), axis=1),
+        variance=xp.diagonal(together, axis1=1, axis2=2),
         together=together,
         later=falls - own_fall[:, None, :],
     )
@@ -108,9 +109,9 @@ class _Model:
         m, k = np.minimum(u, v), self.reversion
 
         def left(w):
-            return (jnp.exp(-k * (w - m)) - jnp.exp(-k * w)) / k
+            return (xp.exp(-k * (w - m)) - xp.exp(-k * w)) / k
 
-        product = (jnp.exp(-k * (u + v - 2 * m)) - jnp.exp(-k * (u + v))) / (2 * k)
+        product = (xp.exp(-k * (u + v - 2 * m)) - xp.exp(-k * (u + v))) / (2 * k)
         squares = (m - left(u) - left(v) + product) / k**2
         crossed = (2 * m - left(u) - left(v)) / k
         return self.expected * squares + self.both * crossed + self.index * m
@@ -124,13 +125,13 @@ class _Model:
         return self._with(u, u)
 
     def _with(self, u: np.ndarray, paid: np.ndarray) -> Array:
-        k, result = self.reversion, jnp.zeros(np.broadcast_shapes(np.shape(u), np.shape(paid)))
+        k, result = self.reversion, xp.zeros(np.broadcast_shapes(np.shape(u), np.shape(paid)))
         for i in range(self.case.rates.count()):
             a = self.rates[i]
-            left = (jnp.exp(-a * (paid - u)) - jnp.exp(-a * paid)) / a
+            left = (xp.exp(-a * (paid - u)) - xp.exp(-a * paid)) / a
             single = (u - left) / a
-            faded = (jnp.exp(-a * (paid - u)) - jnp.exp(-k * u - a * paid)) / (k + a)
-            double = (u + jnp.expm1(-k * u) / k - left + faded) / (k * a)
+            faded = (xp.exp(-a * (paid - u)) - xp.exp(-k * u - a * paid)) / (k + a)
+            double = (u + xp.expm1(-k * u) / k - left + faded) / (k * a)
             result = result + self.drift[i] * double + self.own_load[i] * single
         return result
 
@@ -144,7 +145,7 @@ class _Model:
             return index[dates]
         both, together = factors(case, inputs), covariance(case, inputs)
         far = np.arange(dates.max() + 1)
-        change = jnp.zeros((len(times), len(far)))
+        change = xp.zeros((len(times), len(far)))
         for sign, bond in ((1.0, real(case, inputs)), (-1.0, nominal(case))):
             slopes = slope(both, bond, far * d)
             change = change + sign * shape(slopes, moments(case, both, bond, together))

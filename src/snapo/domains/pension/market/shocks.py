@@ -7,9 +7,10 @@ plain increment. No volatility enters, so a volatility of zero is allowed.
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import updated, xp
 
 from ..records.case import PensionModel
 from ..records.inputs import use
@@ -57,7 +58,7 @@ def slots(case: PensionModel) -> Slots:
 
 def reach(mean_reversion, years):
     """B(u) = (1 - exp(-a u)) / a."""
-    return -jnp.expm1(-mean_reversion * years) / mean_reversion
+    return -xp.expm1(-mean_reversion * years) / mean_reversion
 
 
 def covariance(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "Z Z"]:
@@ -65,22 +66,22 @@ def covariance(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "Z Z"
     position, brownian = slots(case), _brownian(case)
     nodes, weights = np.polynomial.legendre.leggauss(8 if case.step < 0.5 else 16)
     left = case.step * (nodes + 1) / 2
-    reversion = jnp.append(
+    reversion = xp.append(
         use(inputs, case.rates.mean_reversion), use(inputs, case.inflation.mean_reversion)
     )
-    loads = jnp.ones((position.size, len(left)))
-    loads = loads.at[position.zeta].set(jnp.exp(-reversion[:, None] * left))
-    loads = loads.at[position.iota].set(reach(reversion[:, None], left))
-    fading = jnp.exp(-use(inputs, case.credit.mean_reversion)[:, None] * left)
-    loads = loads.at[position.spread].set(fading)
+    loads = xp.ones((position.size, len(left)))
+    loads = updated(loads, position.zeta, xp.exp(-reversion[:, None] * left))
+    loads = updated(loads, position.iota, reach(reversion[:, None], left))
+    fading = xp.exp(-use(inputs, case.credit.mean_reversion)[:, None] * left)
+    loads = updated(loads, position.spread, fading)
     together = (loads * (weights * case.step / 2)) @ loads.T
     return together * matrix(case, inputs)[brownian[:, None], brownian]
 
 
 def factor(covariance: Float[Array, "Z Z"]) -> Float[Array, "Z Z"]:
     """The lower triangular matrix that transforms independent normals into the vector."""
-    scale = jnp.sqrt(jnp.diag(covariance))
-    return scale[:, None] * jnp.linalg.cholesky(covariance / scale / scale[:, None])
+    scale = xp.sqrt(xp.diag(covariance))
+    return scale[:, None] * xp.linalg.cholesky(covariance / scale / scale[:, None])
 
 
 def _brownian(case: PensionModel) -> np.ndarray:

@@ -16,13 +16,14 @@ EIOPA, Technical documentation of the methodology to derive EIOPA's risk-free in
 structures, 12 September 2019, sections 7 and 8 (a rounded up to six decimals there, here not).
 """
 
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float, jax
+from snapo.problem.record.either import derivative, fixed, in_use, over, repeated, xp
 
 from ..records.market import MarketCurve
 
@@ -46,22 +47,30 @@ def log_bond(
     """ln P(0, t) at times `years` [times] >= 0; derivatives take a computed speed into account."""
     result = fit(curve, rate, ultimate)
     added = heart(years, result.dates, result.speed) @ result.weights
-    return jnp.log1p(added) - ultimate * years
+    return xp.log1p(added) - ultimate * years
 
 
 def fit(curve: MarketCurve, rate: Array, ultimate: Array) -> CurveFit:
     """The weights that meet the quotes `rate` [n]."""
-    form = jax.tree.map(lambda leaf: None, curve)
-    weights, speed = _fitted(form, rate, ultimate)
+    if in_use():
+        weights, speed = _fitted(curve, rate, ultimate)
+    else:
+        form = jax.tree.map(lambda leaf: None, curve)
+        weights, speed = _compiled()(form, rate, ultimate)
     return CurveFit(_dates(curve), weights, speed)
 
 
-@partial(jax.jit, static_argnums=0)  # once for each form: the search for a speed takes a second
+@cache
+def _compiled() -> Callable[..., tuple[Array, Array]]:
+    """Compiled once for each form: in a trace the search for a speed takes a second."""
+    return jax.jit(_fitted, static_argnums=0)
+
+
 def _fitted(curve: MarketCurve, rate: Array, ultimate: Array) -> tuple[Array, Array]:
     dates, flows = cash_flows(curve, rate)
-    local = jnp.exp(-ultimate * dates)[:, None] * flows.T
+    local = xp.exp(-ultimate * dates)[:, None] * flows.T
     if curve.speed is not None:
-        speed = jnp.asarray(curve.speed)
+        speed = xp.asarray(curve.speed)
     else:
         speed = _found_speed(dates, local, curve.convergence)
     return _weights(dates, local, speed), speed
@@ -78,7 +87,7 @@ def cash_flows(curve: MarketCurve, rate: Array) -> tuple[np.ndarray, Float[Array
     pay the swap rate every year."""
     dates = _dates(curve)
     if curve.quote == "zero":
-        return dates, jnp.diag(jnp.exp(rate * dates))
+        return dates, xp.diag(xp.exp(rate * dates))
     coupon, last = dates <= curve.tenor[:, None], dates == curve.tenor[:, None]
     return dates, rate[:, None] * coupon + last
 
@@ -86,38 +95,58 @@ def cash_flows(curve: MarketCurve, rate: Array) -> tuple[np.ndarray, Float[Array
 def heart(times: np.ndarray, dates: np.ndarray, speed: Array) -> Float[Array, "times m"]:
     """H(t, u)."""
     total, apart = times[:, None] + dates, np.abs(times[:, None] - dates)
-    return (speed * (total - apart) + jnp.exp(-speed * total) - jnp.exp(-speed * apart)) / 2
+    return (speed * (total - apart) + xp.exp(-speed * total) - xp.exp(-speed * apart)) / 2
 
 
 def distance(dates: np.ndarray, local: Array, speed: Array, convergence: float) -> Array:
     """ln of |f(T) - w| over the required one; 0 or less where it is met."""
     weights = _weights(dates, local, speed)
-    k = (1 + speed * dates @ weights) / (jnp.sinh(speed * dates) @ weights)
-    gap = speed / jnp.abs(1 - k * jnp.exp(speed * convergence))
-    return jnp.log(gap / NEAR)
+    k = (1 + speed * dates @ weights) / (xp.sinh(speed * dates) @ weights)
+    gap = speed / xp.abs(1 - k * xp.exp(speed * convergence))
+    return xp.log(gap / NEAR)
 
 
 def _weights(dates: np.ndarray, local: Array, speed: Array) -> Float[Array, " m"]:
     matrix = local.T @ heart(dates, dates, speed) @ local
-    return local @ jnp.linalg.solve(matrix, 1 - local.sum(0))
+    return local @ xp.linalg.solve(matrix, 1 - local.sum(0))
 
 
 def _found_speed(dates: np.ndarray, local: Array, convergence: float) -> Array:
     """The least speed that converges, differentiated by the implicit function theorem."""
-    held = jax.lax.stop_gradient(local)
+    held = fixed(local)
 
     def missed(speed, custom=held):
         return distance(dates, custom, speed, convergence)
 
+    if in_use():
+        speed = _remembered(tuple(dates), held.shape, held.tobytes(), convergence)
+    else:
+        speed = _search(dates, held, convergence)
+    # One step of Newton's method leaves no error, and its derivative is that of the root.
+    moved = speed - missed(speed, local) / fixed(derivative(missed)(speed))
+    return xp.where(missed(xp.asarray(MINIMUM)) > 0, moved, MINIMUM)
+
+
+def _search(dates: np.ndarray, local: Any, convergence: float) -> Any:
+    """The middle of the last interval in which the speed lies."""
+
+    def missed(speed):
+        return distance(dates, local, speed, convergence)
+
     def closer(_, position):
         low, width = position
         grid = low + width * SHARES
-        first = jnp.argmax(jax.vmap(missed)(grid) <= 0)
-        return jnp.maximum(grid[first] - width * SHARES[1], MINIMUM), width * SHARES[1]
+        first = xp.argmax(over(missed)(grid) <= 0)
+        return xp.maximum(grid[first] - width * SHARES[1], MINIMUM), width * SHARES[1]
 
-    start = jnp.asarray(MINIMUM), jnp.asarray(MAXIMUM - MINIMUM)
-    low, width = jax.lax.fori_loop(0, ROUNDS, closer, start)
-    speed = low + width / 2
-    # One step of Newton's method leaves no error, and its derivative is that of the root.
-    moved = speed - missed(speed, local) / jax.lax.stop_gradient(jax.grad(missed)(speed))
-    return jnp.where(missed(jnp.asarray(MINIMUM)) > 0, moved, MINIMUM)
+    start = xp.asarray(MINIMUM), xp.asarray(MAXIMUM - MINIMUM)
+    low, width = repeated(ROUNDS, closer, start)
+    return low + width / 2
+
+
+@lru_cache(maxsize=4)  # derivatives with respect to all quotes need one search
+def _remembered(
+    dates: tuple[float, ...], shape: tuple[int, ...], local: bytes, convergence: float
+) -> Any:
+    """`_search` in NumPy, of `local` as bytes."""
+    return _search(np.array(dates), np.frombuffer(local).reshape(shape), convergence)

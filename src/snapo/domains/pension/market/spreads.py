@@ -4,9 +4,10 @@ the unhedged share, the cost of hedging and the premium.
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+
+from snapo.problem.record.arrays import Array
+from snapo.problem.record.either import xp
 
 from ..records.case import PensionModel
 from ..records.inputs import use
@@ -22,7 +23,7 @@ class SpreadTerms(NamedTuple):
 def spread_terms(case: PensionModel, inputs: dict[str, Any]) -> SpreadTerms:
     """The numbers of a case's ratings."""
     credit = case.credit
-    fading = jnp.exp(-use(inputs, credit.mean_reversion) * case.step)
+    fading = xp.exp(-use(inputs, credit.mean_reversion) * case.step)
     return SpreadTerms(fading, use(inputs, credit.volatility))
 
 
@@ -30,7 +31,7 @@ def spread_now(case: PensionModel, inputs: dict[str, Any]) -> Array | None:
     """[R] u today; None in a case without ratings."""
     if not case.credit.names:
         return None
-    return jnp.log(use(inputs, case.credit.spread) / use(inputs, case.credit.mean_spread))
+    return xp.log(use(inputs, case.credit.spread) / use(inputs, case.credit.mean_spread))
 
 
 def next_spread(terms: SpreadTerms, spread: Array | None, shock: Array) -> Array | None:
@@ -59,4 +60,4 @@ def currency_terms(case: PensionModel, inputs: dict[str, Any]) -> CurrencyTerms:
 
 def of_currency(values: Array, currency: np.ndarray) -> Array:
     """`values` [X] of each asset's currency, zero for one without a currency (-1)."""
-    return jnp.append(values, jnp.zeros(1, values.dtype))[currency]
+    return xp.append(values, xp.zeros(1, values.dtype))[currency]

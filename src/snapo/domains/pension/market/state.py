@@ -2,9 +2,8 @@
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import tree_map, xp
 
 LONG = 10.0  # years of the long rate that a policy may see
 
@@ -71,7 +70,7 @@ class Move(NamedTuple):
 
 def at_start(factors: Array, spread: Array | None = None, displayed: Array | None = None) -> Market:
     """The market at time 0."""
-    zero = jnp.zeros(())
+    zero = xp.zeros(())
     return Market(factors, zero, zero, zero, spread, displayed, zero)
 
 
@@ -82,4 +81,4 @@ def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) ->
 
 def without_empty(tree: Any) -> Any:
     """The same without arrays of size zero, which represent absent parts of a case."""
-    return jax.tree.map(lambda leaf: leaf if leaf.size else None, tree)
+    return tree_map(lambda leaf: leaf if leaf.size else None, tree)

@@ -19,9 +19,10 @@ begins at the member's death, whenever that is. The accrual of a step is paid fr
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import added, updated, xp
 
 from ..records.case import PensionModel
 from ..records.inputs import is_empty, use
@@ -77,15 +78,15 @@ def project(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, "
     # The accrual of step t is paid from step t + 1 on; no one lives longer than `PAYMENT_YEARS`.
     wait = np.arange(count) - np.arange(case.steps)[:, None]
     within = count - case.steps
-    fresh = jnp.where((wait > 0) & (wait < within), streams.accrual.T @ streams.unit, 0.0)
-    accrued = jnp.where(np.arange(count) < within, streams.held @ streams.unit, 0.0)
+    fresh = xp.where((wait > 0) & (wait < within), streams.accrual.T @ streams.unit, 0.0)
+    accrued = xp.where(np.arange(count) < within, streams.held @ streams.unit, 0.0)
     return Projection(accrued, fresh, payroll, streams)
 
 
 def reserved(case: PensionModel, inputs: dict[str, Any]) -> Array:
     """The reserve per unit of value of a payment: one plus the loading for expenses."""
     loading = case.liability.loading
-    return jnp.ones(()) if loading is None else 1 + use(inputs, loading)
+    return xp.ones(()) if loading is None else 1 + use(inputs, loading)
 
 
 def horizon(case: PensionModel) -> int:
@@ -101,7 +102,7 @@ def _streams(
     drawn = drawing(case, lives, count)
     alive = lives.alive[:, shift : count + shift]
     growth = grown(case, inputs, lives, drawn)
-    local, paid = case.step * drawn * alive, jnp.asarray(case.step)
+    local, paid = case.step * drawn * alive, xp.asarray(case.step)
     rights = _accrual(case, inputs, lives)
     if growth is not None:
         local, paid = local * growth.member, paid * growth.payment
@@ -111,16 +112,16 @@ def _streams(
     one, none = np.ones(len(groups)), np.zeros(len(groups))
     if is_empty(plan.spouse_share) or is_empty(plan.married_share):
         return Streams(local, lives.pension, rights, lives, groups, one, none)
-    entered = jnp.ones(len(groups) - len(status), bool)
-    insured = jnp.concatenate([jnp.asarray(status) != SPOUSE, entered])
+    entered = xp.ones(len(groups) - len(status), bool)
+    insured = xp.concatenate([xp.asarray(status) != SPOUSE, entered])
     share = use(inputs, plan.spouse_share) * use(inputs, plan.married_share) * insured
     widowed = _partner_alive(case, inputs, lives)[:, shift : count + shift]
     widowed = share[:, None] * widowed * (time >= lives.entry[:, None]) * paid
     if growth is None or plan.revaluation is None:
         return Streams(
-            unit=jnp.concatenate([local, widowed, -widowed * alive]),
-            held=jnp.tile(lives.pension, 3),
-            accrual=jnp.concatenate([rights, rights * lives.alive[:, :steps], rights]),
+            unit=xp.concatenate([local, widowed, -widowed * alive]),
+            held=xp.tile(lives.pension, 3),
+            accrual=xp.concatenate([rights, rights * lives.alive[:, :steps], rights]),
             lives=lives,
             group=np.tile(groups, 3),
             member=np.concatenate([one, none, one]),
@@ -129,11 +130,11 @@ def _streams(
     ratio = growth.member / growth.payment
     left, before = _left(lives.alive, ratio, shift), alive * ratio
     return Streams(
-        unit=jnp.concatenate(
+        unit=xp.concatenate(
             [local, widowed * (left[:, shift : count + shift] + before), -widowed * before, widowed]
         ),
-        held=jnp.concatenate([jnp.tile(lives.pension, 3), 0 * lives.pension]),
-        accrual=jnp.concatenate([rights, rights, rights, -rights * left[:, :steps]]),
+        held=xp.concatenate([xp.tile(lives.pension, 3), 0 * lives.pension]),
+        accrual=xp.concatenate([rights, rights, rights, -rights * left[:, :steps]]),
         lives=lives,
         group=np.tile(groups, 4),
         member=np.concatenate([one, none, one, none]),
@@ -152,19 +153,19 @@ def _left(alive: Array, ratio: Array, shift: int) -> Float[Array, "C N+1"]:
     deaths = alive[:, :-1] - alive[:, 1:]
     count = deaths.shape[1]
     at = np.minimum(np.arange(1, count + 1) - shift, count - 1)
-    total = jnp.cumsum(deaths * ratio[:, at], axis=1)
-    return jnp.concatenate([jnp.zeros_like(total[:, :1]), total], axis=1)
+    total = xp.cumsum(deaths * ratio[:, at], axis=1)
+    return xp.concatenate([xp.zeros_like(total[:, :1]), total], axis=1)
 
 
 def _accrual(case: PensionModel, inputs: dict[str, Any], lives: Lives) -> Float[Array, "C T"]:
     """Yearly pension that each step accrues per member of entry, who must be alive for it."""
     plan, steps = case.plan, case.steps
     if not plan.accruing:
-        return jnp.zeros((len(lives.age), steps))
+        return xp.zeros((len(lives.age), steps))
     since = (np.arange(steps) - lives.entry[:, None]) * case.step
     counts = share_before(plan.max_service, lives.service[:, None] + since, case.step)
     rate = use(inputs, plan.accrual_rate) * case.step
-    return rate * lives.base[:, None] * jnp.minimum(working(case, lives, steps), counts)
+    return rate * lives.base[:, None] * xp.minimum(working(case, lives, steps), counts)
 
 
 def _partner_alive(case: PensionModel, inputs: dict[str, Any], lives: Lives) -> Array:
@@ -174,7 +175,7 @@ def _partner_alive(case: PensionModel, inputs: dict[str, Any], lives: Lives) -> 
     path = log_survival(case, inputs, sex, age, count)
     start = path[np.arange(len(age)), lives.entry][:, None]
     since = np.arange(count + 1) >= lives.entry[:, None]
-    return jnp.exp(jnp.where(since, path - start, 0.0))
+    return xp.exp(xp.where(since, path - start, 0.0))
 
 
 def _payroll(
@@ -185,7 +186,7 @@ def _payroll(
     item = use(inputs, members.number) * use(inputs, members.salary) * case.step
     at_work = working(case, lives, steps) * lives.alive[:, :steps]
     paid = item @ at_work
-    return jnp.full(steps, paid[0]) if case.plan.open else paid
+    return xp.full(steps, paid[0]) if case.plan.open else paid
 
 
 def _given(
@@ -197,18 +198,18 @@ def _given(
     """
     count, steps = horizon(case), case.steps
     amount = use(inputs, flows.amount)
-    accrued = jnp.zeros(count).at[flows.step].add(amount)
+    accrued = added(xp.zeros(count), flows.step, amount)
     growth = in_payment(case, inputs, count)
-    payroll = jnp.full(steps + 1, use(inputs, flows.salary) * case.step)
-    none = jnp.zeros((steps, count))
+    payroll = xp.full(steps + 1, use(inputs, flows.salary) * case.step)
+    none = xp.zeros((steps, count))
     if not case.plan.accruing or is_empty(flows.normal_cost):
         return Projection(accrued * growth, none, payroll, None)
     shift = int(case.plan.timing == "arrears")
-    discount = jnp.exp(log_bond[shift : count + shift])
-    profile = accrued.at[0].set(0.0)
+    discount = xp.exp(log_bond[shift : count + shift])
+    profile = updated(accrued, 0, 0.0)
     value = reserved(case, inputs) * ((profile * growth) @ discount)
-    profile = profile * use(inputs, flows.normal_cost) / jnp.where(value > 0, value, 1.0)
+    profile = profile * use(inputs, flows.normal_cost) / xp.where(value > 0, value, 1.0)
     later = np.arange(count) - np.arange(steps)[:, None]
-    fresh = jnp.where(later > 0, profile[np.maximum(later, 0)], 0.0)
+    fresh = xp.where(later > 0, profile[np.maximum(later, 0)], 0.0)
     fresh = fresh * growth / growth[:steps, None]
     return Projection(accrued * growth, fresh, payroll, None)

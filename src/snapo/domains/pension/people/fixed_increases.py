@@ -7,9 +7,10 @@ deferred members until their pension begins, one for actives in service.
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ..records.case import PensionModel
 from ..records.inputs import use
@@ -35,8 +36,8 @@ def in_payment(case: PensionModel, inputs: dict[str, Any], count: int) -> Float[
     """[count] a pension in payment, grown, in each step; ones without fixed increases."""
     rule = case.plan.indexation
     if rule.kind != "fixed" or rule.rate is None:
-        return jnp.ones(count)
-    return (1 + use(inputs, rule.rate)) ** jnp.asarray(_dates(case, count), float)
+        return xp.ones(count)
+    return (1 + use(inputs, rule.rate)) ** xp.asarray(_dates(case, count), float)
 
 
 def grown(
@@ -53,16 +54,16 @@ def grown(
     if apart is None:
         if case.plan.indexation.kind != "fixed":
             return None
-        return GrownPensions(jnp.broadcast_to(payment, drawn.shape), payment)
-    dates = jnp.asarray(_dates(case, count), float)
+        return GrownPensions(xp.broadcast_to(payment, drawn.shape), payment)
+    dates = xp.asarray(_dates(case, count), float)
     active, deferred = ((1 + use(inputs, rate)) ** dates for rate in (apart.active, apart.deferred))
-    before = jnp.where(lives.earning[:, None], active, deferred)
+    before = xp.where(lives.earning[:, None], active, deferred)
     # The first step of payment; a pension that never begins waits to the end.
-    waits = count - jnp.sum(jnp.cumsum(drawn > 0, axis=1) > 0, axis=1)
-    first = jnp.minimum(waits, count - 1)
-    started = (jnp.take_along_axis(before, first[:, None], 1)) / payment[first][:, None]
+    waits = count - xp.sum(xp.cumsum(drawn > 0, axis=1) > 0, axis=1)
+    first = xp.minimum(waits, count - 1)
+    started = (xp.take_along_axis(before, first[:, None], 1)) / payment[first][:, None]
     return GrownPensions(
-        jnp.where(np.arange(count) < waits[:, None], before, started * payment), payment
+        xp.where(np.arange(count) < waits[:, None], before, started * payment), payment
     )
 
 

@@ -14,9 +14,10 @@ curve, and their profile over time is that of baseline wages.
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ..records.case import LeeCarter, PensionModel
 from ..records.inputs import use
@@ -44,25 +45,25 @@ def longevity(
     steps, count = case.steps, horizon(case)
     response = _response(case, inputs, case.lee_carter, streams)
     growth = use(inputs, case.inflation.real_wage_growth) * case.step
-    gained = jnp.exp(growth * jnp.arange(steps)) * streams.accrual
+    gained = xp.exp(growth * xp.arange(steps)) * streams.accrual
     rights = streams.held[:, None] + accumulate(gained)
     shift = int(case.plan.timing == "arrears")
     at_payment = response[:, shift : count + shift]
     here = response[:, : steps + 1]
     flow = rights.T @ (streams.unit * at_payment) - (rights * here).T @ streams.unit
-    value = streams.unit * jnp.exp(log_bond[shift : count + shift])
-    ahead = jnp.cumsum(value[:, ::-1], axis=1)[:, ::-1]
+    value = streams.unit * xp.exp(log_bond[shift : count + shift])
+    ahead = xp.cumsum(value[:, ::-1], axis=1)[:, ::-1]
     weight = rights[:, 1:] * ahead[:, 1 : steps + 1]
     total = weight.sum(0)
-    fall = jnp.sum(weight * (here[:, 1:] - here[:, :-1]), axis=0)
-    return Longevity(jnp.append(_mean(fall, total), 0.0), flow)
+    fall = xp.sum(weight * (here[:, 1:] - here[:, :-1]), axis=0)
+    return Longevity(xp.append(_mean(fall, total), 0.0), flow)
 
 
 def _mean(total: Array, weight: Array) -> Array:
     """`total` over `weight`; 0, without a gradient, where the weight is zero or so small that its
     square, by which the derivative divides, is not: payments to people who are surely dead."""
     due = weight > np.sqrt(np.finfo(weight.dtype).tiny)
-    return jnp.where(due, total / jnp.where(due, weight, 1.0), 0.0)
+    return xp.where(due, total / xp.where(due, weight, 1.0), 0.0)
 
 
 def _response(
@@ -73,12 +74,12 @@ def _response(
     loading = use(inputs, factor.loading)
     local = (lives.sex, lives.age, count, loading, lives.factor)
     member = accumulate(step_hazards(case, inputs, *local))
-    response = jnp.asarray(streams.member[:, None]) * member[streams.group]
+    response = xp.asarray(streams.member[:, None]) * member[streams.group]
     if not np.any(streams.spouse):
         return response
     sex, age = partner(case.plan, lives.sex, lives.age)
     other = accumulate(step_hazards(case, inputs, sex, age, count, loading))
-    return response + jnp.asarray(streams.spouse[:, None]) * other[streams.group]
+    return response + xp.asarray(streams.spouse[:, None]) * other[streams.group]
 
 
 class People(NamedTuple):
@@ -132,10 +133,10 @@ def people(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " 
     """
     steps, result = case.steps, project(case, inputs, log_bond)
     growth = use(inputs, case.inflation.real_wage_growth) * case.step
-    baseline = jnp.exp(growth * jnp.arange(steps + 1))
+    baseline = xp.exp(growth * xp.arange(steps + 1))
     # Row t: rights accrued in steps before t; payments already made are left out.
     by_step = baseline[:steps, None] * result.fresh
-    fresh = jnp.concatenate([jnp.zeros((1, by_step.shape[1])), jnp.cumsum(by_step, axis=0)])
+    fresh = xp.concatenate([xp.zeros((1, by_step.shape[1])), xp.cumsum(by_step, axis=0)])
     discount = forward_discount(case, log_bond)
     complete = reserved(case, inputs)
     accrued_value = complete * on_nodes(case, result.accrued, discount)
@@ -149,10 +150,10 @@ def people(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " 
         benefit=result.accrued[: steps + 1],
         fresh_benefit=fresh[here, here],
         payroll=result.payroll,
-        expenses=jnp.full(steps + 1, use(inputs, case.plan.expenses) * case.step),
+        expenses=xp.full(steps + 1, use(inputs, case.plan.expenses) * case.step),
         baseline=baseline,
         mix=_with_row(_mix(case, complete * by_step, fresh_value, discount)),
-        decline=jnp.zeros(steps + 1) if deaths is None else deaths.decline,
+        decline=xp.zeros(steps + 1) if deaths is None else deaths.decline,
         outlook=_outlook(case, deaths, result, fresh, discount),
     )
 
@@ -171,7 +172,7 @@ def paid_at(case: PensionModel, step: np.ndarray) -> np.ndarray:
 def forward_discount(case: PensionModel, log_bond: Array) -> Float[Array, "times S"]:
     """P0(payment) / P0(t) [T+1, S] of the payments of steps t, t + 1, ..."""
     now = log_bond[: case.steps + 1, None]
-    return jnp.exp(log_bond[paid_at(case, ahead(case))] - now)
+    return xp.exp(log_bond[paid_at(case, ahead(case))] - now)
 
 
 def on_nodes(case: PensionModel, flow: Array, discount: Array) -> Float[Array, "times J"]:
@@ -179,7 +180,7 @@ def on_nodes(case: PensionModel, flow: Array, discount: Array) -> Float[Array, "
     times = discount.shape[0]
     position = ahead(case)[:times]
     due = flow[position] if flow.ndim == 1 else flow[np.arange(times)[:, None], position]
-    return (due * discount) @ jnp.asarray(_split(case))
+    return (due * discount) @ xp.asarray(_split(case))
 
 
 def _split(case: PensionModel) -> np.ndarray:
@@ -197,14 +198,14 @@ def _split(case: PensionModel) -> np.ndarray:
 
 def _with_row(rows: Array) -> Array:
     """Rows of T steps and one of zeros for the horizon."""
-    return jnp.concatenate([rows, jnp.zeros_like(rows[:1])])
+    return xp.concatenate([rows, xp.zeros_like(rows[:1])])
 
 
 def _mix(case: PensionModel, by_step: Array, fresh: Array, discount: Array) -> Float[Array, " T"]:
     """Value after step t of its accrual, over that of all fresh rights."""
     steps, value = case.steps, fresh[1:].sum(1)
     due = by_step[np.arange(steps)[:, None], ahead(case)[1:]]
-    local = jnp.sum(due * discount[1:], axis=1)
+    local = xp.sum(due * discount[1:], axis=1)
     return _mean(local, value)
 
 
@@ -217,7 +218,7 @@ def _outlook(
 ) -> Float[Array, "times J"]:
     """Mean response of each node's payments, weighted with their value; 0 if none is due."""
     if deaths is None:
-        return jnp.zeros((case.steps + 1, len(nodes(case.step))))
+        return xp.zeros((case.steps + 1, len(nodes(case.step))))
     flow = projection.accrued + fresh
     value = on_nodes(case, flow, discount)
     weighted = on_nodes(case, deaths.flow, discount)

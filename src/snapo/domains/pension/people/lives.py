@@ -2,10 +2,10 @@
 
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import solve_lower, xp
 
 from ..records.case import PensionModel
 from ..records.inputs import use
@@ -41,9 +41,9 @@ class Lives(NamedTuple):
 
 def share_before(until: Any, time: Any, step: float) -> Array:
     """The share of a step that begins at `time` which lies before `until`, years; 0 to 1."""
-    share = jnp.clip((until - time) / step, 0.0, 1.0)
+    share = xp.clip((until - time) / step, 0.0, 1.0)
     near = TINY / step
-    return jnp.where(share < near, 0.0, jnp.where(share > 1 - near, 1.0, share))
+    return xp.where(share < near, 0.0, xp.where(share > 1 - near, 1.0, share))
 
 
 def working(case: PensionModel, lives: Lives, steps: int) -> Array:
@@ -59,28 +59,28 @@ def drawing(case: PensionModel, lives: Lives, steps: int) -> Array:
     time = np.arange(steps)
     age = lives.age[:, None] + time * case.step
     old = 1 - share_before(case.plan.retirement_age, age, case.step)
-    return jnp.where(lives.waiting[:, None], old, 1.0) * (time >= lives.entry[:, None])
+    return xp.where(lives.waiting[:, None], old, 1.0) * (time >= lives.entry[:, None])
 
 
 def present(case: PensionModel, inputs: dict[str, Any], members: FundMembers, steps: int) -> Lives:
     """The cohorts of the case."""
     age = rounded_age(case.plan, members.age)
-    status = jnp.asarray(members.status)
+    status = xp.asarray(members.status)
     earning = status == ACTIVE
     number = use(inputs, members.number)
-    salary = jnp.where(earning, use(inputs, members.salary), 0.0)
+    salary = xp.where(earning, use(inputs, members.salary), 0.0)
     factor = None if members.mortality is None else use(inputs, members.mortality)
-    above = jnp.maximum(salary - use(inputs, case.plan.offset), 0.0)
+    above = xp.maximum(salary - use(inputs, case.plan.offset), 0.0)
     return Lives(
-        sex=jnp.asarray(members.sex),
+        sex=xp.asarray(members.sex),
         age=age,
         entry=np.zeros(len(age), int),
-        service=jnp.asarray(members.service),
+        service=xp.asarray(members.service),
         earning=earning,
         waiting=earning | (status == DEFERRED),
-        base=number * jnp.where(earning, above, 0.0),
+        base=number * xp.where(earning, above, 0.0),
         pension=number * use(inputs, members.pension),
-        alive=jnp.exp(log_survival(case, inputs, members.sex, age, steps, factor)),
+        alive=xp.exp(log_survival(case, inputs, members.sex, age, steps, factor)),
         factor=factor,
     )
 
@@ -101,47 +101,47 @@ def entrants(case: PensionModel, inputs: dict[str, Any], lives: Lives, steps: in
         path = log_survival(case, inputs, sexes, age, steps)
         since = np.arange(steps + 1) >= entry[:, None]
         start = path[np.arange(count), entry][:, None]
-        groups.append((sexes, age, jnp.exp(jnp.where(since, path - start, 0.0))))
+        groups.append((sexes, age, xp.exp(xp.where(since, path - start, 0.0))))
     new = Lives(
-        sex=jnp.concatenate([group[0] for group in groups]),
-        age=jnp.concatenate([group[1] for group in groups]),
+        sex=xp.concatenate([group[0] for group in groups]),
+        age=xp.concatenate([group[1] for group in groups]),
         entry=np.tile(entry, 2),
-        service=jnp.zeros(2 * count),
-        earning=jnp.ones(2 * count, bool),
-        waiting=jnp.ones(2 * count, bool),
-        base=jnp.zeros(2 * count),
-        pension=jnp.zeros(2 * count),
-        alive=jnp.concatenate([group[2] for group in groups]),
+        service=xp.zeros(2 * count),
+        earning=xp.ones(2 * count, bool),
+        waiting=xp.ones(2 * count, bool),
+        base=xp.zeros(2 * count),
+        pension=xp.zeros(2 * count),
+        alive=xp.concatenate([group[2] for group in groups]),
     )
     in_force = lives.alive[:, entry] * working(case, lives, steps)[:, entry]
     selected = new.alive[:, entry] * working(case, new, steps)[:, entry]
     needed = []
     for sex in (MALE, FEMALE):
-        base = jnp.where(lives.sex == sex, lives.base, 0.0)
+        base = xp.where(lives.sex == sex, lives.base, 0.0)
         missing = base.sum() - base @ in_force
         needed.append(_renewal(selected[sex * count : (sex + 1) * count], missing))
-    return new._replace(base=jnp.concatenate(needed))
+    return new._replace(base=xp.concatenate(needed))
 
 
 def _renewal(selected: Float[Array, "E E"], missing: Float[Array, " E"]) -> Array:
     """Entrants that fill the gap: sum over e' of kept[e', e] entered[e'] = missing[e]."""
-    return jax.scipy.linalg.solve_triangular(selected.T, missing, lower=True)
+    return solve_lower(selected.T, missing)
 
 
 def joined(first: Lives, second: Lives) -> Lives:
     """Both together; only the first have separate factors."""
     factor = first.factor
     if factor is not None:
-        factor = jnp.concatenate([factor, jnp.ones(len(second.age))])
+        factor = xp.concatenate([factor, xp.ones(len(second.age))])
     return first._replace(
-        sex=jnp.concatenate([first.sex, second.sex]),
-        age=jnp.concatenate([first.age, second.age]),
+        sex=xp.concatenate([first.sex, second.sex]),
+        age=xp.concatenate([first.age, second.age]),
         entry=np.concatenate([first.entry, second.entry]),
-        service=jnp.concatenate([first.service, second.service]),
-        earning=jnp.concatenate([first.earning, second.earning]),
-        waiting=jnp.concatenate([first.waiting, second.waiting]),
-        base=jnp.concatenate([first.base, second.base]),
-        pension=jnp.concatenate([first.pension, second.pension]),
-        alive=jnp.concatenate([first.alive, second.alive]),
+        service=xp.concatenate([first.service, second.service]),
+        earning=xp.concatenate([first.earning, second.earning]),
+        waiting=xp.concatenate([first.waiting, second.waiting]),
+        base=xp.concatenate([first.base, second.base]),
+        pension=xp.concatenate([first.pension, second.pension]),
+        alive=xp.concatenate([first.alive, second.alive]),
         factor=factor,
     )

@@ -2,8 +2,9 @@
 
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
+
+from snapo.problem.record.arrays import jax
 
 from ..records.case import PensionCase
 from ..records.people import FEMALE, MALE, PAYMENT_YEARS

@@ -19,10 +19,10 @@ sum of the later ones is a polynomial in the factor of expected inflation, fitte
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import erf
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import erf, updated, xp
 
 from ..market.price_growth import PriceGrowth, price_growth
 from ..records.case import PensionModel
@@ -61,16 +61,16 @@ def limited(case: PensionModel) -> bool:
 
 def expected(mean, deviation, floor, cap) -> tuple[Array, Array]:
     """ln E X and d ln E X / d mean; `floor`, `cap` per year, above -1."""
-    low, high = jnp.log1p(floor), jnp.log1p(cap)
+    low, high = xp.log1p(floor), xp.log1p(cap)
 
     def below(strike, shift):
         return (1 + erf((mean + shift - strike) / (deviation * np.sqrt(2)))) / 2
 
-    inside = jnp.exp(mean + deviation**2 / 2)
+    inside = xp.exp(mean + deviation**2 / 2)
     inside = inside * (below(low, deviation**2) - below(high, deviation**2))
     under, over = 1 - below(low, 0.0), below(high, 0.0)
     value = inside + (1 + floor) * under + (1 + cap) * over
-    return jnp.log(value), inside / value
+    return xp.log(value), inside / value
 
 
 def dates_before(case: PensionModel, first: np.ndarray, wait: np.ndarray) -> np.ndarray:
@@ -83,10 +83,10 @@ def dates_before(case: PensionModel, first: np.ndarray, wait: np.ndarray) -> np.
 def log_growth(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " H"]:
     """ln of the expected growth of rights until each payment at time s * step, seen today, under
     the payment's measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
-    result, none = price_growth(case, inputs, today=True), jnp.zeros(1)
+    result, none = price_growth(case, inputs, today=True), xp.zeros(1)
     first, d_first, later, joint = _parts(case, inputs, result, none)
     complete = first[0, 0] + later[0, 0] + d_first[0, 0] * joint[0, 0]
-    complete = jnp.concatenate([none, complete])
+    complete = xp.concatenate([none, complete])
     return complete[dates_before(case, result.first[:1], _waits(case, _times(case)))]
 
 
@@ -97,25 +97,25 @@ def lpi(case: PensionModel, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
     to_chebyshev = np.cos(np.arange(DEGREE + 1)[:, None] * np.arccos(points)) * 2 / len(points)
     to_chebyshev[0] /= 2
     width = factor_width(case)
-    _, _, later, joint = _parts(case, inputs, result, jnp.asarray(width * points))
+    _, _, later, joint = _parts(case, inputs, result, xp.asarray(width * points))
     times = np.arange(case.steps + 1)
     dates = dates_before(case, result.first[:, None], _waits(case, nodes))
     ahead = observed[times[:, None] + nodes] - observed[times[:, None]]
 
     def on_nodes(values: Array) -> Array:
         """[T+1, J, points] from [T+1, points, N], by the dates before each node."""
-        rows = jnp.concatenate([jnp.zeros_like(values[..., :1]), values], axis=-1)
-        return jnp.take_along_axis(rows, jnp.asarray(dates)[:, None, :], -1).transpose(0, 2, 1)
+        rows = xp.concatenate([xp.zeros_like(values[..., :1]), values], axis=-1)
+        return xp.take_along_axis(rows, xp.asarray(dates)[:, None, :], -1).transpose(0, 2, 1)
 
     after = on_nodes(later) - ahead[..., None]
     return Lpi(
         mean=result.mean[:, 0],
         load=result.load[result.phase, 0],
-        deviation=jnp.sqrt(result.variance[result.phase, 0] + MINIMUM),
-        started=jnp.asarray(dates > 0, float),
+        deviation=xp.sqrt(result.variance[result.phase, 0] + MINIMUM),
+        started=xp.asarray(dates > 0, float),
         later=after @ to_chebyshev.T,
         joint=on_nodes(joint) @ to_chebyshev.T,
-        width=jnp.full(case.steps + 1, width),
+        width=xp.full(case.steps + 1, width),
     )
 
 
@@ -129,11 +129,11 @@ def log_factor(now: Lpi, terms, growth: Array, factor: Array) -> Float[Array, " 
     """
     mean = now.mean + now.load * factor + growth
     first, slope = expected(mean, now.deviation, terms.floor, terms.cap)
-    x = jnp.clip(factor / now.width, -1.0, 1.0)
-    powers = [jnp.ones_like(x), x]
+    x = xp.clip(factor / now.width, -1.0, 1.0)
+    powers = [xp.ones_like(x), x]
     while len(powers) <= DEGREE:
         powers.append(2 * x * powers[-1] - powers[-2])
-    basis = jnp.stack(powers)
+    basis = xp.stack(powers)
     return now.later @ basis + now.started * (first + slope * (now.joint @ basis))
 
 
@@ -142,16 +142,16 @@ def _parts(case: PensionModel, inputs: dict[str, Any], result: PriceGrowth, fact
     and the part that goes with d_1, at values of the factor [points]."""
     rule = case.plan.indexation
     cap, floor = use(inputs, rule.cap), use(inputs, rule.floor)
-    load, deviation = result.load[result.phase], jnp.sqrt(result.variance[result.phase] + MINIMUM)
+    load, deviation = result.load[result.phase], xp.sqrt(result.variance[result.phase] + MINIMUM)
     mean = result.mean[:, None, :] + load[:, None, :] * factor[:, None]
     log, slope = expected(mean, deviation[:, None, :], floor, cap)
-    rest = slope.at[..., 0].set(0.0)
+    rest = updated(slope, (..., 0), 0.0)
     together, shift = result.together[result.phase], result.later[result.phase]
-    pairs = rest * jnp.einsum("tqj,tkj->tqk", rest, jnp.tril(together, -1))
+    pairs = rest * xp.einsum("tqj,tkj->tqk", rest, xp.tril(together, -1))
     # Means under the measure of a payment after date n, for all dates before it.
-    moved = jnp.einsum("tqk,tnk->tqn", rest, jnp.tril(shift))
-    later = jnp.cumsum(log.at[..., 0].set(0.0) + pairs, axis=-1) - moved
-    joint = jnp.cumsum(rest * together[:, None, 0, :], axis=-1) - shift[:, None, :, 0]
+    moved = xp.einsum("tqk,tnk->tqn", rest, xp.tril(shift))
+    later = xp.cumsum(updated(log, (..., 0), 0.0) + pairs, axis=-1) - moved
+    joint = xp.cumsum(rest * together[:, None, 0, :], axis=-1) - shift[:, None, :, 0]
     return log[..., :1], slope[..., :1], later, joint
 
 

@@ -2,10 +2,10 @@
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, ArrayLike, Float
+from snapo.problem.record.either import xp
 
 from ..records.case import PensionModel
 from ..records.inputs import use
@@ -25,33 +25,33 @@ def hazard(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "2 G"]:
     if mortality.kind == "table":
         result = _hazard(use(inputs, mortality.table))
         later = mortality.ages - result.shape[1]
-        return result if later == 0 else jnp.concatenate([result, closed(result, later)], axis=1)
+        return result if later == 0 else xp.concatenate([result, closed(result, later)], axis=1)
     alpha, beta, makeham = (part[:, None] for part in use(inputs, mortality.gompertz).T)
     age = mortality.first_age + np.arange(mortality.ages)
-    return makeham + jnp.exp(alpha + beta * age) * jnp.expm1(beta) / beta
+    return makeham + xp.exp(alpha + beta * age) * xp.expm1(beta) / beta
 
 
 def closed(hazard: Float[Array, "2 n"], later: int) -> Float[Array, "2 later"]:
     """The hazards of `later` ages beyond a table: see `Mortality`."""
     last = hazard[:, -SLOPE_AGES:]
-    logit = jnp.log(last / (1 - last))
+    logit = xp.log(last / (1 - last))
     position = np.arange(last.shape[1]) - (last.shape[1] - 1) / 2
     slope = logit @ (position / (position @ position))
     ahead = logit[:, -1:] + slope[:, None] * np.arange(1, later + 1)
-    return 1 / (1 + jnp.exp(-ahead))
+    return 1 / (1 + xp.exp(-ahead))
 
 
 def _hazard(q: Array) -> Array:
     """-ln(1 - q), `CERTAIN` and without a gradient where q is 1 or more."""
     mortal = q < 1
-    return jnp.where(mortal, -jnp.log1p(-jnp.where(mortal, q, 0.0)), CERTAIN)
+    return xp.where(mortal, -xp.log1p(-xp.where(mortal, q, 0.0)), CERTAIN)
 
 
 def rounded_age(plan: PensionPlan, age: ArrayLike) -> Array:
     """Ages at time 0 as the valuation counts them."""
     if plan.age_basis == "exact":
-        return jnp.asarray(age, float)
-    return jnp.floor(jnp.asarray(age, float) + (0.5 if plan.age_basis == "nearest" else 0.0))
+        return xp.asarray(age, float)
+    return xp.floor(xp.asarray(age, float) + (0.5 if plan.age_basis == "nearest" else 0.0))
 
 
 def divided(case: PensionModel) -> bool:
@@ -64,8 +64,8 @@ def divided(case: PensionModel) -> bool:
 
 def partner(plan: PensionPlan, sex: ArrayLike, age: Array) -> tuple[Array, Array]:
     """Sex and age of the spouse: the other sex, wives being younger by `spouse_age_gap`."""
-    sex = jnp.asarray(sex)
-    gap = jnp.where(sex == FEMALE, plan.spouse_age_gap, -plan.spouse_age_gap)
+    sex = xp.asarray(sex)
+    gap = xp.where(sex == FEMALE, plan.spouse_age_gap, -plan.spouse_age_gap)
     return 1 - sex, age + gap
 
 
@@ -80,7 +80,7 @@ class Yearly(NamedTuple):
     def hazard(self, factor: ArrayLike = 1.0) -> Array:
         """The hazard of the year, where q is multiplied by one more `factor`."""
         certain = self.level >= CERTAIN
-        q = jnp.where(certain, 1.0, self.base * factor * -jnp.expm1(-self.level))
+        q = xp.where(certain, 1.0, self.base * factor * -xp.expm1(-self.level))
         return _hazard(q) * self.trend
 
 
@@ -95,7 +95,7 @@ def yearly(
     return Yearly(
         base=use(inputs, mortality.multiplier).ravel()[position],
         level=hazard(case, inputs).ravel()[position],
-        trend=jnp.exp(-trend[position] * (mortality.since + year)),
+        trend=xp.exp(-trend[position] * (mortality.since + year)),
     )
 
 
@@ -119,18 +119,18 @@ def step_hazards(
     - `factor`: [C] on the death probabilities of each cohort; None: ones.
     """
     time = np.arange(steps) * case.step
-    since_birth = jnp.asarray(age, float)[:, None] + time
-    complete = jnp.floor(since_birth + TINY)
-    start = jnp.maximum(since_birth - complete, 0.0)
-    start = jnp.where(start < TINY, 0.0, start)
+    since_birth = xp.asarray(age, float)[:, None] + time
+    complete = xp.floor(since_birth + TINY)
+    start = xp.maximum(since_birth - complete, 0.0)
+    start = xp.where(start < TINY, 0.0, start)
     end = start + case.step
-    end = jnp.where(jnp.abs(end - 1) < TINY, 1.0, end)
+    end = xp.where(xp.abs(end - 1) < TINY, 1.0, end)
     year = np.floor(time + TINY)
-    total, local = jnp.zeros(complete.shape), 1.0 if factor is None else factor[:, None]
-    parts = [(complete, start, jnp.minimum(end, 1.0))]
+    total, local = xp.zeros(complete.shape), 1.0 if factor is None else factor[:, None]
+    parts = [(complete, start, xp.minimum(end, 1.0))]
     if case.derived is None or case.derived.divided:
-        parts.append((complete + 1, 0 * start, jnp.maximum(end - 1, 0.0)))
-    sex = jnp.asarray(sex)[:, None]
+        parts.append((complete + 1, 0 * start, xp.maximum(end - 1, 0.0)))
+    sex = xp.asarray(sex)[:, None]
     for birthday, first, last in parts:
         rate = yearly(case, inputs, sex, birthday, year).hazard(local)
         part = _within(case.plan, rate, last) - _within(case.plan, rate, first)
@@ -154,7 +154,7 @@ def log_survival(
 
 def accumulate(by_step: Float[Array, "C steps"]) -> Float[Array, "C steps+1"]:
     """Running sums from 0 at time 0."""
-    return jnp.concatenate([jnp.zeros_like(by_step[:, :1]), jnp.cumsum(by_step, axis=1)], axis=1)
+    return xp.concatenate([xp.zeros_like(by_step[:, :1]), xp.cumsum(by_step, axis=1)], axis=1)
 
 
 def _within(plan: PensionPlan, rate: Array, until: Array) -> Array:
@@ -162,13 +162,13 @@ def _within(plan: PensionPlan, rate: Array, until: Array) -> Array:
     if plan.fractional_ages == "constant-force":
         return rate * until
     inside = until < 1
-    q = -jnp.expm1(-rate)
-    return jnp.where(inside, -jnp.log1p(-jnp.where(inside, until, 0.0) * q), rate)
+    q = -xp.expm1(-rate)
+    return xp.where(inside, -xp.log1p(-xp.where(inside, until, 0.0) * q), rate)
 
 
 def _place(mortality: Mortality, sex: ArrayLike, age: ArrayLike) -> Array:
-    sex = jnp.asarray(sex)
-    within = jnp.clip(jnp.asarray(age).astype(int) - mortality.first_age, 0, mortality.ages - 1)
+    sex = xp.asarray(sex)
+    within = xp.clip(xp.asarray(age).astype(int) - mortality.first_age, 0, mortality.ages - 1)
     return sex * mortality.ages + within
 
 

@@ -23,11 +23,10 @@ from snapo.case.settings import (
 from snapo.case.table import AnyTable, CaseTable, nearest, parse
 
 from ..fund.observation import FEATURES
-from ..fund.simulator import OUTPUTS
 from ..market.assets.asset_class import AssetNames
 from ..market.correlation import all_names
 from ..pots.read import check_pots, read_pots
-from ..records.case import PARTS, ObjectiveTerm, PensionCase, missing_parts
+from ..records.case import OUTPUTS, PARTS, ObjectiveTerm, PensionCase, missing_parts
 from ..records.inputs import every_given
 from ..records.plan import PensionPlan
 from ..records.plausible import unit_slips

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.csv import FileReference, Row, read_rows
@@ -15,6 +13,7 @@ from snapo.case.error import Unquoted
 from snapo.case.given import CaseInput, ConvertedNumber, Copies, FilePosition, NoPosition
 from snapo.case.quantity import Range
 from snapo.case.table import TableContext, nearest, parse
+from snapo.problem.record.either import with_numpy, xp
 
 from ..market.correlation import check_correlation
 from ..market.correlation import nearest as nearest_correlation
@@ -97,17 +96,15 @@ def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -
 
 
 def _possible(section: TableReader, table: CurveTable, curve: MarketCurve) -> None:
-    @jax.jit
     def price_all(rate, ultimate):
         result = fit(curve, rate, ultimate)
         dates, flows = cash_flows(curve, rate)
-        local = jnp.exp(-ultimate * dates)[:, None] * flows.T
+        local = xp.exp(-ultimate * dates)[:, None] * flows.T
         prices = log_bond(curve, rate, ultimate, np.arange(1.0, PAYMENT_YEARS + 61))
         return result.speed, distance(dates, local, result.speed, curve.convergence), prices
 
-    with jax.enable_x64(True):
-        values = curve.rate.used(), curve.ultimate.used()
-        speed, missed, prices = map(np.asarray, price_all(*map(jnp.asarray, values)))
+    values = curve.rate.used(), curve.ultimate.used()
+    speed, missed, prices = with_numpy(price_all)(*values)
     if not np.isfinite(prices).all():
         message = "no Smith-Wilson curve of positive prices meets these quotes with this speed"
         raise section.error("file", table.file, message)

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-import equinox as eqx
 import numpy as np
 
 from snapo.case.given import CaseInput
+from snapo.problem.record import TreeRecord, field
 
 from .market import as_tuple
 
@@ -46,16 +46,16 @@ class AssetRow:
     eligible: float = 0.0
 
 
-class AssetGroup(eqx.Module):
+class AssetGroup(TreeRecord):
     """The classes `members` (positions) together weigh between `low` and `high`."""
 
-    name: str = eqx.field(static=True)
-    members: tuple[int, ...] = eqx.field(static=True)
+    name: str = field(static=True)
+    members: tuple[int, ...] = field(static=True)
     low: float
     high: float
 
 
-class Assets(eqx.Module):
+class Assets(TreeRecord):
     """The asset classes; n is their number, m those with a shock of their own (`shocks`).
 
     - `mean`: index [m], per year. `return_kind` "excess": over cash, "total": the whole return,
@@ -77,13 +77,13 @@ class Assets(eqx.Module):
     - `risk`: [n] the risk that a regulator sees in each class, one of `regulation.RISKS`.
     """
 
-    classes: tuple[AssetRow, ...] = eqx.field(static=True)
-    return_kind: Literal["excess", "total"] = eqx.field(static=True)
-    mean_kind: Literal["geometric", "arithmetic", "log"] = eqx.field(static=True)
+    classes: tuple[AssetRow, ...] = field(static=True)
+    return_kind: Literal["excess", "total"] = field(static=True)
+    mean_kind: Literal["geometric", "arithmetic", "log"] = field(static=True)
     mean: CaseInput
     volatility: CaseInput
     smoothing: CaseInput
-    smoothed: tuple[int, ...] = eqx.field(static=True, converter=as_tuple)
+    smoothed: tuple[int, ...] = field(static=True, converter=as_tuple)
     cost: CaseInput
     fee: CaseInput
     weight: CaseInput
@@ -94,11 +94,11 @@ class Assets(eqx.Module):
     max_sale: np.ndarray | None = None
     band: np.ndarray | None = None
     turnover: float | None = None
-    risk: tuple[str, ...] = eqx.field(static=True, default=())
-    short: bool = eqx.field(static=True, init=False)
+    risk: tuple[str, ...] = field(static=True, default=())
+    short: bool = field(static=True, init=False)
 
     def __post_init__(self):
-        self.short = bool((np.asarray(self.low) < 0).any())
+        object.__setattr__(self, "short", bool((np.asarray(self.low) < 0).any()))
 
     @property
     def cash(self) -> int:
@@ -111,7 +111,7 @@ class Assets(eqx.Module):
         return tuple(i for i, class_ in enumerate(self.classes) if class_.own_shock)
 
 
-class Overlay(eqx.Module):
+class Overlay(TreeRecord):
     """Receiver swaps by tenor bucket; b buckets.
 
     - `inflation`: the number of zero-coupon swaps of inflation, which are the last buckets (they
@@ -126,16 +126,16 @@ class Overlay(eqx.Module):
     - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].
     """
 
-    maturities: tuple[int, ...] = eqx.field(static=True, converter=as_tuple)
+    maturities: tuple[int, ...] = field(static=True, converter=as_tuple)
     notional: CaseInput
     low: np.ndarray
     high: np.ndarray
-    unit: Literal["assets", "liability"] = eqx.field(static=True)
+    unit: Literal["assets", "liability"] = field(static=True)
     leverage: CaseInput
     cost: CaseInput
     collateral_stress: CaseInput
-    inflation: int = eqx.field(static=True, default=0)
-    zero_coupon: tuple[int, ...] = eqx.field(static=True, default=())
+    inflation: int = field(static=True, default=0)
+    zero_coupon: tuple[int, ...] = field(static=True, default=())
 
     @property
     def maturity(self) -> np.ndarray:

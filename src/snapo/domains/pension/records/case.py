@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.problem.record import TreeRecord, field
 
 from .assets import Assets, Overlay
 from .market import Correlation, Credit, Currencies, Inflation, MarketCurve, SuppliedScenarios
@@ -28,9 +28,47 @@ if TYPE_CHECKING:
     from ..market.rates.short_rate import ShortRate
 
 
+# Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
+AT_END = (
+    "funding_ratio",
+    "log_relative",
+    "surplus",
+    "surplus_ratio",
+    "assets",
+    "liability",
+    "pv_assets",
+    "pv_liability",
+    "discount",
+    "pv_shortfall",
+)
+# Sums over the steps; "pv_" discounts, "_square" is of 1 - F below 1 and per year, "normal_cost"
+# the value of the accrual, "granted" and "cut" the indexation; "funding" is F before each step,
+# "bound_excess" by how much weights leave their bounds.
+EACH_STEP = (
+    "contribution",
+    "benefit",
+    "expenses",
+    "cost",
+    "normal_cost",
+    "granted",
+    "cut",
+    "pv_contribution",
+    "pv_benefit",
+    "pv_expenses",
+    "pv_cost",
+    "pv_accrual",
+    "pv_indexation",
+    "shortfall_square",
+    "collateral_shortfall",
+    "funding",
+    "bound_excess",
+)
+OUTPUTS = AT_END + EACH_STEP
+
+
 @dataclass(frozen=True, eq=False)
 class ObjectiveTerm:
-    """`weight` times one objective of one output of a path (see `fund.simulator.OUTPUTS`)."""
+    """`weight` times one objective of one output of a path (see `OUTPUTS`)."""
 
     weight: float
     output: str
@@ -56,7 +94,7 @@ class Scales(NamedTuple):
     mortality: np.ndarray
 
 
-class DerivedNumbers(eqx.Module):
+class DerivedNumbers(TreeRecord):
     """Numbers that follow from a case's own ones, for all values of its inputs.
 
     - `eligible`: [n] share of each class that counts as collateral.
@@ -69,11 +107,11 @@ class DerivedNumbers(eqx.Module):
     eligible: np.ndarray
     scales: Scales
     width: np.ndarray
-    divided: bool = eqx.field(static=True)
+    divided: bool = field(static=True)
     annual_bond: np.ndarray | None
 
 
-class PensionModel(eqx.Module):
+class PensionModel(TreeRecord):
     """A fund, its markets and its people: all that its paths depend on.
 
     That of a case has all numbers. That of a simulator is made with `of` from a case: it has every
@@ -87,10 +125,10 @@ class PensionModel(eqx.Module):
     - `derived`: of a simulator.
     """
 
-    step: float = eqx.field(static=True)
-    steps: int = eqx.field(static=True)
-    start_month: int = eqx.field(static=True)
-    measure: Literal["P", "Q"] = eqx.field(static=True)
+    step: float = field(static=True)
+    steps: int = field(static=True)
+    start_month: int = field(static=True)
+    measure: Literal["P", "Q"] = field(static=True)
     curve: MarketCurve
     rates: "ShortRate"
     inflation: Inflation
@@ -106,9 +144,9 @@ class PensionModel(eqx.Module):
     plan: PensionPlan
     liability: Liability
     scenarios: SuppliedScenarios | None
-    observation: tuple[str, ...] = eqx.field(static=True)
-    pots: Pots | None = eqx.field(default=None, kw_only=True)
-    derived: DerivedNumbers | None = eqx.field(default=None, kw_only=True)
+    observation: tuple[str, ...] = field(static=True)
+    pots: Pots | None = field(default=None, kw_only=True)
+    derived: DerivedNumbers | None = field(default=None, kw_only=True)
 
     @property
     def risk_neutral(self) -> bool:
@@ -128,15 +166,15 @@ class PensionCase(PensionModel):
     - `parts`: names of those parts of a run that are wanted, () for all.
     """
 
-    file: Path = eqx.field(kw_only=True)
-    title: str = eqx.field(kw_only=True)
-    currency: str = eqx.field(kw_only=True)
-    valuation_date: str = eqx.field(kw_only=True)
-    reconcile: Reconcile | None = eqx.field(kw_only=True)
-    hidden: tuple[int, ...] = eqx.field(kw_only=True)
-    objective: tuple[ObjectiveTerm, ...] = eqx.field(kw_only=True)
-    training: TrainingTable = eqx.field(kw_only=True)
-    evaluation: EvaluationTable = eqx.field(kw_only=True)
+    file: Path = field(kw_only=True)
+    title: str = field(kw_only=True)
+    currency: str = field(kw_only=True)
+    valuation_date: str = field(kw_only=True)
+    reconcile: Reconcile | None = field(kw_only=True)
+    hidden: tuple[int, ...] = field(kw_only=True)
+    objective: tuple[ObjectiveTerm, ...] = field(kw_only=True)
+    training: TrainingTable = field(kw_only=True)
+    evaluation: EvaluationTable = field(kw_only=True)
     frontier: Frontier | None = None
     regulation: Regulation | None = None
     funding: Funding | None = None

@@ -4,15 +4,13 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.given import CaseInput
 from snapo.problem.form import Use, formed
-from snapo.problem.record import Input
+from snapo.problem.record import Input, TreeRecord
+from snapo.problem.record.arrays import Array, jax
+from snapo.problem.record.either import xp
 
 from .case import DerivedNumbers, PensionCase, PensionModel
 
@@ -26,6 +24,11 @@ def pension_inputs(case: PensionCase) -> dict[str, Input]:
         if values.name not in case.held:
             inputs[values.name] = values.input()
     return inputs
+
+
+def input_values(case: PensionCase) -> dict[str, np.ndarray]:
+    """{name: values} of the inputs of a case."""
+    return {name: entry.value for name, entry in pension_inputs(case).items()}
 
 
 def every_given(record: Any) -> Iterator[CaseInput]:
@@ -63,7 +66,7 @@ def model_of(case: PensionCase, derived: DerivedNumbers) -> PensionModel:
     return formed(jax.tree.map(settled, PensionModel(**parts)))
 
 
-class Held(eqx.Module):
+class Held(TreeRecord):
     """Numbers of a case in a simulator that are not inputs."""
 
     position: Use
@@ -79,8 +82,8 @@ def use(inputs: dict[str, Any], values: CaseInput | Use | Held) -> Array:
     if isinstance(values, Use | Held):
         return values(inputs)
     if not values.values.size:
-        return jnp.zeros(values.index.shape)
-    return jnp.asarray(inputs.get(values.name, values.values))[values.index]
+        return xp.zeros(values.index.shape)
+    return xp.asarray(inputs.get(values.name, values.values))[values.index]
 
 
 def is_empty(values: CaseInput | Use | Held) -> bool:

@@ -2,10 +2,10 @@
 
 from typing import Any, Literal
 
-import equinox as eqx
 import numpy as np
 
 from snapo.case.given import CaseInput
+from snapo.problem.record import TreeRecord, field
 
 
 def as_tuple(values: Any) -> tuple:
@@ -13,7 +13,7 @@ def as_tuple(values: Any) -> tuple:
     return tuple(np.asarray(values).tolist())
 
 
-class MarketCurve(eqx.Module):
+class MarketCurve(TreeRecord):
     """Nominal zero curve, or break-evens of the same form (then rates are of inflation).
 
     - `tenors`: [n] nodes in years, strictly rising, above zero.
@@ -28,13 +28,13 @@ class MarketCurve(eqx.Module):
     - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
     """
 
-    tenors: tuple[float, ...] = eqx.field(static=True, converter=as_tuple)
+    tenors: tuple[float, ...] = field(static=True, converter=as_tuple)
     rate: CaseInput
-    quote: Literal["zero", "forward", "swap"] = eqx.field(static=True)
-    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = eqx.field(static=True)
+    quote: Literal["zero", "forward", "swap"] = field(static=True)
+    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = field(static=True)
     ultimate: CaseInput
-    speed: float | None = eqx.field(static=True, default=0.1)
-    convergence: float = eqx.field(static=True, default=60.0)
+    speed: float | None = field(static=True, default=0.1)
+    convergence: float = field(static=True, default=60.0)
 
     @property
     def tenor(self) -> np.ndarray:
@@ -42,7 +42,7 @@ class MarketCurve(eqx.Module):
         return np.array(self.tenors, float)
 
 
-class Inflation(eqx.Module):
+class Inflation(TreeRecord):
     """Expected inflation p + phi_p(t) fitted to break-evens, realised prices, and wages.
 
     dp = -k p dt + s(t) (dW + lambda dt); d ln I = (phi_p + p) dt + s_I(t) (dW_I + lambda_I dt);
@@ -63,7 +63,7 @@ class Inflation(eqx.Module):
     wage_volatility: CaseInput
 
 
-class Credit(eqx.Module):
+class Credit(TreeRecord):
     """Spreads by rating; R is the number of ratings (0 allowed). u = ln(s / mean) is an OU process.
 
     - `names`: [R]. `spread` (now), `mean_spread` (both above 0), `mean_reversion`, `volatility`
@@ -71,7 +71,7 @@ class Credit(eqx.Module):
       proportion to the spread): index [R]. Carry and loss count under "P" only.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = field(static=True)
     spread: CaseInput
     mean_spread: CaseInput
     mean_reversion: CaseInput
@@ -79,7 +79,7 @@ class Credit(eqx.Module):
     default_loss: CaseInput
 
 
-class Currencies(eqx.Module):
+class Currencies(TreeRecord):
     """Foreign currencies; X is their number (0 allowed).
 
     - `volatility`, `premium` (over the difference of rates; under "P" only), `hedge_ratio` (0 to
@@ -87,15 +87,15 @@ class Currencies(eqx.Module):
       year): index [X]. `emerging`: [X] whether its market is an emerging one.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = field(static=True)
     volatility: CaseInput
     premium: CaseInput
     hedge_ratio: CaseInput
     hedge_cost: CaseInput
-    emerging: tuple[bool, ...] = eqx.field(static=True, default=())
+    emerging: tuple[bool, ...] = field(static=True, default=())
 
 
-class Correlation(eqx.Module):
+class Correlation(TreeRecord):
     """Instantaneous correlations: positive definite, repaired beforehand where the case asked.
 
     - `names`: [k] of the correlated motions: "rate", "rate 2", "inflation", "price index", "wage",
@@ -105,12 +105,12 @@ class Correlation(eqx.Module):
     - `repaired`: the largest change of an entry, 0 if nothing was repaired.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = field(static=True)
     lower: CaseInput
     repaired: float = 0.0
 
 
-class SuppliedScenarios(eqx.Module):
+class SuppliedScenarios(TreeRecord):
     """Ready-made scenarios instead of the generator: two different sets of paths.
 
     - `training`, `evaluation`: [paths, T, K], over step t (returns, growth) or at its end (zeros).
@@ -121,8 +121,8 @@ class SuppliedScenarios(eqx.Module):
 
     training: np.ndarray
     evaluation: np.ndarray
-    columns: tuple[str, ...] = eqx.field(static=True)
-    tenors: tuple[float, ...] = eqx.field(static=True, converter=as_tuple)
+    columns: tuple[str, ...] = field(static=True)
+    tenors: tuple[float, ...] = field(static=True, converter=as_tuple)
 
     @property
     def tenor(self) -> np.ndarray:

@@ -5,10 +5,10 @@ C is the number of cohorts, S the number of steps until the last payment (`PAYME
 
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
 
 from snapo.case.given import CaseInput
+from snapo.problem.record import TreeRecord, field
 
 MALE, FEMALE = 0, 1
 ACTIVE, DEFERRED, PENSIONER, SPOUSE = 0, 1, 2, 3
@@ -16,7 +16,7 @@ PAYMENT_YEARS = 100
 SLOPE_AGES = 20  # the oldest of a table, whose slope closes it
 
 
-class Mortality(eqx.Module):
+class Mortality(TreeRecord):
     """Death probabilities of a year by sex and age, with yearly improvement.
 
     Kind "table": `table` [sex, age] = q, from `first_age` on. A table of fewer than G ages is
@@ -34,9 +34,9 @@ class Mortality(eqx.Module):
     - `since`: years of improvement from the table's year to time 0.
     """
 
-    kind: Literal["table", "gompertz-makeham"] = eqx.field(static=True)
-    first_age: int = eqx.field(static=True)
-    ages: int = eqx.field(static=True)
+    kind: Literal["table", "gompertz-makeham"] = field(static=True)
+    first_age: int = field(static=True)
+    ages: int = field(static=True)
     table: CaseInput
     gompertz: CaseInput
     multiplier: CaseInput
@@ -44,7 +44,7 @@ class Mortality(eqx.Module):
     since: float = 0.0
 
 
-class LeeCarter(eqx.Module):
+class LeeCarter(TreeRecord):
     """ln hazard(x, t) moves by b(x) k(t), k a random walk from 0 with no drift.
 
     The drift belongs to `Mortality.improvement`.
@@ -56,7 +56,7 @@ class LeeCarter(eqx.Module):
     loading: CaseInput
 
 
-class FundMembers(eqx.Module):
+class FundMembers(TreeRecord):
     """Cohorts of a table; every array has length C.
 
     - `status`: ACTIVE, DEFERRED, PENSIONER, SPOUSE; `sex`: MALE, FEMALE.
@@ -67,7 +67,7 @@ class FundMembers(eqx.Module):
     - `mortality`: factor on the members' q, index [C]; None if the table has none.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = field(static=True)
     status: np.ndarray
     sex: np.ndarray
     age: np.ndarray
@@ -78,7 +78,7 @@ class FundMembers(eqx.Module):
     mortality: CaseInput | None = None
 
 
-class CashFlows(eqx.Module):
+class CashFlows(TreeRecord):
     """The actuary's vector of expected nominal payments, for a case without members.
 
     - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.

@@ -2,13 +2,13 @@
 
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
 
 from snapo.case.given import CaseInput
+from snapo.problem.record import TreeRecord, field
 
 
-class Indexation(eqx.Module):
+class Indexation(TreeRecord):
     """Increases once a year in calendar month `month`: the month of pensions in payment, and of all
     other rights equally where the plan has no `Revaluation`.
 
@@ -22,19 +22,19 @@ class Indexation(eqx.Module):
     `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`, `rate`: index [].
     """
 
-    kind: Literal["none", "fixed", "full", "capped", "conditional"] = eqx.field(static=True)
-    month: int = eqx.field(static=True)
-    averaging: int = eqx.field(static=True)
+    kind: Literal["none", "fixed", "full", "capped", "conditional"] = field(static=True)
+    month: int = field(static=True)
+    averaging: int = field(static=True)
     cap: CaseInput
     floor: CaseInput
     lower_ratio: CaseInput
     upper_ratio: CaseInput
     required_ratio: CaseInput
-    cut_years: int = eqx.field(static=True)
+    cut_years: int = field(static=True)
     rate: CaseInput | None = None
 
 
-class Revaluation(eqx.Module):
+class Revaluation(TreeRecord):
     """Increases of rights before payment, by fixed rates on the dates of `Indexation`: `deferred`
     of deferred members until their pension begins, `active` of actives in service. Index []."""
 
@@ -42,7 +42,7 @@ class Revaluation(eqx.Module):
     active: CaseInput
 
 
-class CashPlan(eqx.Module):
+class CashPlan(TreeRecord):
     """Payments agreed in money, such as a recovery plan's.
 
     - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
@@ -52,7 +52,7 @@ class CashPlan(eqx.Module):
     step: np.ndarray
 
 
-class Contribution(eqx.Module):
+class Contribution(TreeRecord):
     """The payment of each step; C = normal cost + recovery, then limits, and then `schedule`.
 
     - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
@@ -66,8 +66,8 @@ class Contribution(eqx.Module):
     - `schedule`: paid in addition, without limits; None if the case has none.
     """
 
-    kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = eqx.field(static=True)
-    normal_cost: Literal["valuation", "rate"] = eqx.field(static=True)
+    kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = field(static=True)
+    normal_cost: Literal["valuation", "rate"] = field(static=True)
     rate: CaseInput
     loading: CaseInput
     spread_factor: CaseInput
@@ -76,14 +76,14 @@ class Contribution(eqx.Module):
     floor: CaseInput
     cap: CaseInput
     sponsor_limit: CaseInput
-    has_floor: bool = eqx.field(static=True)
-    has_cap: bool = eqx.field(static=True)
-    has_sponsor_limit: bool = eqx.field(static=True)
+    has_floor: bool = field(static=True)
+    has_cap: bool = field(static=True)
+    has_sponsor_limit: bool = field(static=True)
     schedule: CashPlan | None = None
-    level_steps: int | None = eqx.field(static=True, default=None)
+    level_steps: int | None = field(static=True, default=None)
 
 
-class PensionPlan(eqx.Module):
+class PensionPlan(TreeRecord):
     """Terms of the scheme: a pension of career average.
 
     - `revaluation`: the revaluation of rights before payment; None: they grow as pensions in
@@ -104,17 +104,17 @@ class PensionPlan(eqx.Module):
     - `max_service`: years after which accrual ends. `expenses`: money per year, index [].
     """
 
-    timing: Literal["advance", "arrears"] = eqx.field(static=True)
+    timing: Literal["advance", "arrears"] = field(static=True)
     retirement_age: float
     accrual_rate: CaseInput
     offset: CaseInput
     spouse_share: CaseInput
     married_share: CaseInput
     spouse_age_gap: int
-    age_basis: Literal["nearest", "last", "exact"] = eqx.field(static=True)
-    fractional_ages: Literal["constant-force", "uniform"] = eqx.field(static=True)
-    open: bool = eqx.field(static=True)
-    accruing: bool = eqx.field(static=True)
+    age_basis: Literal["nearest", "last", "exact"] = field(static=True)
+    fractional_ages: Literal["constant-force", "uniform"] = field(static=True)
+    open: bool = field(static=True)
+    accruing: bool = field(static=True)
     entry_age: float
     max_service: float
     expenses: CaseInput
@@ -123,7 +123,7 @@ class PensionPlan(eqx.Module):
     revaluation: Revaluation | None = None
 
 
-class Liability(eqx.Module):
+class Liability(TreeRecord):
     """How payments are valued at any time.
 
     - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
@@ -135,14 +135,14 @@ class Liability(eqx.Module):
       the cap and the floor of the plan's indexation, as the options they are (`people.lpi`).
     """
 
-    basis: Literal["risk-free", "spread", "fixed"] = eqx.field(static=True)
+    basis: Literal["risk-free", "spread", "fixed"] = field(static=True)
     rate: CaseInput
-    future_indexation: Literal["none", "full", "capped"] = eqx.field(static=True)
-    annual: bool = eqx.field(static=True, default=False)
+    future_indexation: Literal["none", "full", "capped"] = field(static=True)
+    annual: bool = field(static=True, default=False)
     loading: CaseInput | None = None
 
 
-class Reconcile(eqx.Module):
+class Reconcile(TreeRecord):
     """The actuary's own figures; None if not given. `tolerance` is relative."""
 
     liability: float | None

@@ -4,9 +4,8 @@ as in `records.case`.
 
 from dataclasses import dataclass
 
-import equinox as eqx
-
 from snapo.case.given import CaseInput
+from snapo.problem.record import TreeRecord
 
 from .people import FundMembers
 
@@ -26,7 +25,7 @@ class PotRules:
     from_excess_return: float
 
 
-class Pots(eqx.Module):
+class Pots(TreeRecord):
     """Personal pots instead of rights; C cohorts, shares as fractions.
 
     - `reserve`: the solidarity reserve's share of the assets now; `largest`: its largest share.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.lanes.program.in_numpy import in_numpy
+from snapo.problem.record.either import with_numpy
 
 from ..people.liability import paid_at
 from ..people.lpi import limited, log_growth
@@ -99,14 +99,10 @@ def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
     expected increases of a limited indexation."""
     case = replace(case, scenarios=None)
 
-    def both(values):
-        grown = log_growth(case, values) if limited(case) else None
-        return *payments(case, values), grown
-
-    flow, discount, growth = in_numpy(both)(inputs)
+    flow, discount = with_numpy(payments)(case, inputs)
     steps = paid_at(case, np.arange(len(flow)))
-    if growth is not None:
-        grown = np.exp(growth[steps])
+    if limited(case):
+        grown = np.exp(with_numpy(log_growth)(case, inputs)[steps])
         flow, discount = flow * grown, discount / grown
     return Due(flow, discount, steps * case.step)
 

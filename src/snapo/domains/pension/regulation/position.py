@@ -8,12 +8,11 @@ the Regeling Pensioenwet, article 2.
 
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.lanes.program.in_numpy import in_numpy
+from snapo.problem.record.either import with_numpy
 
 from ..market.assets.asset_class import by_kind, ratios
 from ..market.assets.swaps import swap_gains
@@ -194,22 +193,17 @@ def shocked(case: PensionCase, inputs: dict[str, Any], paid: Due, name: str) -> 
         factors = f"real_{name}" if linked else name
         return shifted_discount(rules, factors, steps * case.step, before(steps, linked))
 
-    classes = in_numpy(lambda: ratios(case, before, shifted))() - 1
+    classes = with_numpy(ratios)(case, before, shifted) - 1
     swaps = np.zeros(0)
     if case.overlay is not None:
-        swaps = np.asarray(in_numpy(lambda: swap_gains(case, before, shifted))())
+        swaps = with_numpy(swap_gains)(case, before, shifted)
     return Shocked(float(paid.flow @ (after - paid.discount)), classes, swaps)
 
 
 def _prices(case: PensionCase, inputs: dict[str, Any]) -> Callable[[np.ndarray, bool], np.ndarray]:
     """Today's prices of payments, in NumPy."""
 
-    def prices(steps: np.ndarray, linked: bool) -> np.ndarray:
-        return np.asarray(
-            in_numpy(lambda inputs: curve_prices(case, inputs)(steps, linked))(inputs)
-        )
-
-    return prices
+    return with_numpy(curve_prices(case, inputs))
 
 
 def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
@@ -234,7 +228,7 @@ def _credit(case: PensionCase, held: np.ndarray) -> float:
                 def wider(steps: np.ndarray, linked: bool, rise=rise) -> np.ndarray:
                     return before(steps, linked) * np.exp(-rise * steps * case.step)
 
-                left = in_numpy(partial(kind.ratio, case, [position], before, wider))()
+                left = with_numpy(kind.ratio)(case, [position], before, wider)
                 lost += float(held[position]) * (1 - float(left[0]))
     return max(lost, 0.0)
 

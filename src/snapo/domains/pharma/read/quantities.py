@@ -6,11 +6,12 @@ evaluated. The domain's units are written as in `records`: "kmol/m3", "1/s", "1"
 
 import re
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pint
-from pint.util import UnitsContainer
+
+if TYPE_CHECKING:
+    import pint
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*", re.ASCII | re.DOTALL)
@@ -38,6 +39,29 @@ OWN = {
 PURE = ("", "1")
 # A fraction as an exponent may be written to three digits, of a length three times: (cm^3)^0.333.
 DIGITS = 3 * 5e-4
+# Factors of usual units to those of the domain, as pint computes them.
+USUAL: dict[str, dict[str, float]] = {
+    "1": {"": 1.0, "1": 1.0, "%": 0.01, "% w/w": 0.01, "ppm": 1e-06},
+    "K": {"K": 1.0},
+    "K/s": {"K/s": 1.0, "K/min": 0.01666666666666667},
+    "s": {"s": 1.0, "min": 60.0, "h": 3600.0},
+    "1/s": {"1/s": 1.0, "1/min": 0.01666666666666667, "1/h": 0.0002777777777777778},
+    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-06},
+    "m2": {"m2": 1.0, "m^2": 1.0, "cm^2": 0.0001},
+    "m3": {"m3": 1.0, "m^3": 1.0, "L": 0.001, "mL": 1e-06},
+    "1/m": {"1/m": 1.0},
+    "1/m3/s": {"1/m3/s": 1.0, "1/m^3/s": 1.0},
+    "m/s": {"m/s": 1.0, "um/s": 1e-06},
+    "m2/s": {"m2/s": 1.0, "m^2/s": 1.0},
+    "kg": {"kg": 1.0, "g": 0.001, "mg": 1e-06},
+    "kg/m3": {"kg/m3": 1.0, "kg/m^3": 1.0},
+    "kg/kmol": {"kg/kmol": 1.0, "g/mol": 1.0},
+    "kmol/m3": {"kmol/m3": 1.0, "mol/L": 0.9999999999999999},
+    "m3/kmol/s": {"m3/kmol/s": 1.0, "L/mol/s": 1.0},
+    "J/mol": {"J/mol": 1.0, "kJ/mol": 1000.0},
+    "Pa": {"Pa": 1.0, "kPa": 1000.0, "bar": 100000.0},
+    "Pa*s": {"Pa*s": 1.0, "mPa*s": 0.001},
+}
 EXACT = 1e-9  # exponents of dimensions that differ only by round-off are the same
 
 
@@ -74,6 +98,13 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
 
     **Raises:** `UnitError` if the unit is unknown, or measures something else.
     """
+    if (scale := USUAL.get(target, {}).get(unit)) is not None:
+        return Conversion(scale, 0.0)
+    return by_pint(unit, target, difference)
+
+
+def by_pint(unit: str, target: str, difference: bool = False) -> Conversion:
+    """`conversion` of any unit, by a library that takes as long to load as all the rest."""
     domain = _parse(target)
     local = _exact(_parse(unit), domain)
     if _gaps(local, domain):
@@ -108,6 +139,8 @@ def basis(unit: str) -> str:
     if metadata is not None:
         return "w/w" if metadata[1] == "m/m" else metadata[1]
     above, _, below = unit.replace("%", "").strip().partition("/")
+    if not below:  # no ratio
+        return ""
     try:
         one, other = dimension(above), dimension(below)
     except UnitError:
@@ -147,12 +180,14 @@ def unit_text(unit: str) -> str:
 
 
 @cache
-def _registry() -> pint.UnitRegistry:
+def _registry() -> "pint.UnitRegistry":
+    import pint  # late: most cases are in `USUAL` units
+
     return pint.UnitRegistry(cache_folder=None, autoconvert_offset_to_baseunit=False)
 
 
 @cache
-def _parse(unit: str) -> pint.Unit:
+def _parse(unit: str) -> "pint.Unit":
     text = BASIS.sub("", unit.strip())
     if text in PURE:
         return _registry().Unit("")
@@ -168,7 +203,7 @@ def _parse(unit: str) -> pint.Unit:
         raise UnitError(f"there is no unit {unit!r}") from None
 
 
-def _gaps(unit: pint.Unit, domain: pint.Unit) -> dict[str, float]:
+def _gaps(unit: "pint.Unit", domain: "pint.Unit") -> dict[str, float]:
     """By which exponent of each dimension two units differ; without those that agree."""
     one, other = _powers(unit.dimensionality), _powers(domain.dimensionality)
     table = {name: other.get(name, 0.0) - one.get(name, 0.0) for name in {*one, *other}}
@@ -180,7 +215,7 @@ def _powers(result: Any) -> dict[str, float]:
     return {str(name): float(power) for name, power in result.items()}
 
 
-def _exact(unit: pint.Unit, domain: pint.Unit) -> pint.Unit:
+def _exact(unit: "pint.Unit", domain: "pint.Unit") -> "pint.Unit":
     """`unit` with the exponents that `domain` asks for, where those are the same to three
     digits."""
     gaps = _gaps(unit, domain)
@@ -193,10 +228,12 @@ def _exact(unit: pint.Unit, domain: pint.Unit) -> pint.Unit:
     moved = np.linalg.lstsq(table, [gaps.get(name, 0.0) for name in names], rcond=None)[0]
     if np.abs(moved).max() > DIGITS:
         return unit
+    from pint.util import UnitsContainer
+
     moved = {name: power + step for (name, power), step in zip(parts.items(), moved)}
     return _registry().Unit(UnitsContainer(moved))
 
 
-def _dimension(unit: pint.Unit) -> str:
+def _dimension(unit: "pint.Unit") -> str:
     dimensionality = unit.dimensionality
     return "a pure number" if not dimensionality else str(dimensionality)

@@ -10,11 +10,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from snapo.case.csv import Row
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ...read.cells import position
 from ...records.assets import AssetRow
@@ -131,7 +131,7 @@ class AssetClass(AssetRow, ABC):
     ) -> Float[Array, " k"]:
         """Values over those before, when prices of payments go from `before` to `after`."""
         due = cls.payments(case, positions)
-        return jnp.ones(len(positions)) if due is None else ratio(due, cls.linked, before, after)
+        return xp.ones(len(positions)) if due is None else ratio(due, cls.linked, before, after)
 
     @classmethod
     def log_price(
@@ -140,7 +140,7 @@ class AssetClass(AssetRow, ABC):
         """ln of prices over those at the case's numbers: its derivatives are the exposures to
         curves, break-evens and spreads."""
         now = curve_prices(case, {}), curve_prices(case, inputs)
-        return jnp.log(cls.ratio(case, positions, *now))
+        return xp.log(cls.ratio(case, positions, *now))
 
     @classmethod
     def of(cls, case: PensionModel, positions: Sequence[int]) -> list[Self]:
@@ -188,7 +188,7 @@ def by_kind(case: PensionModel) -> list[tuple[type[AssetClass], tuple[int, ...]]
 def in_order(case: PensionModel, parts: Sequence[Array]) -> Array:
     """[n] one row per class from one array per kind, as `by_kind` divides them."""
     positions = np.concatenate([np.array(item, int) for _, item in by_kind(case)])
-    return jnp.concatenate(parts)[np.argsort(positions)]
+    return xp.concatenate(parts)[np.argsort(positions)]
 
 
 def log_prices(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " n"]:

@@ -13,11 +13,11 @@ values them at their principal.
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from snapo.case.csv import Row
+from snapo.problem.record.arrays import Array
+from snapo.problem.record.either import xp
 
 from ...read.cells import whole_steps
 from ...records.assets import AttributionPart
@@ -160,4 +160,4 @@ class CouponBond(Maturing):
     @classmethod
     def log_return(cls, case, positions, terms, steps, now):
         due, currency = cls.payments(case, positions), cls.currencies(case, positions)
-        return jnp.log1p(strips.gains(case, due, currency, terms, steps, now)) + now.cash
+        return xp.log1p(strips.gains(case, due, currency, terms, steps, now)) + now.cash

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import jax.numpy as jnp
+from snapo.problem.record.either import xp
 
 from ...records.assets import AttributionPart
 from .asset_class import AssetClass, register
@@ -35,7 +35,7 @@ class Cash(AssetClass):
 
     @classmethod
     def log_return(cls, case, positions, terms, steps, now):
-        return jnp.broadcast_to(now.cash, (len(positions),))
+        return xp.broadcast_to(now.cash, (len(positions),))
 
     @classmethod
     def payments(cls, case, positions):

@@ -8,9 +8,10 @@ minus defaults, and minus the fall of prices while u reverts to zero.
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+
+from snapo.problem.record.arrays import Array
+from snapo.problem.record.either import xp
 
 from ...records.assets import AttributionPart
 from ...records.inputs import use
@@ -87,10 +88,10 @@ class CreditBond(Maturing):
         spread = spread_terms(case, inputs)
         terms = CreditTerms(
             reach=constant_maturity.reach(held, scene.factors, case.step),
-            duration=jnp.asarray(held.maturity * case.step),
+            duration=xp.asarray(held.maturity * case.step),
             mean_spread=mean[rating],
             volatility=spread.volatility[rating],
-            variance=jnp.diag(scene.covariance)[component],
+            variance=xp.diag(scene.covariance)[component],
             carry=real_world * (1 - lost)[rating] * case.step,
             reverting=real_world * (1 - spread.fading)[rating],
         )
@@ -106,7 +107,7 @@ class CreditBond(Maturing):
         bond = constant_maturity.over_cash(case, held, terms.reach, steps.drift, now)
         assert now.spread is not None
         u, zeta = now.spread[rating], now.shock[slots(case).spread][rating]
-        level = terms.mean_spread * jnp.exp(u)
+        level = terms.mean_spread * xp.exp(u)
         move = -terms.duration * level
         shocked = move * terms.volatility
         noise = zeta - steps.cross - shocked * terms.variance / 2

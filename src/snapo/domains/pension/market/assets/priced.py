@@ -8,9 +8,10 @@ Under "P" the mean is the case's (see `records.assets.Assets`).
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ...records.assets import AttributionPart
 from ...records.case import PensionModel
@@ -88,7 +89,7 @@ def _drift(case: PensionModel, inputs: dict[str, Any], rank: np.ndarray, varianc
     mean = use(inputs, case.assets.mean)[rank]
     if case.assets.mean_kind == "log":
         return mean * case.step + 0 * variance
-    drift = jnp.log1p(mean) * case.step
+    drift = xp.log1p(mean) * case.step
     return drift - variance / 2 if case.assets.mean_kind == "arithmetic" else drift + 0 * variance
 
 

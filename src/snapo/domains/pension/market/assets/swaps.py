@@ -13,9 +13,10 @@ Reported is ln(1 + w @ (exp(n) - 1)). Swaps of rates come first among the bucket
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ...records.assets import Overlay
 from ...records.case import PensionModel
@@ -82,8 +83,8 @@ def swap_mixture(case: PensionModel, terms: SwapTerms, steps: SwapSteps, now: No
     linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, local)
     inflation = np.eye(case.buckets)[:, case.buckets - len(linked) :]
     share = fixed.share * (1 - 2 * inflation.sum(1, keepdims=True))
-    share = jnp.concatenate([share, jnp.asarray(inflation, share.dtype)], axis=1)
-    return AssetMixture(share, jnp.concatenate([fixed.log, linked]))
+    share = xp.concatenate([share, xp.asarray(inflation, share.dtype)], axis=1)
+    return AssetMixture(share, xp.concatenate([fixed.log, linked]))
 
 
 def swap_returns(
@@ -95,8 +96,8 @@ def swap_returns(
     if terms.linked is not None and steps.linked is not None:
         linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, local)
         first = case.buckets - len(linked)
-        gain = jnp.concatenate([gain[:first], jnp.expm1(linked) - gain[first:]])
-    return jnp.log1p(gain)
+        gain = xp.concatenate([gain[:first], xp.expm1(linked) - gain[first:]])
+    return xp.log1p(gain)
 
 
 def swap_gains(case: PensionModel, before: Prices, after: Prices) -> Float[Array, " b"]:
@@ -108,7 +109,7 @@ def swap_gains(case: PensionModel, before: Prices, after: Prices) -> Float[Array
     first = case.buckets - overlay.inflation
     due = zero_coupon(overlay.maturity[first:], case.step)
     linked = ratio(due, True, before, after)
-    return jnp.concatenate([fixed[:first] - 1, linked - fixed[first:]])
+    return xp.concatenate([fixed[:first] - 1, linked - fixed[first:]])
 
 
 def swap_values(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " b"]:

@@ -12,10 +12,11 @@ index-linked, s_I lambda_I d on top. Index-linked: of I(t) P_real(t, T), in mone
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ...records.case import PensionModel
 from ...records.inputs import use
@@ -57,18 +58,18 @@ class Load(NamedTuple):
     def variance(self, covariance: Array) -> Float[Array, "T k"]:
         """The variance of a step's log return."""
         among = covariance[self.which[:, :, None], self.which[:, None]]
-        return jnp.einsum("tki,kij,tkj->tk", self.size, among, self.size)
+        return xp.einsum("tki,kij,tkj->tk", self.size, among, self.size)
 
     def with_component(self, covariance: Array, component: np.ndarray) -> Float[Array, "T k"]:
         """Covariance with one `component` [k] of the vector for each bond."""
-        return jnp.sum(self.size * covariance[self.which, component[:, None]], axis=2)
+        return xp.sum(self.size * covariance[self.which, component[:, None]], axis=2)
 
 
 def reach(held: HeldBonds, factors: MarketFactors, step: float) -> Float[Array, "k f"]:
     """l B((m - 1) d) by the factors on which the bonds load."""
     shorter = (held.maturity - 1)[:, None] * step
     a = factors.mean_reversion[: len(held.loads)]
-    return jnp.asarray(-held.loads) * jnp.expm1(-a * shorter) / a
+    return xp.asarray(-held.loads) * xp.expm1(-a * shorter) / a
 
 
 def load(scene: Scene, held: HeldBonds) -> Load:
@@ -83,18 +84,18 @@ def load(scene: Scene, held: HeldBonds) -> Load:
         foreign[:, None],
     ]
     volatility = factors.volatility[:, None, :count]
-    complete = jnp.broadcast_to(-volatility * held.loads, (steps, k, count))
+    complete = xp.broadcast_to(-volatility * held.loads, (steps, k, count))
     e = of_currency(scene.currencies.exposure, held.currency)
     size = [
         -volatility * reach(held, factors, case.step),
         complete,
-        jnp.broadcast_to(e[:, None], (steps, k, 1)),
+        xp.broadcast_to(e[:, None], (steps, k, 1)),
     ]
     if held.linked:
         local = use(scene.inputs, case.inflation.index_volatility)
         which.append(np.full((k, 1), position.index))
-        size.append(jnp.broadcast_to(local[:, None, None], (steps, k, 1)))
-    return Load(jnp.concatenate(size, axis=2), np.concatenate(which, axis=1))
+        size.append(xp.broadcast_to(local[:, None, None], (steps, k, 1)))
+    return Load(xp.concatenate(size, axis=2), np.concatenate(which, axis=1))
 
 
 def drift(scene: Scene, held: HeldBonds, load: Load) -> Float[Array, "T k"]:
@@ -119,7 +120,7 @@ def over_cash(case: PensionModel, held: HeldBonds, reach: Array, drift: Array, n
     position, count = slots(case), len(held.loads)
     volatility = now.volatility[:count]
     fall = reach @ (volatility * now.shock[position.zeta[:count]])
-    fall = fall + jnp.sum(held.loads * volatility * now.shock[position.iota[:count]])
+    fall = fall + xp.sum(held.loads * volatility * now.shock[position.iota[:count]])
     if held.linked:
         fall = fall - now.index_volatility * now.shock[position.index]
     result = drift - fall

@@ -6,10 +6,11 @@ Coupons are paid once a year up to the maturity, the first in proportion to the 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ...records.case import PensionModel
 from ..curve import log_bond
@@ -60,10 +61,10 @@ def coupons(
     """Coupons per year, the par rate of these prices [J] where they are at par; and annuities, the
     prices of a coupon of 1 per year."""
     at_par, last = np.isnan(of.coupon), np.argmax(of.principal, axis=1)
-    annuity = jnp.asarray(of.period) @ price
+    annuity = xp.asarray(of.period) @ price
     # Periods of nothing would divide by nothing.
-    par = (1 - price[last]) / jnp.where(at_par, annuity, 1.0)
-    return jnp.where(at_par, par, np.nan_to_num(of.coupon)), annuity
+    par = (1 - price[last]) / xp.where(at_par, annuity, 1.0)
+    return xp.where(at_par, par, np.nan_to_num(of.coupon)), annuity
 
 
 def amounts(of: Payments, price: Array | np.ndarray) -> Float[Array, "k J"]:
@@ -87,6 +88,6 @@ def curve_prices(case: PensionModel, inputs: dict[str, Any]) -> Prices:
         log = log_bond(case.curve, inputs, years)
         if linked:
             log = log - log_bond(case.inflation.break_even, inputs, years)
-        return jnp.exp(log)
+        return xp.exp(log)
 
     return prices

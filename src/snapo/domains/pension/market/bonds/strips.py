@@ -7,9 +7,10 @@ cash, n_j being the log returns over cash of the payments.
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
 
 from ...records.case import PensionModel
 from ..assets.asset_class import AssetMixture, Now, Scene
@@ -56,7 +57,7 @@ def prepare(scene: Scene, of: Payments, currency: np.ndarray) -> tuple[StripTerm
 
 
 def _prices(terms: StripTerms, steps: StripSteps, now: Now) -> Float[Array, " J"]:
-    return jnp.exp(steps.level - terms.slope @ now.factors)
+    return xp.exp(steps.level - terms.slope @ now.factors)
 
 
 def mixture(
@@ -80,8 +81,8 @@ def gains(
     log = constant_maturity.over_cash(
         case, _held(case, of, currency), terms.reach, steps.drift, now
     )
-    price, growth = _prices(terms, steps, now), jnp.expm1(log).reshape(-1, len(of.steps))
-    by_currency = jnp.stack([gain(of, price, row) for row in growth])
+    price, growth = _prices(terms, steps, now), xp.expm1(log).reshape(-1, len(of.steps))
+    by_currency = xp.stack([gain(of, price, row) for row in growth])
     return by_currency[np.unique(currency, return_inverse=True)[1], np.arange(len(currency))]
 
 
@@ -94,10 +95,10 @@ def gain(of: Payments, price: Float[Array, " J"], growth: Float[Array, " J"]) ->
     last = np.argmax(of.principal, axis=1)
     risen = price * growth
     rise = coupon * (of.period @ risen) + risen[last]
-    return rise / jnp.where(np.isnan(of.coupon), 1.0, coupon * annuity + price[last])
+    return rise / xp.where(np.isnan(of.coupon), 1.0, coupon * annuity + price[last])
 
 
 def shares(of: Payments, price: Float[Array, " J"]) -> Float[Array, "k J"]:
     """Shares of the value of each holding, by payment."""
     due = amounts(of, price) * price
-    return due / jnp.sum(due, axis=1, keepdims=True)
+    return due / xp.sum(due, axis=1, keepdims=True)

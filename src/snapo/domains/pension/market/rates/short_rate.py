@@ -9,16 +9,15 @@ under which a case correlates them.
 from collections.abc import Sequence
 from typing import ClassVar, Self, TypeVar
 
-import equinox as eqx
-
 from snapo.case.given import CaseInput
 from snapo.case.table import CaseTable
+from snapo.problem.record import TreeRecord
 
 from ...quantities import on_steps, side_by_side
 from ...read.cells import TableReader, TimeGrid
 
 
-class ShortRate(eqx.Module):
+class ShortRate(TreeRecord):
     """The numbers of a model with F factors.
 
     - `mean_reversion`: index [F], above zero. `volatility`: index [T, F], constant in a step.

@@ -3,11 +3,9 @@
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from snapo.lanes.program.in_numpy import in_numpy
+from snapo.problem.record.either import scan, slope, with_numpy, xp
 
 from ...market.assets.asset_class import log_prices
 from ...market.assets.swaps import swap_values
@@ -55,8 +53,7 @@ def human(case: PensionCase, inputs: dict[str, Any], figures: LiabilityFigures) 
     assets, liability = float(case.assets.amount.used()), figures.liability
     held = _parallel(case, inputs, case.curve)
     linked = _parallel(case, inputs, case.inflation.break_even)
-    bonds = in_numpy(lambda values: log_bond(case.curve, values, np.array(TENORS)))
-    rates = -np.asarray(bonds(inputs)) / TENORS
+    rates = -with_numpy(log_bond)(case.curve, inputs, np.array(TENORS)) / TENORS
     volatility = {} if case.scenarios is not None else _rate_volatility(case, inputs)
     grown = _supplied(case) if case.scenarios is not None else _median(case, inputs)
     owed = float(np.sum(figures.key_rate)) / BASIS_POINT
@@ -79,7 +76,7 @@ def _parallel(case: PensionCase, values: dict[str, Any], curve: MarketCurve) -> 
     """d (assets and swaps today) / d shift of all quotes of `curve`, money."""
     name, quotes = curve.rate.name, curve.rate.values
 
-    def value(shift, values):
+    def value(shift):
         moved = values | {name: quotes + shift}
         held = case.assets.weight.used() * float(case.assets.amount.used())
         total = held @ log_prices(case, moved)
@@ -87,7 +84,7 @@ def _parallel(case: PensionCase, values: dict[str, Any], curve: MarketCurve) -> 
             total = total + case.overlay.notional.used() @ swap_values(case, moved)
         return total
 
-    return float(in_numpy(jax.grad(value))(0.0, values))
+    return float(slope(value, 0.0))
 
 
 def _rate_volatility(case: PensionCase, values: dict[str, Any]) -> dict[int, float]:
@@ -95,31 +92,31 @@ def _rate_volatility(case: PensionCase, values: dict[str, Any]) -> dict[int, flo
     each of them."""
     count, now = case.rates.count(), case.rates.volatility.used()[0]
 
-    def deviations(values):
+    def deviations():
         together = matrix(case, values)[:count, :count]
         loads = [now * reach(case.rates.mean_reversion.used(), float(u)) / u for u in TENORS]
-        return [jnp.sqrt(load @ together @ load) for load in loads]
+        return [xp.sqrt(load @ together @ load) for load in loads]
 
-    return dict(zip(TENORS, map(float, in_numpy(deviations)(values))))
+    return dict(zip(TENORS, map(float, with_numpy(deviations)())))
 
 
 def _median(case: PensionCase, values: dict[str, Any]) -> np.ndarray:
     """[n] returns per year along the path on which every shock is zero."""
-    # Bases and mortality do not matter to returns.
-    market = replace(case, lee_carter=None)
+    # Bases, mortality and swaps do not matter to returns.
+    market = replace(case, lee_carter=None, overlay=None)
 
-    def simulate(inputs):
-        terms, steps, _ = market_schedule(market, inputs, np.array([round(1 / case.step)]))
+    def simulate():
+        terms, steps, _ = market_schedule(market, values, np.array([round(1 / case.step)]))
         terms, steps = without_empty(terms), without_empty(steps)
-        none = jnp.zeros(slots(market).size)
+        none = xp.zeros(slots(market).size)
 
         def step(state, now):
             moved = move(market, terms, now, state, none)
             return moved.market, moved.gross
 
-        return jax.lax.scan(step, terms.start, steps)[1]
+        return scan(step, terms.start, steps, case.steps)[1]
 
-    gross = np.asarray(in_numpy(simulate)(values))
+    gross = with_numpy(simulate)()
     return np.expm1(np.log(gross).mean(0) / case.step)
 
 

@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.problem.inputs import plain
 from snapo.study.kind import inputs_line
 
 from ...records.case import PensionCase
-from ...records.inputs import pension_inputs
+from ...records.inputs import input_values, pension_inputs
 from ...regulation.bases import bases
 from ...regulation.position import stand
 from .human import Human, human
@@ -34,7 +33,7 @@ def against_months(case: PensionCase, result: LiabilityFigures) -> list[str]:
         return []
     # One decision will do: the liability today does not depend on the horizon.
     held = replace(case, step=1 / MONTHS, steps=MONTHS, plan=replace(case.plan, accruing=False))
-    monthly = figures(held, plain(pension_inputs(case))).liability
+    monthly = figures(held, input_values(case)).liability
     change = result.liability / monthly - 1
     if np.abs(change) < WORTH_TELLING:
         return []
@@ -67,7 +66,7 @@ def examine(case: PensionCase) -> Examined:
 
     **Raises:** `CaseError` if a figure of the actuary's is missed by more than its tolerance.
     """
-    inputs = plain(pension_inputs(case))
+    inputs = input_values(case)
     result = figures(case, inputs)
     available = reconciled(case, result)
     observed = human(case, inputs, result)
@@ -86,7 +85,7 @@ def lines(case: PensionCase) -> list[str]:
         f"scenarios: {'supplied' if case.scenarios else SCENARIOS[case.measure]}",
         f"{inputs_line([entry.value.size for entry in inputs.values()])}; {len(case.held)} held",
         *_human(case, result.human),
-        *_status(case, plain(inputs), result.figures.liability),
+        *_status(case, input_values(case), result.figures.liability),
         *in_words(case),
         *_leverage(case),
         *_regulation(case),
@@ -175,7 +174,7 @@ def _regulation(case: PensionCase) -> list[str]:
     """The fund before its regulator; nothing if the case names none."""
     if case.regulation is None:
         return []
-    result = stand(case, plain(pension_inputs(case)))
+    result = stand(case, input_values(case))
     return [
         f"required own funds {readable(result.required, case.currency)}: required funding ratio"
         f" {result.required_ratio:.1%}, minimum {result.minimum_ratio:.1%}, policy ratio"
@@ -187,7 +186,7 @@ def _funding(case: PensionCase) -> list[str]:
     """The bases of funding side by side; nothing if the case has none."""
     if case.funding is None:
         return []
-    result, currency = bases(case, plain(pension_inputs(case))), case.currency
+    result, currency = bases(case, input_values(case)), case.currency
     summary = [
         f"{base.name.lower()} (gilts {base.margin:+.2%}): {readable(base.liability, currency)},"
         f" funded {base.ratio:.1%}"
@@ -244,7 +243,7 @@ def reconciled(
 
     **Raises:** `CaseError` if a figure of the actuary's is missed by more than its tolerance.
     """
-    result = check(case, plain(pension_inputs(case)), available)
+    result = check(case, input_values(case), available)
     for line in result:
         if not line.ok and line.given is not None and case.reconcile is not None:
             tolerance = case.reconcile.tolerance

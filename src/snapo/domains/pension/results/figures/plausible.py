@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from snapo.lanes.program.in_numpy import in_numpy
+from snapo.problem.record.either import with_numpy
 
 from ...fund.contributions import CONTRIBUTIONS, log_discount
 from ...records.case import PensionCase
@@ -108,7 +108,7 @@ def _rolling(case: PensionCase, human: Human) -> Iterator[str]:
     target, years = float(paid.target_ratio.used()), float(paid.recovery_years.used())
     if human.funding >= target:
         return
-    rate = -float(in_numpy(lambda: log_discount(case, {}, np.array([years])))()[0]) / years
+    rate = -float(with_numpy(log_discount)(case, {}, np.array([years]))[0]) / years
     grown, left = np.exp(rate * case.step), case.step / years
     growth = (1 - left) * grown if case.plan.timing == "advance" else grown - left
     if growth >= 1:

@@ -1,16 +1,13 @@
 """The actuary's figures from the model's cash flows and curve, before any simulation."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import partial
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from snapo.lanes.program.in_numpy import in_numpy
+from snapo.problem.record.arrays import Array
+from snapo.problem.record.either import jacobian, with_numpy, xp
 
 from ...fund.schedule import basis_log_bond
 from ...people.cash_flows import horizon, project, reserved
@@ -57,36 +54,30 @@ class ReconciledFigure:
 def figures(case: PensionCase, inputs: dict[str, Any]) -> LiabilityFigures:
     """All figures; `inputs` are plain arrays by name."""
     values = _with_curves(case, inputs)
-    curves = case.curve.rate.name, case.inflation.break_even.rate.name
-    slopes, (flow, discount, load) = _slopes(case)({name: values[name] for name in curves}, values)
-    years = paid_at(case, np.arange(horizon(case))) * case.step
-    value = flow * discount
+    plain = replace(case, scenarios=None)
+    flow, discount = with_numpy(payments)(plain, values)
+    paid = paid_at(case, np.arange(horizon(case)))
+    years, value = paid * case.step, flow * discount
     total = float(value.sum())
-    prices = case.inflation.break_even.rate.name
+
+    def log_discount(quotes, name):
+        return basis_log_bond(plain, values | {name: quotes})[paid]
+
+    curves = case.curve.rate.name, case.inflation.break_even.rate.name
+    # No payment of accrued rights depends on a curve, only its discount factor.
+    rates, prices = (
+        value @ jacobian(partial(log_discount, name=name), values[name]) for name in curves
+    )
     scale = total or 1.0
     return LiabilityFigures(
         liability=total,
         duration=float(value @ years) / scale,
         convexity=float(value @ years**2) / scale,
-        key_rate=BASIS_POINT * slopes[case.curve.rate.name],
-        key_inflation=BASIS_POINT * slopes[prices],
-        inflation01=BASIS_POINT * float(slopes[prices].sum()),
-        cash_flow=flow[: horizon(case) - case.steps] / float(load),
+        key_rate=BASIS_POINT * rates,
+        key_inflation=BASIS_POINT * prices,
+        inflation01=BASIS_POINT * float(prices.sum()),
+        cash_flow=flow[: horizon(case) - case.steps] / float(with_numpy(reserved)(plain, values)),
     )
-
-
-@lru_cache(maxsize=4)  # stresses ask for the same case at other inputs
-def _slopes(case: PensionCase) -> Callable[..., Any]:
-    """Slopes of the liability by every number of the curves, with payments, discount factors and
-    the loading for expenses."""
-    case = replace(case, scenarios=None)
-
-    def value(curves, others):
-        values = others | curves
-        both = payments(case, values)
-        return jnp.dot(*both), (*both, reserved(case, values))
-
-    return in_numpy(jax.grad(value, has_aux=True))
 
 
 def check(
@@ -110,9 +101,9 @@ def check(
     plain = replace(case, scenarios=None)
 
     def split(values):
-        return people(plain, values, basis_log_bond(plain, values)).accrued[0]
+        return people(plain, values, basis_log_bond(plain, values)).accrued[0].sum()
 
-    value = float(in_numpy(split)(_with_curves(plain, inputs)).sum())
+    value = float(with_numpy(split)(_with_curves(plain, inputs)))
     lines.append(_line("liability on payment nodes", value, result.liability, EXACT))
     if case.liability.basis != "fixed" and _shifts_as_one(case.curve):
         parallel = -BASIS_POINT * result.duration * result.liability
@@ -124,7 +115,7 @@ def payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
     """Expected payments by step [N], loading for expenses included, and their discount factors."""
     log_bond = basis_log_bond(case, inputs)
     flow = reserved(case, inputs) * project(case, inputs, log_bond).accrued
-    return flow, jnp.exp(log_bond[paid_at(case, np.arange(horizon(case)))])
+    return flow, xp.exp(log_bond[paid_at(case, np.arange(horizon(case)))])
 
 
 def _with_curves(case: PensionCase, inputs: dict[str, Any]) -> dict[str, Any]:

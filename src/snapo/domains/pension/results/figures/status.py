@@ -1,14 +1,12 @@
 """Members and liability by status, and the fund's payments of today, in money per year."""
 
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from snapo.lanes.program.in_numpy import in_numpy
+from snapo.problem.record.arrays import Array
+from snapo.problem.record.either import added, with_numpy, xp
 from snapo.problem.smooth import Exact
 
 from ...fund.contributions import annuity
@@ -66,7 +64,7 @@ def groups(case: PensionCase, inputs: dict[str, Any]) -> list[StatusGroup]:
     members = case.members
     if members is None:
         return []
-    value = in_numpy(partial(_by_cohort, case))(inputs)
+    value = with_numpy(_by_cohort)(case, inputs)
     number, pension, salary = (
         entry.used() if entry.values.size else np.zeros(len(members.status))
         for entry in (members.number, members.pension, members.salary)
@@ -92,24 +90,24 @@ def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
     streams = project(case, inputs, bond).streams
     assert streams is not None and members is not None
     within = np.arange(horizon(case) - case.steps)
-    value = streams.held * (streams.unit[:, within] @ jnp.exp(bond[paid_at(case, within)]))
-    earned = jnp.zeros(len(streams.lives.age)).at[streams.group].add(value)
+    value = streams.held * (streams.unit[:, within] @ xp.exp(bond[paid_at(case, within)]))
+    earned = added(xp.zeros(len(streams.lives.age)), streams.group, value)
     return reserved(case, inputs) * earned[: len(members.status)]
 
 
 def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
     """The payments of today; `liability`: that of the case."""
     case = replace(case, scenarios=None)
-    numbers = in_numpy(lambda inputs: _pace(case, inputs, liability))(inputs)
+    numbers = with_numpy(_pace)(case, inputs, liability)
     return Pace(*map(float, numbers))
 
 
 def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> tuple[Array, ...]:
     """The numbers of `Pace`, in its order."""
     lives, terms = people(case, inputs, basis_log_bond(case, inputs)), plan_terms(case, inputs)
-    assets = jnp.asarray(float(case.assets.amount.used()))
+    assets = xp.asarray(float(case.assets.amount.used()))
     level, sums = annuity(case, inputs), agreed(case, inputs)
-    accrual, payroll = jnp.sum(lives.accrual[0]), lives.payroll[0]
+    accrual, payroll = xp.sum(lives.accrual[0]), lives.payroll[0]
     paid = contribution(
         case.plan,
         terms,
@@ -123,14 +121,14 @@ def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> tuple[
         annuity=None if level is None else level[0],
     )
     paid = paid if sums is None else paid + sums[0]
-    growth = jnp.expm1(-log_bond(case.inflation.break_even, inputs, np.ones(1))[0])
-    ratio = assets / liability if liability else jnp.inf
+    growth = xp.expm1(-log_bond(case.inflation.break_even, inputs, np.ones(1))[0])
+    ratio = assets / liability if liability else xp.inf
     granted, cut = indexation(case.plan, terms, ratio=ratio, price_growth=growth, smooth=Exact())
     fixed = case.plan.indexation.rate if case.plan.indexation.kind == "fixed" else None
-    increase = granted - cut if fixed is None else jnp.asarray(float(fixed.used()))
+    increase = granted - cut if fixed is None else xp.asarray(float(fixed.used()))
     benefits = lives.benefit[0] / case.step
     # Payments that follow prices in the valuation contain the increase, but no cut.
-    risen = granted if case.liability.future_indexation == "none" else jnp.zeros(())
+    risen = granted if case.liability.future_indexation == "none" else xp.zeros(())
     return (
         accrual / case.step,
         paid / case.step,

@@ -1,6 +1,7 @@
 """The drug that a tablet, or loose crystals, have dissolved by a time."""
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,10 +11,6 @@ from snapo.problem.record.arrays import Array, Float, jnp
 from ...flowsheet.stream import NO_CRYSTALS, Stream
 from ...given import fixed, use
 from ..crystals.population import mean_sizes
-
-# Points within a cell, from 0 to 1, and their weights: exact for polynomials to degree 5.
-POINTS, WEIGHTS = (np.polynomial.legendre.leggauss(3)[i] / 2 + (0.5, 0.0)[i] for i in (0, 1))
-
 
 BY_MEAN = (
     "Crystals described by their moments dissolve as spheres of one size, d₃₂: if their sizes "
@@ -27,6 +24,13 @@ class Lasting(NamedTuple):
 
     lifetime: Float[Array, " K"]
     share: Float[Array, " K"]
+
+
+@cache
+def _within_a_cell() -> tuple[np.ndarray, np.ndarray]:
+    """Points from 0 to 1 and their weights, exact for polynomials to degree 5."""
+    points, weights = np.polynomial.legendre.leggauss(3)
+    return points / 2 + 0.5, weights / 2
 
 
 def inside(product: Stream) -> tuple[Float[Array, " K"], Float[Array, " K"], Float[Array, ""]]:
@@ -44,8 +48,9 @@ def inside(product: Stream) -> tuple[Float[Array, " K"], Float[Array, " K"], Flo
         return size[None], jnp.ones(1), density
     numbers = product.inner_numbers if product.inner_grid else product.numbers
     low, width = counted.array[:-1, None], np.diff(counted.array)[:, None]
-    sizes = low + POINTS * width
-    volume = numbers[:, None] * fixed(WEIGHTS * sizes**3)
+    points, weights = _within_a_cell()
+    sizes = low + points * width
+    volume = numbers[:, None] * fixed(weights * sizes**3)
     total = jnp.sum(volume)
     empty = total <= 0
     return fixed(sizes.ravel()), volume.ravel() / jnp.where(empty, 1.0, total), density

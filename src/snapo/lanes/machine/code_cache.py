@@ -13,10 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
-
-from snapo.lanes.machine.disk import cache_home, cached, evict, is_private
-from snapo.lanes.machine.linked import Linked
+from .disk import cache_home, cached, evict, is_private
+from .linked import Linked
 
 KERNELS, PROGRAMS = "kernels", "xla"
 
@@ -45,6 +43,8 @@ def linked_code(text: str, entries: Mapping[str, int]) -> Linked:
 def keep_programs() -> None:
     """XLA's programs of this process are kept on disk and read from there, unless the user has
     named another folder (`JAX_COMPILATION_CACHE_DIR`), or has switched the cache off."""
+    import jax  # late: `snapo cache` shows the folders without it
+
     config = jax.config
     names = "jax_compilation_cache_dir", "jax_enable_compilation_cache"
     if tuple(getattr(config, name) for name in names) != (None, True):

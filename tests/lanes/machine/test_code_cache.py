@@ -8,12 +8,11 @@ import sys
 import pytest
 
 from snapo.cli.main import main
-from snapo.engine import code_cache
-from snapo.lanes.machine import disk
+from snapo.lanes.machine import code_cache, disk
 
 PROGRAM = """
 import jax, jax.numpy as jnp
-from snapo.engine.code_cache import keep_programs
+from snapo.lanes.machine.code_cache import keep_programs
 hits = []
 jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
 keep_programs()
