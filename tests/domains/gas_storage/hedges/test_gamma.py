@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import norm
 from tests.domains.energy.energy_cases import plant, swing
 from tests.domains.gas_storage.storage_cases import read
@@ -19,7 +19,13 @@ from snapo.domains.energy.study import study
 from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.explain.chain import delivery_periods
 from snapo.domains.gas_storage.explain.curve import DeliveryPeriod
-from snapo.domains.gas_storage.hedges.gamma import GammaMatrix, gamma_matrix, price_rises
+from snapo.domains.gas_storage.hedges.gamma import (
+    GammaMatrix,
+    _spots,
+    gamma_matrix,
+    price_rises,
+    random_rises,
+)
 from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
 from snapo.study.domain import Options
 
@@ -153,6 +159,30 @@ def test_a_move_is_of_the_numbers_of_the_days():
     assert other.price == pytest.approx(case.market.forward_curve.used()[3:7].mean())
     assert other.steps == slice(3, 7)
     assert price_rises(periods[1:], case.days, curve, values(problem), 2)[0].steps == slice(6, 14)
+
+
+def test_a_known_price_does_not_rise():
+    """A swing of one week: on the valuation date every path has the same price. A rise of it would
+    change the decision of that day on all paths at once, and a secant over the kink is no gamma."""
+    case = swing(end=datetime.date(2026, 10, 8), annual=None)
+    setup = energy_setup(case, "native")
+    problem = setup.problem
+    curve = curve_of(problem)
+    rises = price_rises(delivery_periods(case.days, None), case.days, curve, values(problem))
+    prices, engine = price_schedule(problem), setup.engines.evaluate
+    (along,) = random_rises(_spots(problem, setup.policy, prices, engine), rises)
+    assert_array_equal(along, [0, 1, 1, 1, 1, 1, 1])
+    # At the money on the first day, where a bump of its price would turn the decision.
+    value = problem.inputs_by_name[curve.name].value.copy()
+    value[0] = case.contract.strike.values[0]
+    on = problem.at({curve.name: value})
+    of = gamma_matrix(on, setup.policy, curve.name, rises, prices, engine, 512)
+    deviation = np.sqrt(np.asarray(factors_of(on).variance)[1:7])
+    d1 = np.log(28.0 / 29.0) / deviation + deviation / 2
+    exact = np.sum(norm.pdf(d1) / (28.0 * deviation))  # a call on every other day; discounts: 1e-3
+    gamma, error = of.symmetric.value[0, 0], of.standard_error[0, 0]
+    print(gamma, error, exact, 1 / (2 * of.bumps[0]))
+    assert abs(gamma - exact) < 3 * error < 0.3 / of.bumps[0]
 
 
 @pytest.mark.prove

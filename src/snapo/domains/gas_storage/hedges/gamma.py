@@ -27,6 +27,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from snapo.engine import TRAJECTORY, Engine
 from snapo.problem.form import Use
@@ -50,13 +51,15 @@ SPREAD_PATHS, BLOCKS = 1024, 32
 class PriceRise(NamedTuple):
     """A rise by 1 of the price of a product.
 
-    - `dates`: first and last day of its delivery; `steps`: of the simulator.
-    - `along` [n]: of the numbers of the curve; `price`: the mean forward price.
+    - `dates`: first and last day of its delivery; `steps`: the steps of the simulator.
+    - `numbers` [steps]: the position in the curve of the forward price of each of these steps.
+    - `along` [n]: the rise of the numbers of the curve; `price`: the mean forward price.
     """
 
     name: str
     dates: tuple[str, str]
     steps: slice
+    numbers: np.ndarray
     along: np.ndarray
     price: float
 
@@ -74,14 +77,15 @@ def price_rises(
     a day has `steps_a_day`.
     """
     name, size, rises = curve.name, len(values), []
-    index = curve.in_numpy({name: np.arange(size)})[::steps_a_day]
+    index = curve.in_numpy({name: np.arange(size)})
     prices = curve.in_numpy({name: values})[::steps_a_day]
     for title, first, after in periods:
         along = np.zeros(size)
-        along[index[first:after]] = 1.0
         dates = str(days[first])[:10], str(days[after - 1])[:10]
         steps = slice(first * steps_a_day, after * steps_a_day)
-        rises.append(PriceRise(title, dates, steps, along, float(prices[first:after].mean())))
+        along[index[steps]] = 1.0
+        price = float(prices[first:after].mean())
+        rises.append(PriceRise(title, dates, steps, index[steps], along, price))
     return rises
 
 
@@ -133,24 +137,27 @@ def gamma_matrix(
 ) -> GammaMatrix:
     """Gamma of the products, two passes for each.
 
-    `curve`: the input of the forward prices; `prices`: the schedule of the price process.
+    `curve`: the input of the forward prices; `prices`: the schedule of the price process. Forward
+    prices of steps whose spot price is known already, such as that of the valuation date, do not
+    move: the value is linear in them between kinks.
 
-    **Raises:** `ValueError` where prices are not random: the value has kinks in forward prices.
+    **Raises:** `ValueError` if the prices of a product are not random: the value has kinks in them.
     """
     source = problem.sources.evaluation
     blocks = source.blocks(source.available(paths), BLOCKS)
     count = sum(map(len, blocks))
-    spreads = price_spreads(problem, policy, rises, prices, engine)
+    spots = _spots(problem, policy, prices, engine)
+    spreads = price_spreads(spots, rises)
     if not np.all(spreads > 0):
         name = rises[int(np.argmin(spreads))].name
         raise ValueError(f"the price of {name} is not random, and the value has kinks in it")
     bumps = spreads * (BALANCE / count) ** 0.2
-    along, value = np.stack([x.along for x in rises]), problem.inputs_by_name[curve].value
+    along, value = random_rises(spots, rises), problem.inputs_by_name[curve].value
     at_values, both = problems_at(problem), []
-    for rise, bump in zip(rises, bumps, strict=True):
+    for rise, by, bump in zip(rises, along, bumps, strict=True):
         sides = []
         for sign in (1.0, -1.0):
-            shifted = at_values({curve: value + sign * bump * rise.along.reshape(value.shape)})
+            shifted = at_values({curve: value + sign * bump * by.reshape(value.shape)})
             local = engine.bind(shifted, controls=False)
             path = DerivativePass(shifted, local, policy, Exact(), held=True)
             delta = path.derivatives(blocks).inputs[curve].blocks
@@ -160,23 +167,32 @@ def gamma_matrix(
     return GammaMatrix(np.stack(both, axis=1), bumps)
 
 
-def price_spreads(
-    problem: Problem,
-    policy: Policy,
-    rises: Sequence[PriceRise],
-    prices: Schedule,
-    engine: Engine,
-) -> np.ndarray:
-    """[n] the deviation of the spot price from the mean of its path around each product."""
+def _spots(
+    problem: Problem, policy: Policy, prices: Schedule, engine: Engine
+) -> Float[np.ndarray, "T N"]:
+    """Spot prices on some paths, without their common level."""
     source, simulator = problem.sources.evaluation, problem.simulator
     draws = source.draws(np.arange(source.available(SPREAD_PATHS)), simulator)
     rollout = engine.bind(problem).values(policy, draws, Exact(), record=TRAJECTORY)
     process = getattr(simulator, "process")  # noqa: B009, of every kind of energy contract
     spots = spots_on_paths(process, prices, rollout)
-    spots = spots - spots.mean(axis=1, keepdims=True)
+    return spots - spots.mean(axis=1, keepdims=True)
+
+
+def price_spreads(spots: Float[np.ndarray, "T N"], rises: Sequence[PriceRise]) -> np.ndarray:
+    """[n] the deviation of the spot price from the mean of its path around each product."""
     spreads = []
     for rise in rises:
         first, after = max(rise.steps.start - AROUND, 0), rise.steps.stop + AROUND
-        around = spots[first : min(after, simulator.horizon)]
+        around = spots[first : min(after, len(spots))]
         spreads.append(np.sqrt(np.mean((around - around.mean(axis=0)) ** 2)))
     return np.array(spreads)
+
+
+def random_rises(spots: Float[np.ndarray, "T N"], rises: Sequence[PriceRise]) -> np.ndarray:
+    """[n, numbers of the curve] the rises, without numbers that no random spot price depends on."""
+    random, along = np.ptp(spots, axis=1) > 0, []
+    for rise in rises:
+        moving = np.isin(np.arange(len(rise.along)), rise.numbers[random[rise.steps]])
+        along.append(rise.along * moving)
+    return np.stack(along)
