@@ -10,7 +10,7 @@ SPREAD = {"kind": "negative-binomial", "mean": 5.0}
 SLIPS = {
     "a rate for a factor": (
         {"horizon": {"discount": 0.04}},
-        "horizon.discount: discount is 0.04, outside 0.5 to 1: a factor by week is expected",
+        "horizon.discount: discount is 0.04, outside 0.5 to 1: a factor per week is expected",
     ),
     "holding of a year in cents": (
         {"holding": 5200.0},

@@ -72,8 +72,8 @@ def text_of(html):
 def test_every_section_stands_in_its_place(full):
     outline = Outline(full)
     assert outline.sections == NAMES
-    # Quotes, traded products, vega, methods and hedges are there only where the run has them.
-    assert len(SECTIONS) - 5 == len(NAMES)
+    # Quotes, traded products, vega, gamma, methods and hedges are there only if the run has them.
+    assert len(SECTIONS) - 6 == len(NAMES)
     assert outline.open == []
     assert 'class="missing"' not in full.replace('<noscript><p class="missing">', "")
 
