@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.scipy.special import erf, gammaln, ndtr
-
-from snapo.lanes.program.in_numpy import in_numpy
+from tests.lanes.in_numpy import in_numpy
 
 RANDOM = np.random.default_rng(0)
 X, Y = RANDOM.normal(size=(4, 3)), RANDOM.normal(size=(4, 3))

@@ -9,11 +9,11 @@ from tests.domains.energy.energy_cases import HOME, battery, case_at, plant, swi
 from tests.domains.energy.test_bank import CARRY, CHEAP, MAKE_UP, TWO, three_years, two_years
 from tests.domains.energy.test_index import indexed
 from tests.domains.energy.test_swing import firm_with_rights
+from tests.lanes.in_numpy import in_numpy
 
 from snapo.domains.energy.core.intraday import simulator_kind
 from snapo.domains.energy.methods.intrinsic import intrinsic_value
 from snapo.domains.energy.summary import known_schedule
-from snapo.lanes.program.in_numpy import in_numpy
 from snapo.problem.inputs import plain
 
 PARK = HOME / "template_park_and_loan"

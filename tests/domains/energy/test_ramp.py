@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
 from tests.domains.energy.energy_cases import HOME, case_at, plant
+from tests.lanes.in_numpy import in_numpy
 
 import snapo
 from snapo.case.error import CaseError
@@ -16,7 +17,6 @@ from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.intrinsic import intrinsic_value
 from snapo.domains.energy.methods.lattice import lattice
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
-from snapo.lanes.program.in_numpy import in_numpy
 from snapo.solver.bound import bound
 from snapo.solver.derivatives.bump import reactions
 from snapo.solver.derivatives.verdict import verdicts

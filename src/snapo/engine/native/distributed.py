@@ -2,7 +2,7 @@
 
 A job has the rows that some groups read. The kernel and the numbers of its steps, which are the
 same at every step of training, are sent to a worker that does not know them. It needs neither the
-simulator nor the policy. The answer has the rows that the kernel wrote, with the sums of every
+simulator nor the policy. The result has the rows that the kernel wrote, with the sums of every
 group by themselves: they are added in the same way in all runs, so that the bits are those of one
 process.
 """

@@ -21,7 +21,7 @@ from snapo.domains.gas_storage.explain.chain import delivery_periods
 from snapo.domains.gas_storage.explain.curve import DeliveryPeriod
 from snapo.domains.gas_storage.hedges.gamma import (
     GammaMatrix,
-    _spots,
+    centred_spots,
     gamma_matrix,
     price_rises,
     random_rises,
@@ -170,7 +170,7 @@ def test_a_known_price_does_not_rise():
     curve = curve_of(problem)
     rises = price_rises(delivery_periods(case.days, None), case.days, curve, values(problem))
     prices, engine = price_schedule(problem), setup.engines.evaluate
-    (along,) = random_rises(_spots(problem, setup.policy, prices, engine), rises)
+    (along,) = random_rises(centred_spots(problem, setup.policy, prices, engine), rises)
     assert_array_equal(along, [0, 1, 1, 1, 1, 1, 1])
     # At the money on the first day, where a bump of its price would turn the decision.
     value = problem.inputs_by_name[curve.name].value.copy()

@@ -146,7 +146,7 @@ def gamma_matrix(
     source = problem.sources.evaluation
     blocks = source.blocks(source.available(paths), BLOCKS)
     count = sum(map(len, blocks))
-    spots = _spots(problem, policy, prices, engine)
+    spots = centred_spots(problem, policy, prices, engine)
     spreads = price_spreads(spots, rises)
     if not np.all(spreads > 0):
         name = rises[int(np.argmin(spreads))].name
@@ -167,10 +167,10 @@ def gamma_matrix(
     return GammaMatrix(np.stack(both, axis=1), bumps)
 
 
-def _spots(
+def centred_spots(
     problem: Problem, policy: Policy, prices: Schedule, engine: Engine
 ) -> Float[np.ndarray, "T N"]:
-    """Spot prices on some paths, without their common level."""
+    """Spot prices on some paths, minus the mean over the paths."""
     source, simulator = problem.sources.evaluation, problem.simulator
     draws = source.draws(np.arange(source.available(SPREAD_PATHS)), simulator)
     rollout = engine.bind(problem).values(policy, draws, Exact(), record=TRAJECTORY)
@@ -191,8 +191,6 @@ def price_spreads(spots: Float[np.ndarray, "T N"], rises: Sequence[PriceRise]) -
 
 def random_rises(spots: Float[np.ndarray, "T N"], rises: Sequence[PriceRise]) -> np.ndarray:
     """[n, numbers of the curve] the rises, without numbers that no random spot price depends on."""
-    random, along = np.ptp(spots, axis=1) > 0, []
-    for rise in rises:
-        moving = np.isin(np.arange(len(rise.along)), rise.numbers[random[rise.steps]])
-        along.append(rise.along * moving)
-    return np.stack(along)
+    random = np.ptp(spots, axis=1) > 0
+    moving = (np.isin(np.arange(x.along.size), x.numbers[random[x.steps]]) for x in rises)
+    return np.stack([x.astype(float) for x in moving])

@@ -128,8 +128,8 @@ class Function:
 class Build:
     """The common state of the functions of a kernel while they are generated.
 
-    - `shared`: the programs of the pieces that are computed once for all paths; `first`: of their
-      outputs that repeat an earlier one, that one.
+    - `shared`: the programs of the pieces that are computed once for all paths; `first`: the first
+      of their outputs that have the same number.
     - `work`, `chunk`: the bytes of scratch memory that one thread needs for arrays between two
       regions and for waiting rows: the maximum over all functions.
     """

@@ -1,4 +1,4 @@
-"""Functions of `jax.numpy` evaluated by NumPy, without compiling: for numbers needed once.
+"""Functions of `jax.numpy` evaluated by NumPy, without compiling: for schedules of tests.
 
 JAX traces the function, and NumPy evaluates its equations one after another, in float64. The
 results are those of XLA but for rounding. JAX evaluates an equation that has no rule here.
@@ -12,8 +12,8 @@ from typing import Any, ParamSpec
 import jax
 import numpy as np
 
-from .. import jax_private
-from . import folding
+from snapo.lanes import jax_private
+from snapo.lanes.program import folding
 
 P = ParamSpec("P")
 ArrayRule = Callable[..., Any]  # from arrays to one array, or to a list of them
