@@ -30,7 +30,7 @@ from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.job import BookJob, Cost, JobResult, opened
 from snapo.book.run import plan_of, run_book
-from snapo.book.work import answer
+from snapo.book.work import compute
 from snapo.engine import Engine, Workers
 from snapo.engine.workers import results
 from snapo.solver.train import Progress, initial_progress, train
@@ -127,7 +127,7 @@ def shapes() -> list[str]:
             adopted = policy if name == "with its policy" else None
             job = BookJob.of(contract, book.tasks, book.run.seed, judged=judged, adopted=adopted)
             heard.clear()
-            data, cost = opened(answer(job.pack()))
+            data, cost = opened(compute(job.pack()))
             table.append(Timed(name, cost.cpu_seconds, sum(heard)))
             stored = JobResult.unpack(data)
             assert stored.points[0].status == "ok", stored.points[0].note
@@ -136,7 +136,7 @@ def shapes() -> list[str]:
         times = []
         for count in (1, 11):
             moves = tuple(stress.moves for stress in book.stresses[:count])
-            _, cost = opened(answer(replace(first, stresses=moves).pack()))
+            _, cost = opened(compute(replace(first, stresses=moves).pack()))
             times.append(cost.cpu_seconds)
         table.append(Timed("a stress", (times[1] - times[0]) / 10, 0.0))
     cpu = {x.name: x.cpu_seconds for x in table}

@@ -68,7 +68,7 @@ class InProcess(Executor):
 HERE = [WorkerPool(InProcess)]
 
 
-def answers_of(book: Book, folder: Path) -> dict[str, JobResult]:
+def results_of(book: Book, folder: Path) -> dict[str, JobResult]:
     """{contract: the result of its first job}, as the folder has them."""
     from snapo.book.run import plan_of
 
@@ -78,13 +78,13 @@ def answers_of(book: Book, folder: Path) -> dict[str, JobResult]:
         entry = files.read(name)
         return None if entry is None else entry[0]
 
-    result = {}
+    results = {}
     for contract in book.contracts:
         job = plan.base(contract, read)
-        answer = None if job is None else read(name_of(job.pack()))
-        if answer is not None:
-            result[contract.name] = answer
-    return result
+        result = None if job is None else read(name_of(job.pack()))
+        if result is not None:
+            results[contract.name] = result
+    return results
 
 
-__all__ = ["HERE", "BookPlan", "InProcess", "answers_of", "read_book", "write_book"]
+__all__ = ["HERE", "BookPlan", "InProcess", "read_book", "results_of", "write_book"]

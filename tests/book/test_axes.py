@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from tests.book.books import HERE, SHORT, answers_of, write_book
+from tests.book.books import HERE, SHORT, results_of, write_book
 from tests.book.conftest import ROWS
 from tests.domains.pharma.pharma_cases import CASE
 from tests.miniatures import thirty_days
@@ -164,9 +164,9 @@ def test_a_sweep_with_training_is_the_contract_at_every_point(store, tmp_path):
         {"key": COST, "label": "injection_cost"}
     ]
     assert "with its 95 % interval" in (tmp_path / "sweep" / "report.html").read_text()
-    answers = answers_of(trained, tmp_path / "sweep")
-    assert len({answer.policy for answer in answers.values()}) == 2
-    assert all(answer.points[0].outputs for answer in answers.values())
+    results = results_of(trained, tmp_path / "sweep")
+    assert len({result.policy for result in results.values()}) == 2
+    assert all(result.points[0].outputs for result in results.values())
 
 
 @pytest.mark.prove

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.book.books import HERE, answers_of, write_book
+from tests.book.books import HERE, results_of, write_book
 
 from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
@@ -44,11 +44,11 @@ def solved(file: Path, row):
     return setup.solve()
 
 
-def equal_to_solve(answer, solution, tmp_path):
+def equal_to_solve(result, solution, tmp_path):
     solution.policy.save(tmp_path / "policy.npz")
-    point = answer.points[0]
+    point = result.points[0]
     assert point.value == solution.value
-    assert (tmp_path / "policy.npz").read_bytes() == answer.policy
+    assert (tmp_path / "policy.npz").read_bytes() == result.policy
     for delta in point.deltas:
         blocks = solution.sensitivities.held[delta.input].blocks
         np.testing.assert_array_equal(blocks.reshape(delta.blocks.shape), delta.blocks)
@@ -58,8 +58,8 @@ def equal_to_solve(answer, solution, tmp_path):
 def test_a_contract_equals_solve(tmp_path):
     file = write_book(tmp_path, ROWS[1:2])
     run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")
-    answer = answers_of(read_book(file), tmp_path / "run")["store 1"]
-    equal_to_solve(answer, solved(file, ROWS[1]), tmp_path)
+    result = results_of(read_book(file), tmp_path / "run")["store 1"]
+    equal_to_solve(result, solved(file, ROWS[1]), tmp_path)
 
 
 @contextlib.contextmanager
@@ -101,7 +101,7 @@ def test_twelve_contracts_on_every_executor(tmp_path):
     def valued(name, where):
         result = run_book(read_book(file), lambda _: None, where, out=tmp_path / name)
         assert result["status"] == "ok", result["failures"]
-        return {x: answer.pack() for x, answer in answers_of(book, tmp_path / name).items()}
+        return {x: result.pack() for x, result in results_of(book, tmp_path / name).items()}
 
     one = valued("one", worker_pools("", 1))
     assert len(one) == 12
@@ -110,10 +110,10 @@ def test_twelve_contracts_on_every_executor(tmp_path):
         run_book(
             read_book(file), lambda _: None, HERE, out=tmp_path / "parts", shard=Shard(part, 2)
         )
-    assert {x: a.pack() for x, a in answers_of(book, tmp_path / "parts").items()} == one
+    assert {x: a.pack() for x, a in results_of(book, tmp_path / "parts").items()} == one
     for name, cluster in (("dask", dask), ("ray", ray)):
         with cluster() as where:
             assert valued(name, where) == one, name
     for i in (0, 5, 11):
-        answer = answers_of(book, tmp_path / "one")[f"store {i}"]
-        equal_to_solve(answer, solved(file, ROWS[i]), tmp_path)
+        result = results_of(book, tmp_path / "one")[f"store {i}"]
+        equal_to_solve(result, solved(file, ROWS[i]), tmp_path)

@@ -38,8 +38,8 @@ class Bomb:
         return exec, ("raise SystemExit('unpickled')",)
 
 
-def test_an_answer_of_pickles_is_none(valued, tmp_path):
-    """A file that was put among the answers is read as arrays or not at all."""
+def test_a_result_of_pickles_is_none(valued, tmp_path):
+    """A file that was put among the results is read as arrays or not at all."""
     import numpy as np
 
     np.savez(tmp_path / "bomb.npz", table=np.array([Bomb()], dtype=object))
@@ -62,8 +62,8 @@ def test_jobs_and_results_are_plain_bytes(valued):
     assert isinstance(json.loads(data), dict)
     assert BookJob.unpack(data) == job and BookJob.unpack(data).pack() == data
     for file in valued.out.glob("answers/*/*"):
-        answer, cost = opened(file.read_bytes())
-        assert JobResult.unpack(answer).pack() == answer and cost.cpu_seconds > 0
+        result, cost = opened(file.read_bytes())
+        assert JobResult.unpack(result).pack() == result and cost.cpu_seconds > 0
         with pytest.raises(ValueError):
             opened(file.read_bytes()[:-1])
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.book.books import answers_of
+from tests.book.books import results_of
 
 from snapo.book.parquet import query
 
@@ -14,8 +14,8 @@ def rows_of(valued, column="", label=""):
 
 def test_flows_by_day_add_up_to_the_outputs(valued):
     """Of every contract: the paths of the exposure are the first of those of the value."""
-    for answer in answers_of(valued.book, valued.out).values():
-        base = answer.points[0]
+    for result in results_of(valued.book, valued.out).values():
+        base = result.points[0]
         flows = {x.output: x for x in base.exposure}
         assert {"cash_flow", "injection", "withdrawal"} <= flows.keys()
         for figures in base.outputs:
@@ -23,7 +23,7 @@ def test_flows_by_day_add_up_to_the_outputs(valued):
                 total = flows[figures.name].blocks.mean(0).sum()
                 assert total == pytest.approx(figures.value, rel=1e-5)
         assert flows["injection"].days[0] == "2025-01-01"
-        assert not answer.points[1].exposure
+        assert not result.points[1].exposure
 
 
 def test_the_sums_are_those_of_the_contracts(valued):
@@ -42,7 +42,7 @@ def test_the_sums_are_those_of_the_contracts(valued):
 
 def test_a_twin_has_twice_the_error_and_the_report_a_chart(valued):
     """Desk A is a contract and its twin."""
-    first = answers_of(valued.book, valued.out)["first"].points[0]
+    first = results_of(valued.book, valued.out)["first"].points[0]
     blocks = next(x.blocks for x in first.exposure if x.output == "cash_flow")
     single = blocks.std(0, ddof=1) / np.sqrt(len(blocks))
     twins = rows_of(valued, "desk", "A")["cash_flow"]["standard_error"]

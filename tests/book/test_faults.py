@@ -1,4 +1,4 @@
-"""Workers that die, answers that are not whole, disks that are full: each answer once, and equal."""
+"""Workers that die, results that are not whole, disks that are full: each result once, and equal."""
 
 import errno
 import json
@@ -13,7 +13,7 @@ from collections import Counter, deque
 import jax
 import numpy as np
 import pytest
-from tests.book.books import HERE, answers_of, write_book
+from tests.book.books import HERE, results_of, write_book
 from tests.book.conftest import ROWS
 from tests.book.fragile import echo
 from tests.domains.energy.energy_cases import battery, plant, swing
@@ -100,7 +100,7 @@ def test_an_unreadable_contract_fails_alone(valued, tmp_path):
 
 
 def test_resume_computes_what_is_missing(valued, tmp_path):
-    """Of a book with one contract changed, that contract; an answer that is cut is computed again."""
+    """Of a book with one contract changed, that contract; a result that is cut is computed again."""
     rows = [row | {"contract.injection_cost": 0.06} if row["name"] == "dearer" else row
             for row in ROWS[:4]]  # fmt: skip
     file, out = write_book(tmp_path, ROWS[:4]), tmp_path / "run"
@@ -151,14 +151,14 @@ def test_a_full_disk_keeps_what_is_written(valued, tmp_path, monkeypatch):
 
 
 def test_a_lost_job_is_named_and_tried_again(valued, tmp_path, monkeypatch):
-    file, out, real = write_book(tmp_path, ROWS[:4]), tmp_path / "run", run.answer
+    file, out, real = write_book(tmp_path, ROWS[:4]), tmp_path / "run", run.compute
 
     def dies(job):
         if b"injection_cost = 0.04" in job:
             raise MemoryError("killed")
         return real(job)
 
-    monkeypatch.setattr(run, "answer", dies)
+    monkeypatch.setattr(run, "compute", dies)
     result = run_book(read_book(file), lambda _: None, HERE, out=out)
     assert result["status"] == "failed" and result["orders"]["lost"] == 1
     assert {(x["case"], x["status"]) for x in result["failures"]} == {("dearer", "lost")}
@@ -179,7 +179,7 @@ def test_a_folder_of_something_else_is_not_touched(tmp_path):
 
 @pytest.mark.prove
 def test_sixty_contracts_with_everything_killed(tmp_path):
-    """kill -9 of a worker and then of the driver; the resumed run has the answers of a quiet one."""
+    """kill -9 of a worker and then of the driver; the resumed run has the results of a quiet one."""
     rows = [
         {"name": f"store {i}", "contract.injection_cost": round(0.02 + 0.001 * i, 3)}
         for i in range(60)
@@ -205,14 +205,14 @@ def test_sixty_contracts_with_everything_killed(tmp_path):
     quiet = run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "quiet")
     assert quiet["sums"] == result["sums"]
     book = read_book(file)
-    mine, other = answers_of(book, out), answers_of(book, tmp_path / "quiet")
-    for name, answer in mine.items():
-        assert answer.pack() == other[name].pack()
+    mine, other = results_of(book, out), results_of(book, tmp_path / "quiet")
+    for name, result in mine.items():
+        assert result.pack() == other[name].pack()
     assert len({float(np.mean(x.points[0].shares)) for x in mine.values()}) == 60
 
 
 def _wait_for(out, count):
-    """Until the folder has so many answers."""
+    """Until the folder has so many results."""
     ended = time.monotonic() + 300
     while time.monotonic() < ended:
         found = len(list(out.glob("answers/*/[0-9a-f]*")))

@@ -13,7 +13,7 @@ from tests.miniatures import thirty_days
 from snapo.book.file import read_book
 from snapo.book.job import BookJob, JobResult, opened
 from snapo.book.stress import StressMove, moved_numbers
-from snapo.book.work import answer
+from snapo.book.work import compute
 from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.domains.energy.read.case import EnergyCase
@@ -96,7 +96,7 @@ def test_a_book_values_the_same_bits(tmp_path):
     book = read_book(tmp_path / "book.toml")
     stresses = (move,), (StressMove("market.quotes", value='"other.csv"'),)
     job = BookJob.of(book.contracts[0], book.tasks, 3, stresses=stresses)
-    packed, _ = opened(answer(job.pack()))
+    packed, _ = opened(compute(job.pack()))
     base, one, other = JobResult.unpack(packed).points
     assert [x.note for x in (base, one, other)] == ["", "", ""]
     assert one.value == other.value != base.value

@@ -13,7 +13,7 @@ from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
 from snapo.book.plan import BookPlan
 from snapo.book.run import Driver, plan_of, run_book
-from snapo.book.work import answer
+from snapo.book.work import compute
 from snapo.problem.policy import load_policy, trainable
 from snapo.solver import statistics
 
@@ -128,6 +128,6 @@ def test_a_first_contract_without_a_policy_is_no_reason_to_test_it(tmp_path):
     driver = Driver(plan, plan.book.contracts, folder)
     leader, *others = (driver.next_job() for _ in range(4))
     assert leader is not None and driver.next_job() is None
-    driver.take(leader, answer(leader))
+    driver.take(leader, compute(leader))
     assert driver.next_job() not in others and driver.next_job() not in others
     assert driver.next_job() is None

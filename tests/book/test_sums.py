@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.book.books import answers_of
+from tests.book.books import results_of
 
 from snapo.book.collect import position, tables
 from snapo.book.folder import BookFolder
@@ -22,8 +22,8 @@ def row(result, stress):
 
 def test_twins_are_computed_once(valued):
     assert valued.result["orders"] == {"computed": 2, "reused": 0, "lost": 0}
-    answers = answers_of(valued.book, valued.out)
-    assert answers["first"].pack() == answers["twin"].pack() == answers["sold"].pack()
+    results = results_of(valued.book, valued.out)
+    assert results["first"].pack() == results["twin"].pack() == results["sold"].pack()
 
 
 def test_a_contract_and_its_twin_double_the_error(valued):

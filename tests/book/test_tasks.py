@@ -93,7 +93,7 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
     )
     judged = []
 
-    def answer(data):
+    def compute(data):
         job = BookJob.unpack(data)
         judged.append(job.judged)
         trusted = not refuted if job.judged else None
@@ -101,7 +101,7 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
         point = BookPoint("ok", "", 1.0, 0.1, np.ones(512), {}, (delta,))
         return enclosed(JobResult((point,)).pack(), Cost(1.0, 1.0, "here"))
 
-    monkeypatch.setattr(run, "answer", answer)
+    monkeypatch.setattr(run, "compute", compute)
     assert run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")["status"] == "ok"
     assert judged == [True, True, True, refuted, refuted]
     assert plan_of(read_book(file)).judged == {"0", "1", "2"}
@@ -192,7 +192,7 @@ def test_cases_of_their_own_folders(tmp_path):
 def test_a_worker_of_another_processor_refuses(valued):
     """Its bits would be others: the job goes elsewhere."""
     job = BookJob.of(valued.book.contracts[0], valued.book.tasks, 0, fingerprint="elsewhere")
-    assert work.answer(job.pack()) == OTHER
+    assert work.compute(job.pack()) == OTHER
 
 
 def test_a_level_is_the_target_of_all_code(monkeypatch):

@@ -121,7 +121,7 @@ def test_clusters_have_the_same_bits(cluster, setup, alone, monkeypatch):
 
 @pytest.mark.prove
 def test_a_killed_worker_changes_no_bit(setup, alone, tmp_path, monkeypatch):
-    """Two processes; one is killed with an answer that it has not given."""
+    """Two processes; one is killed with a result that it has not given."""
     monkeypatch.setattr(distributed, "MIN_SECONDS", 0.0)
     monkeypatch.setenv(MARK, str(tmp_path / "killed"))
     monkeypatch.setattr(distributed, "compute", dies_once)

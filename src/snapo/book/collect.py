@@ -73,38 +73,38 @@ def position(
     """The points of a contract from the folder's results; `lost`: {job: the reason}."""
     names = [BASE, *(stress.name for stress in plan.book.stresses)]
     labels = {stress.name: stress.labels for stress in plan.book.stresses}
-    result = BookPosition(contract, {}, labels)
+    collected = BookPosition(contract, {}, labels)
     waiting = iter(names)
 
     def take(job: BookJob) -> JobResult | None:
         entry = _read(folder, lost, name_of(job.pack()))
         for i, name in enumerate(itertools.islice(waiting, len(job.stresses) + job.base)):
             if entry is None:
-                result.points[name] = (
+                collected.points[name] = (
                     BookPoint.without_value("missing", "it has not been computed"),
                     None,
                     "",
                 )
             else:
-                answer, cost = entry
-                point = answer.points[min(i, len(answer.points) - 1)]
-                result.points[name] = point, cost if i == 0 else None, answer.shape
+                result, cost = entry
+                point = result.points[min(i, len(result.points) - 1)]
+                collected.points[name] = point, cost if i == 0 else None, result.shape
         return None if entry is None else entry[0]
 
     base = plan.base(contract, reader(folder, lost))
-    answer = None if base is None else take(base)
-    if answer is not None:
-        result.policy, result.world = answer.policy, answer.world
-    for job in () if base is None or answer is None else plan.further(base, answer):
+    result = None if base is None else take(base)
+    if result is not None:
+        collected.policy, collected.world = result.policy, result.world
+    for job in () if base is None or result is None else plan.further(base, result):
         take(job)
     for name in waiting:
         point = BookPoint.without_value("missing", "its base has not been computed")
-        if answer is not None:
+        if result is not None:
             point = BookPoint.without_value(
-                answer.points[0].status, f"its base: {answer.points[0].note}"
+                result.points[0].status, f"its base: {result.points[0].note}"
             )
-        result.points[name] = point, None, ""
-    return result
+        collected.points[name] = point, None, ""
+    return collected
 
 
 @dataclass

@@ -273,12 +273,12 @@ class BookFolder:
             message = f"this is not valid JSON: the file was truncated or changed: {AGAIN}"
             raise CaseError(file, line, None, message) from None
 
-    def _answer(self, name: str) -> Path:
+    def _result_file(self, name: str) -> Path:
         return self.path / ANSWERS / name[:2] / name
 
     def write(self, name: str, data: bytes) -> None:
         """Writes the result of the job of this name. **Raises:** `OSError`, on a full disk."""
-        file = self._answer(name)
+        file = self._result_file(name)
         file.parent.mkdir(exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=".")
         try:
@@ -292,7 +292,7 @@ class BookFolder:
     def read(self, name: str) -> tuple[JobResult, Cost] | None:
         """The result of the job of this name; None if there is no complete one."""
         try:
-            data, cost = opened(self._answer(name).read_bytes())
+            data, cost = opened(self._result_file(name).read_bytes())
             return JobResult.unpack(data), cost
         except (OSError, ValueError):
             return None

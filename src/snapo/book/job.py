@@ -320,20 +320,20 @@ class Cost(NamedTuple):
     worker: str
 
 
-def enclosed(answer: bytes, cost: Cost) -> bytes:
+def enclosed(result: bytes, cost: Cost) -> bytes:
     """A result with its cost, and a checksum that shows whether it is complete."""
-    head = {"checksum": name_of(answer), "cost": cost._asdict()}
-    return json.dumps(head).encode() + b"\n" + answer
+    head = {"checksum": name_of(result), "cost": cost._asdict()}
+    return json.dumps(head).encode() + b"\n" + result
 
 
 def opened(data: bytes) -> tuple[bytes, Cost]:
     """The result and its cost. **Raises:** `ValueError` if they are not complete."""
-    head, _, answer = data.partition(b"\n")
+    head, _, result = data.partition(b"\n")
     try:
         table = json.loads(head)
         cost, checksum = Cost(**table["cost"]), table["checksum"]
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"not a result: {error}") from None
-    if checksum != name_of(answer):
-        raise ValueError("not a whole answer")
-    return answer, cost
+    if checksum != name_of(result):
+        raise ValueError("not a whole result")
+    return result, cost

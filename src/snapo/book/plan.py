@@ -171,13 +171,13 @@ class BookPlan:
             if (result := self.shared_policy(kind, read)) is not None:
                 yield result
 
-    def tests(self, leader: BookContract, answer: JobResult) -> Iterator[BookJob]:
+    def tests(self, leader: BookContract, result: JobResult) -> Iterator[BookJob]:
         """The jobs of similar contracts with the policy of the first one; none of another
-        contract, or without a policy. `answer`: the result of its first job."""
+        contract, or without a policy. `result`: the result of its first job."""
         kind = self.similarity_keys[leader.name]
-        if leader is self.similar[kind][0] and answer.policy is not None:
+        if leader is self.similar[kind][0] and result.policy is not None:
             for contract in self.tested.get(kind, ()):
-                yield test_job(self._first_base(contract), answer.policy)
+                yield test_job(self._first_base(contract), result.policy)
 
     def _first_base(self, contract: BookContract) -> BookJob:
         """The first job of a contract that waits for no other."""
@@ -190,11 +190,11 @@ class BookPlan:
     def _refuted(self, kind: str, read: ResultReader) -> bool | None:
         if kind not in self._verdicts:
             judged = [x for x in self.similar[kind] if x.name in self.judged]
-            answers = [read(name_of(self._base(x, True).pack())) for x in judged]
-            complete = [answer for answer in answers if answer is not None]
+            results = [read(name_of(self._base(x, True).pack())) for x in judged]
+            complete = [result for result in results if result is not None]
             if len(complete) < len(judged):
                 return None
-            deltas = [delta for answer in complete for delta in answer.points[0].deltas]
+            deltas = [delta for result in complete for delta in result.points[0].deltas]
             self._verdicts[kind] = any(delta.trusted is False for delta in deltas)
         return self._verdicts[kind]
 
@@ -216,10 +216,10 @@ class BookPlan:
             return job
         return replace(job, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
 
-    def further(self, base: BookJob, answer: JobResult) -> Iterator[BookJob]:
+    def further(self, base: BookJob, result: JobResult) -> Iterator[BookJob]:
         """The other jobs of a contract, in the sequence of the stresses; none if its base
-        failed. `answer`: the result of the job `base`."""
-        if answer.points[0].status != "ok":
+        failed. `result`: the result of the job `base`."""
+        if result.points[0].status != "ok":
             return
         moves = [stress.moves for stress in self.book.stresses]
         if self.book.tasks.policy == "stress":
@@ -228,5 +228,5 @@ class BookPlan:
             return
         for i in range(STRESSES, len(moves), STRESSES):
             stresses = tuple(moves[i : i + STRESSES])
-            more = {"judged": False, "stresses": stresses, "policy": answer.policy}
+            more = {"judged": False, "stresses": stresses, "policy": result.policy}
             yield replace(base, base=False, **more)

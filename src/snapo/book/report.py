@@ -35,17 +35,17 @@ class StressRow(NamedTuple):
 def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
     """The whole report."""
     sums = {row["stress"]: row for row in result["sums"]}
-    typed, answers = entries_of(BookRecord, record), entries_of(BookResult, result)
+    typed, typed_result = entries_of(BookRecord, record), entries_of(BookResult, result)
     axes = typed.axes
     sections = [_points(result, axes)] if axes else [_headline(result, sums[BASE])]
     # The points of the axes are stresses where a policy is held at all of them.
-    held = any(point["change"] is not None for point in answers.points)
+    held = any(point["change"] is not None for point in typed_result.points)
     if len(sums) > 1 and not held:
         sections.append(_stresses(result))
     if result["by"]:
         sections.append(_groups(result))
-    if answers.exposure:
-        sections.append(_exposure(answers.exposure))
+    if typed_result.exposure:
+        sections.append(_exposure(typed_result.exposure))
     if any(x["held"] for x in result["deltas"]):
         sections.append(_deltas(result))
     if result["shared_policies"]:
@@ -54,10 +54,10 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
         sections.append(_failures(result))
     sections.append(_cost(result))
     about = [
-        *([("Points of the axes", f"{len(answers.points):,}")] if axes else []),
+        *([("Points of the axes", f"{len(typed_result.points):,}")] if axes else []),
         ("Contracts", f"{len(record['cases']):,}"),
         *([("Stresses", f"{len(record['stresses']):,}")] if not held and len(sums) > 1 else []),
-        *([("Policy", _policy(record["tasks"]))] if answers.policies else []),
+        *([("Policy", _policy(record["tasks"]))] if typed_result.policies else []),
         ("Paths", f"{record['tasks']['paths']:,}"),
     ]
     version = entries_of(LibraryVersions, typed.versions).snapo

@@ -19,7 +19,7 @@ from .file import Book, BookContract
 from .folder import REPORT, RESULT, BookFolder
 from .job import BookJob, JobResult, name_of, opened
 from .plan import BookPlan
-from .work import answer
+from .work import compute
 
 EVERY = 5.0  # seconds between two lines of progress
 
@@ -72,10 +72,10 @@ class Driver:
                 return job, contract
         return None, None
 
-    def _follow(self, contract: BookContract, job: BookJob, answer: JobResult) -> None:
+    def _follow(self, contract: BookContract, job: BookJob, result: JobResult) -> None:
         """The jobs that follow the result of the first one of a contract."""
-        self.further_jobs.extend(self.plan.tests(contract, answer))
-        self.further_jobs.extend(self.plan.further(job, answer))
+        self.further_jobs.extend(self.plan.tests(contract, result))
+        self.further_jobs.extend(self.plan.further(job, result))
 
     def take(self, data: bytes, result: bytes | Lost) -> None:
         """Stores a result. **Raises:** `OSError` if the disk is full."""
@@ -168,7 +168,7 @@ def _compute(
 ) -> None:
     reported_at, size = time.perf_counter(), driver.plan.size
     try:
-        for job, result in results(driver.next_job, answer, worker_pools):
+        for job, result in results(driver.next_job, compute, worker_pools):
             driver.take(job, result)
             if (now := time.perf_counter()) - reported_at > EVERY:
                 reported_at = now

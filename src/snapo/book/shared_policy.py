@@ -83,7 +83,7 @@ def shared_policy(
         both = [read(name_of(x.pack())) for x in (job, test_job(job, leader.policy))]
         if None in both:
             return None
-        own, shared = (answer.points[0] for answer in both if answer is not None)
+        own, shared = (result.points[0] for result in both if result is not None)
         losses.append(_loss(contract.name, own, shared))
     is_good = all(loss.share <= MAX_LOSS for loss in losses)
     policy = leader.policy if is_good else None

@@ -64,7 +64,7 @@ AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued 
 LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
-def answer(data: bytes) -> bytes:
+def compute(data: bytes) -> bytes:
     """The result of a job, with its cost. A mistake in a case is a result too."""
     job, started = BookJob.unpack(data), time.process_time()
     if not _same_bits(job):
@@ -72,7 +72,7 @@ def answer(data: bytes) -> bytes:
     use_every_core()
     with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
         try:
-            result = valuation(JobContract(job, Path(folder))).answer()
+            result = valuation(JobContract(job, Path(folder))).result()
         except (CaseError, ValueError, ArithmeticError) as error:
             failed = BookPoint.without_value("failed", _sentence(error, folder))
             result = JobResult((failed,) * (len(job.stresses) + job.base))
@@ -178,7 +178,7 @@ class _Decided:
         self.setup = setup if self.job.judged else _held_alone(setup)
         self.inputs = setup.problem.inputs_by_name
 
-    def answer(self) -> JobResult:
+    def result(self) -> JobResult:
         """The points of the job, and the policy where it was trained."""
         job, problem = self.job, self.setup.problem
         labels = _shape(self.setup), repr(problem.sources.evaluation.world(problem.simulator))
@@ -325,7 +325,7 @@ class _Calculated:
         self.contract, self.calculation = contract, calculation
         self.inputs = calculation.inputs_by_name
 
-    def answer(self) -> JobResult:
+    def result(self) -> JobResult:
         """The points of the job."""
         job, contract = self.contract.job, self.contract
         base = [self._point(contract.case)] if job.base else []
