@@ -17,7 +17,7 @@ import jax
 import numpy as np
 from scipy.optimize import minimize
 
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.read.case import read_case
 from snapo.domains.pharma.recipe.optimise import Optimum, goal_and_room, optimise
 
@@ -25,7 +25,7 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "plug_flow"
 EVALUATIONS, PENALTY = 400, 100.0
 
 
-def nelder_mead(process: Process, found: Optimum) -> tuple[float, float, int, float, bool]:
+def nelder_mead(process: PharmaProcess, found: Optimum) -> tuple[float, float, int, float, bool]:
     """Goal and largest violation at the end, evaluations, seconds, and whether it converged."""
     ask = process.case.optimise
     assert ask is not None
@@ -56,7 +56,7 @@ def nelder_mead(process: Process, found: Optimum) -> tuple[float, float, int, fl
 
 def table(case=EXAMPLE) -> Iterator[str]:
     """The lines of the table, each as soon as it is known."""
-    process = Process(read_case(case))
+    process = PharmaProcess(read_case(case))
     started, processor = time.perf_counter(), time.process_time()
     found = optimise(process)
     whole, processor = time.perf_counter() - started, time.process_time() - processor

@@ -18,7 +18,7 @@ import numpy as np
 import snapo.domains.pharma as domain
 from snapo.domains.pharma.chapters.attribution import with_nodes
 from snapo.domains.pharma.derivatives.jacobian import gradient, matrix
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.quality.draws import all_draws, all_entries
 from snapo.domains.pharma.read.case import read_case
 
@@ -58,7 +58,7 @@ def against_casadi() -> Iterator[str]:
     from . import pharma_casadi as peer
 
     case = read_case(CASE)
-    process = Process(replace(case, numerics=replace(case.numerics, steps=STEPS)))
+    process = PharmaProcess(replace(case, numerics=replace(case.numerics, steps=STEPS)))
     entries = tuple(process.entries[k] for k in COLUMNS)
     names = tuple(process.names[k] for k in ROWS)
     settings = peer.Settings(TOLERANCE, jit=shutil.which("cc") is not None)
@@ -102,7 +102,7 @@ def against_casadi() -> Iterator[str]:
 
 def against_differences() -> Iterator[str]:
     """One attribute by 200 temperatures: the adjoint, and central differences."""
-    process = Process(with_nodes(read_case(CASE), PROFILE, NODES))
+    process = PharmaProcess(with_nodes(read_case(CASE), PROFILE, NODES))
     entries = tuple((PROFILE, k) for k in range(NODES))
     name, here = process.names[1], process.at(entries)
     moves = np.concatenate([np.eye(NODES), -np.eye(NODES)]) * STEP
@@ -137,7 +137,7 @@ def against_differences() -> Iterator[str]:
 def many_samples() -> Iterator[str]:
     """Uncertain batches with every attribute by every parameter."""
     case = read_case(CASE)
-    process = Process(case)
+    process = PharmaProcess(case)
     entries = all_entries(case)
     draws = all_draws(case, SAMPLES, 1, process.inputs)
     by = process.entries

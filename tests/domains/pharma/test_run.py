@@ -20,7 +20,7 @@ from snapo.domains.pharma.chapters.headline import MAKING
 from snapo.domains.pharma.chapters.model import MODEL
 from snapo.domains.pharma.chapters.ranges import RANGES
 from snapo.domains.pharma.chapters.verification import CONVERGENCE, DIFFERENCES
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.report import SECTIONS
 from snapo.report.folder import RunFiles
 from snapo.study import commands
@@ -171,7 +171,7 @@ def test_the_template_runs(tmp_path):
 @pytest.mark.prove
 def test_a_process_is_what_the_template_says():
     """The values of the flagship chain, through the file, at tolerances of the publication."""
-    values = Process(template(pairs=None)).values()
+    values = PharmaProcess(template(pairs=None)).values()
     assert values == pytest.approx(
         [27.870059, 87.956431, 0.0465257, 504.75205, 81.223311, 194.163947], rel=1e-6
     )

@@ -26,7 +26,7 @@ from snapo.domains.pharma.chapters.verification import (
 )
 from snapo.domains.pharma.derivatives.convergence import Convergence, ConvergenceRow
 from snapo.domains.pharma.flowsheet.possible import smallest
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.quality.batches import AttributeLimits
 from snapo.domains.pharma.quality.capability import Capability
 from snapo.domains.pharma.read.case import resolve
@@ -50,7 +50,7 @@ def test_an_unstable_integration_fails_the_command(tmp_path, capsys):
 @pytest.mark.prove
 @pytest.mark.parametrize(("rate", "good"), [(0.26, False), (0.2476, False), (0.02, True)])
 def test_steps_that_are_too_long_are_told_from_good_ones(rate, good):
-    run = Process(fast(rate, **FIXED)).run()
+    run = PharmaProcess(fast(rate, **FIXED)).run()
     assert (run.status == "ok") == good, run.status
     if good:
         assert run.measures["reactor.concentration.A"] == pytest.approx(np.exp(-72), abs=1e-12)
@@ -63,7 +63,7 @@ def test_what_cannot_be_is_a_status_and_keeps_no_limit():
     case = flagship()
     units = tuple(bad if each.name == "filter" else each for each in case.units)
     case = replace(case, units=units)
-    run = Process(case).run()
+    run = PharmaProcess(case).run()
     assert run.measures["filter.time"] < 0
     assert run.status.startswith("filter.time is -") and "which cannot be" in run.status
 

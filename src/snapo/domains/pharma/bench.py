@@ -11,7 +11,7 @@ from snapo.case.error import CaseError
 from snapo.study.study import ProgressCallback
 
 from .derivatives.jacobian import gradient, matrix
-from .flowsheet.process import Process
+from .flowsheet.process import PharmaProcess
 from .quality.draws import all_draws, all_entries
 from .read.case import resolve
 
@@ -23,7 +23,9 @@ def bench(engine: str, progress: ProgressCallback) -> str:
     if engine not in ("auto", "xla", "native"):
         raise CaseError("--engine", "", engine, 'it must be "auto", "xla" or "native"')
     file = files("snapo.domains.pharma") / "template" / "case.toml"
-    process = Process(resolve(Path(str(file)), tomllib.loads(file.read_text(encoding="utf-8"))))
+    process = PharmaProcess(
+        resolve(Path(str(file)), tomllib.loads(file.read_text(encoding="utf-8")))
+    )
     case, name = process.case, process.names[0]
     draws = all_draws(case, BATCHES, case.training.seed)
     requested: Any = engine

@@ -19,7 +19,7 @@ from .chapters.capability import BATCHES
 from .derivatives.jacobian import matrix
 from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
-from .flowsheet.process import Process
+from .flowsheet.process import PharmaProcess
 from .flowsheet.stiffness import with_steps
 from .given import Form, every_entry
 from .quality import batches
@@ -45,10 +45,10 @@ COLUMNS = (
 
 
 FORMS = 8  # whose compiled functions a process of the machine has at most
-_compiled: dict[Form, Process] = {}
+_compiled: dict[Form, PharmaProcess] = {}
 
 
-def process_of(case: PharmaCase) -> Process:
+def process_of(case: PharmaCase) -> PharmaProcess:
     """The process of a case, with the functions that were compiled for an earlier one of its
     form, if any: the results are equal bit for bit."""
     case = with_steps(case)
@@ -56,7 +56,7 @@ def process_of(case: PharmaCase) -> Process:
     if form not in _compiled:
         if len(_compiled) == FORMS:
             del _compiled[next(iter(_compiled))]
-        _compiled[form] = Process(case)
+        _compiled[form] = PharmaProcess(case)
     return _with(_compiled[form], case)
 
 
@@ -71,7 +71,7 @@ class RecipeCalculation:
         return self._named
 
     @cached_property
-    def _process(self) -> Process:
+    def _process(self) -> PharmaProcess:
         return process_of(self.case)
 
     def stages(self, case: PharmaCase) -> Iterator[tuple[str, Any]]:
@@ -108,25 +108,25 @@ class RecipeCalculation:
         yield "sections", [attributes(case, result, at)._asdict()]
         yield "deltas", list(_deltas(process))
 
-    def _at(self, case: PharmaCase) -> Process:
+    def _at(self, case: PharmaCase) -> PharmaProcess:
         """The process of a case, on as many steps as the first one."""
         steps = self._process.case.numerics.steps
         return process_of(replace(case, numerics=replace(case.numerics, steps=steps, open=False)))
 
-    def _sampled(self, process: Process) -> Process:
+    def _sampled(self, process: PharmaProcess) -> PharmaProcess:
         """On the mesh for statistics."""
         coarse, _ = sampler(process, _on_steps)
         return coarse
 
 
-def _on_steps(process: Process, steps: int) -> Process:
+def _on_steps(process: PharmaProcess, steps: int) -> PharmaProcess:
     numerics = replace(process.case.numerics, steps=steps)
     return process_of(replace(process.case, numerics=numerics))
 
 
-def _with(process: Process, case: PharmaCase) -> Process:
+def _with(process: PharmaProcess, case: PharmaCase) -> PharmaProcess:
     """A process of `case` with the compiled functions of another that is the same program."""
-    new = object.__new__(Process)
+    new = object.__new__(PharmaProcess)
     new.__dict__.update(process.__dict__)
     new.case = case
     new.inputs = {name: entry.value for name, entry in pharma_inputs(case).items()}
@@ -159,7 +159,7 @@ def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Live
     return LiveTable("Attributes and their limits", COLUMNS, rows, text, facts)
 
 
-def _deltas(process: Process) -> Iterator[dict[str, Any]]:
+def _deltas(process: PharmaProcess) -> Iterator[dict[str, Any]]:
     """Derivatives of every attribute with respect to every number, per unit, at the set point."""
     entries = every_entry(process.inputs)
     jacobian = matrix(process, entries=entries, mode="adjoint").jacobian

@@ -7,7 +7,7 @@ from snapo.study.study import Study, StudyRun
 
 from .control.closed_loop import ClosedLoop
 from .flowsheet.case import PharmaCase
-from .flowsheet.process import Process
+from .flowsheet.process import PharmaProcess
 from .quality.sampling import on_steps
 
 BATCH, SOUND, MESH = "one batch", "integration", "mesh of statistics"  # names of parts
@@ -18,11 +18,11 @@ class OpenLoop:
 
     def __init__(self, case: PharmaCase):
         self.case, self.seed = case, case.training.seed
-        self.coarse: Process | None = None
+        self.coarse: PharmaProcess | None = None
 
     @cached_property
-    def process(self) -> Process:
-        return Process(self.case)
+    def process(self) -> PharmaProcess:
+        return PharmaProcess(self.case)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,12 @@ def closed_loop(run: StudyRun) -> ClosedLoop:
     return run.study.loop
 
 
-def process(run: StudyRun) -> Process:
+def process(run: StudyRun) -> PharmaProcess:
     """The process on its own mesh."""
     return open_loop(run).process
 
 
-def sampled(run: StudyRun) -> Process:
+def sampled(run: StudyRun) -> PharmaProcess:
     """The process for statistics, on a mesh that is accurate enough for them."""
     loop = open_loop(run)
     if loop.coarse is None:

@@ -6,7 +6,7 @@ from tests.domains.pharma.process_cases import flagship, spread
 
 from snapo.domains.pharma.control.closed_loop import best_recipe, closed_loop, objective
 from snapo.domains.pharma.control.records import Control, Manipulated, Measurement
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.engine import Engines, Xla
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
@@ -40,7 +40,7 @@ def test_open_loop_is_the_process():
     draws = Pseudo(0).draws(np.arange(2), loop.simulator)
     problem = Problem(loop.simulator, loop.inputs, objective(case))
     totals = Xla("float64").bind(problem).values(loop.baseline, draws, Exact()).totals
-    values = Process(case).values()
+    values = PharmaProcess(case).values()
     for each, name, value in zip(case.attributes, loop.outputs, values):
         distance = min(abs(value - limit) for limit in (each.low, each.high) if limit is not None)
         assert abs(totals[name][0] - value) < 1e-3 * distance

@@ -24,7 +24,7 @@ from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.convergence import convergence
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
 from snapo.domains.pharma.derivatives.local import local
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.units.splitter import Splitter
 from snapo.domains.pharma.units.tank import Tank
 
@@ -57,7 +57,7 @@ def tank(**fields):
 
 
 def test_second_derivatives():
-    process = Process(tank())
+    process = PharmaProcess(tank())
     found = second(process, ((DURATION, DURATION), (PREFACTOR, DURATION), (PREFACTOR, PREFACTOR)))
     a = np.exp(-K * T)
     assert found[:, 0] == pytest.approx([K**2 * a, (K * T - 1) * a, T**2 * a], rel=1e-8)
@@ -66,7 +66,7 @@ def test_second_derivatives():
 @pytest.mark.study
 def test_convergence():
     """Halving the mesh and an adaptive solution agree, in values and derivatives."""
-    fine = convergence(Process(tank()))
+    fine = convergence(PharmaProcess(tank()))
     assert fine.passed and [row.parameter for row in fine.rows] == ["value", "t"]
     assert fine.rows[0].adaptive == pytest.approx(np.exp(-K * T), rel=1e-8)
     assert fine.rows[1].finer == pytest.approx(-K * np.exp(-K * T), rel=1e-9)
@@ -75,7 +75,7 @@ def test_convergence():
 @pytest.mark.prove
 def test_what_has_not_converged_says_so():
     """Eight steps; order four: after halving, a fifteenth of what halving changed is left."""
-    coarse = convergence(Process(tank(numerics=Numerics("mesh", 8, 1e-8, 100_000, True))))
+    coarse = convergence(PharmaProcess(tank(numerics=Numerics("mesh", 8, 1e-8, 100_000, True))))
     assert not coarse.passed
     value = coarse.rows[0]
     left = abs(value.finer - value.adaptive) / abs(value.mesh - value.finer)
@@ -118,7 +118,7 @@ def branched():
 def test_a_branch_joins_again():
     """A = (s exp(-K t1) + (1 - s) exp(-K t2)) exp(-K t3), its derivatives, paths and balances."""
     given, times = branched()
-    process, share = Process(given), 0.3
+    process, share = PharmaProcess(given), 0.3
     first, second_, third = np.exp(-K * np.array(times))
     mix = share * first + (1 - share) * second_
     found = matrix(process)

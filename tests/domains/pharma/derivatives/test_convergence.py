@@ -11,7 +11,7 @@ from tests.domains.pharma.units import test_filter_dryer, test_hydrogenation
 from tests.domains.pharma.units.solids import test_tablet_press
 
 from snapo.domains.pharma.derivatives.convergence import VALUES, convergence
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.read.case import resolve
 
 METHODS = ("auto", "mesh", "stiff", "adaptive")
@@ -38,9 +38,11 @@ UNITS = {
 }
 
 
-def process(text: str, method: str, **numerics) -> Process:
+def process(text: str, method: str, **numerics) -> PharmaProcess:
     data = {name: each for name, each in tomllib.loads(text).items() if name != "pairs"}
-    return Process(resolve(Path("case.toml"), data | {"numerics": {"method": method, **numerics}}))
+    return PharmaProcess(
+        resolve(Path("case.toml"), data | {"numerics": {"method": method, **numerics}})
+    )
 
 
 @pytest.mark.parametrize(
@@ -87,7 +89,7 @@ def test_every_method_agrees_with_itself_and_with_the_others(name):
         if (name, method) == ("filter-dryer", "mesh"):
             assert here.run().status.startswith("cool: the time steps are too long from ")
             continue
-        finer = Process(replace(case, numerics=case.numerics.finer()))
+        finer = PharmaProcess(replace(case, numerics=case.numerics.finer()))
         values += [here.values(), finer.values()]
     scale = np.maximum(np.abs(values[0]), [each.margin for each in case.attributes])
     assert (np.ptp(values, axis=0) <= VALUES * scale).all()

@@ -19,7 +19,7 @@ from snapo.domains.pharma.derivatives.convergence import (
     on_finer_cells,
 )
 from snapo.domains.pharma.flowsheet.possible import impossible
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.units.crystals.sizes import halved
 
@@ -32,14 +32,14 @@ def test_a_tube_on_twice_its_elements():
     assert row.passed and row.margins < 1e-3
     steep = tube(constant=12.0).case
     limited = replace(steep.attributes[0], high=1.0, margin=1e-5 * np.exp(-12))
-    (row,) = on_finer_cells(Process(replace(steep, attributes=(limited,))))
+    (row,) = on_finer_cells(PharmaProcess(replace(steep, attributes=(limited,))))
     assert not row.passed and row.finer == pytest.approx(np.exp(-12), rel=1e-5)
 
 
 def test_what_has_no_cells_is_not_repeated():
     """Tanks in series are a model of their own, and moments have no grid."""
     assert finer_cells(tube(cells=5)) is None
-    assert on_finer_cells(Process(flagship())) == ()
+    assert on_finer_cells(PharmaProcess(flagship())) == ()
 
 
 def test_cells_are_halved_as_they_are_spaced():
@@ -72,9 +72,9 @@ def test_a_grid_of_sizes_that_ends_too_early_is_a_status():
 def test_a_coarse_grid_of_sizes():
     """35 geometric cells to 1500 um put d43 13 % too high, and twice as many find out."""
     edges = np.geomspace(1e-6, 1500e-6, 36)
-    rows = on_finer_cells(Process(alone(edges, ("d43",), numerics=LONG)))
-    exact = Process(alone(None, ("d43",))).values()[0]
+    rows = on_finer_cells(PharmaProcess(alone(edges, ("d43",), numerics=LONG)))
+    exact = PharmaProcess(alone(None, ("d43",))).values()[0]
     assert rows[0].value > 1.05 * exact
     assert not rows[0].passed and abs(rows[0].finer - exact) < abs(rows[0].value - exact) / 2
-    short = Process(alone(np.linspace(0, 60e-6, 61), ("d43",), numerics=LONG)).run()
+    short = PharmaProcess(alone(np.linspace(0, 60e-6, 61), ("d43",), numerics=LONG)).run()
     assert "ends too early" in short.status

@@ -9,7 +9,7 @@ from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.convergence import convergence
 from snapo.domains.pharma.derivatives.jacobian import gradient, matrix, second
 from snapo.domains.pharma.derivatives.local import local
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 
 # Computed independently to tight tolerances (SUNDIALS and LSODA).
 VALUES = [27.870059, 87.956431, 0.0465257, 504.75205, 81.223311, 194.163947]
@@ -21,7 +21,7 @@ ZEROS += [(5, 4), (5, 5)]
 
 @pytest.fixture(scope="module")
 def process():
-    return Process(flagship())
+    return PharmaProcess(flagship())
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_balances_close(process):
 @pytest.mark.prove
 def test_observe_interpolates():
     """Batch reactor at times between mesh points, against values printed to nine digits."""
-    process = Process(reactor_alone())
+    process = PharmaProcess(reactor_alone())
     states = ("concentration.A", "concentration.C", "concentration.D")
     times = np.array([600.0, 1800.0, 1800.0])
     call = process.compiled(
@@ -133,7 +133,7 @@ def test_observe_interpolates():
 
 @pytest.mark.prove
 def test_more_nodes_same_profile(process):
-    finer = Process(with_nodes(process.case, "crystalliser.temperature", 10))
+    finer = PharmaProcess(with_nodes(process.case, "crystalliser.temperature", 10))
     assert len(finer.inputs["crystalliser.temperature"]) == 10
     np.testing.assert_allclose(finer.values(), process.values(), rtol=1e-5)
 
@@ -155,7 +155,7 @@ def test_matrix_against_differences_of_the_adaptive_solution(forward):
     """1e-5 of the row's largest, every entry, against central differences of a solution to 1e-11:
     of fourth order, since the curvature of those of second order alone is 3e-5 at steps that keep
     the solver's noise below 1e-6."""
-    process = Process(flagship(numerics=Numerics("adaptive", 320, 1e-11, 100_000, True)))
+    process = PharmaProcess(flagship(numerics=Numerics("adaptive", 320, 1e-11, 100_000, True)))
     np.testing.assert_allclose(process.values(), VALUES, rtol=1e-6)
     columns = []
     for name, entry in process.entries:
@@ -179,7 +179,7 @@ def test_convergence_of_values_and_gradients(process):
 
 @pytest.mark.prove
 def test_too_few_steps_are_a_status_with_unit_and_time():
-    process = Process(reactor_alone(numerics=Numerics("adaptive", 320, 1e-10, 10, True)))
+    process = PharmaProcess(reactor_alone(numerics=Numerics("adaptive", 320, 1e-10, 10, True)))
     status = process.run().status
     assert status.startswith("reactor: did not converge at ") and status.endswith(" s")
     reached = float(status.split()[-2])

@@ -12,7 +12,7 @@ from tests.compilations import compilations
 from tests.domains.pharma.pharma_cases import CASE, LOOP, TEMPLATE, small, template
 
 from snapo.domains.pharma.flowsheet import march
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.quality.draws import all_draws, all_entries
 from snapo.domains.pharma.read.case import read_case, resolve
 from snapo.engine import Unsupported
@@ -25,8 +25,8 @@ CRYSTALS = {
 }
 
 
-def on_mesh(case, steps=40) -> Process:
-    return Process(replace(case, numerics=replace(case.numerics, method="mesh", steps=steps)))
+def on_mesh(case, steps=40) -> PharmaProcess:
+    return PharmaProcess(replace(case, numerics=replace(case.numerics, method="mesh", steps=steps)))
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_what_the_native_engine_cannot_run_xla_runs(monkeypatch):
 
 def test_steps_chosen_freely_are_for_xla():
     case = template()
-    process = Process(replace(case, numerics=replace(case.numerics, method="adaptive")))
+    process = PharmaProcess(replace(case, numerics=replace(case.numerics, method="adaptive")))
     with pytest.raises(Unsupported, match="on a mesh"):
         process.batch((), np.zeros((1, 0)), engine="native")
 
@@ -123,14 +123,14 @@ def test_steps_chosen_freely_are_for_xla():
 @pytest.mark.prove
 @pytest.mark.parametrize("stiff", ["none", pytest.param("all", marks=pytest.mark.prove)])
 def test_a_unit_of_another_process_of_its_form_takes_the_same_kernel(stiff):
-    def process(volume: str) -> Process:
+    def process(volume: str) -> PharmaProcess:
         data = tomllib.loads(small(CASE + LOOP))
         data["feeds"]["charge"]["volume"] = volume
         case = resolve(TEMPLATE, data)
         numerics = replace(case.numerics, method="mesh", steps=8, stiff=stiff)
-        return Process(replace(case, numerics=numerics))
+        return PharmaProcess(replace(case, numerics=numerics))
 
-    def batch(process: Process, engine="native") -> np.ndarray:
+    def batch(process: PharmaProcess, engine="native") -> np.ndarray:
         draws = process.at(process.entries) + np.array([[0.0, 0.0], [1.0, -60.0]])
         return process.batch(process.entries, draws, process.entries, engine=engine).values
 

@@ -15,7 +15,7 @@ from tests.domains.pharma.pharma_cases import (
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.verification import balances
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.read.case import resolve
 
 TWO_FEEDS = (
@@ -61,7 +61,7 @@ def two_feeds(**durations):
 @pytest.mark.prove
 def test_two_feeds_and_a_tank_feed_a_stirred_reactor():
     """2/3 mol/L of A and of B, one hour of residence: c = (sqrt(1 + 4 k tau c0) - 1) / (2 k tau)."""
-    process = Process(two_feeds())
+    process = PharmaProcess(two_feeds())
     run = process.run()
     assert run.status == "ok" and float(run.streams["mix.product"].duration) == 36_000
     k, first = 2e-3 * 3600, 2 / 3
@@ -90,7 +90,7 @@ def test_what_reactions_make_does_not_enter():
     data["species"]["D"]["molar_mass"] = "250.007 g/mol"
     case = resolve(TEMPLATE, data)
     assert "conserves mass to 4.7e-05 only" in case.notes[0]
-    process = Process(case)
+    process = PharmaProcess(case)
     rows = {row.quantity: row for row in balances(process) if row.unit == "reactor"}
     assert rows["C"].inflow == 0 and rows["C"].made == pytest.approx(rows["C"].outflow)
     assert rows["A"].made < 0 < rows["A"].inflow

@@ -20,7 +20,7 @@ from snapo.domains.pharma.chapters.attribution import split
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
 from snapo.domains.pharma.derivatives.local import local
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.read.case import resolve
 
 # Fresh flow 120 L in 4 h into 30 L; what of the flow through the crystalliser comes back is the
@@ -74,8 +74,8 @@ def data(flow, **cold) -> dict[str, Any]:
     return found
 
 
-def made(flow, **cold) -> Process:
-    return Process(resolve(TEMPLATE, data(flow, **cold)))
+def made(flow, **cold) -> PharmaProcess:
+    return PharmaProcess(resolve(TEMPLATE, data(flow, **cold)))
 
 
 def exact(flow, by="", **given):
@@ -164,7 +164,7 @@ def test_both_engines_close_a_loop():
     ]
     given["attributes"].append({"name": "solvent", "measure": "dry.solvent", "unit": "1"})
     given["numerics"] = {"method": "mesh", "steps": 16}
-    process = Process(resolve(TEMPLATE, given))
+    process = PharmaProcess(resolve(TEMPLATE, given))
     entries = (("cold.volume", 0), ("divide.share", 0))
     rows = np.array([[0.03, 0.4], [0.025, 0.2], [0.05, 0.7]])
     by = entries[1:]

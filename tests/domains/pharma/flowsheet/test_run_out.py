@@ -16,7 +16,7 @@ from tests.domains.pharma.process_cases import (
 
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.time.dynamics import Numerics
 
 RATE = 1e-3  # kmol/m3/s
@@ -42,7 +42,7 @@ def zero_order(start=(1.0, 1.0), seconds=3000.0, dose=None):
         fields = {"kind": "semi-batch", "dosing": constant("reactor.dosing", 1e-4, "m3/s")}
     wanted = [attribute(s, f"reactor.concentration.{s}") for s in "ABC"]
     unit = batch_reactor(seconds, **fields)
-    return Process(case(tuple(feeds), (unit,), ports, wanted, network=found, numerics=PLAIN))
+    return PharmaProcess(case(tuple(feeds), (unit,), ports, wanted, network=found, numerics=PLAIN))
 
 
 @pytest.mark.prove

@@ -19,13 +19,13 @@ from tests.domains.pharma.process_cases import (
 
 from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.network import fastest_rate
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.time import integrate
 
 
 @pytest.fixture(scope="module")
 def quick():
-    return Process(fast())
+    return PharmaProcess(fast())
 
 
 @pytest.mark.prove
@@ -35,7 +35,7 @@ def test_a_fast_reaction_by_default(quick):
     run = quick.run()
     assert run.status == "ok" and run.errors["reactor"] < 1e-8
     assert run.attributes["A left"] == pytest.approx(np.exp(-3600 * 0.26), abs=1e-12)
-    border = Process(fast(0.2476)).run()
+    border = PharmaProcess(fast(0.2476)).run()
     assert border.status == "ok"
     assert border.attributes["A left"] == pytest.approx(np.exp(-3600 * 0.2476), abs=1e-12)
 
@@ -51,9 +51,9 @@ def test_a_run_of_its_own(quick):
 
 def test_slow_reactions_take_explicit_steps():
     """By the bound alone: nothing is compiled, and the mesh is the one that it was."""
-    process = Process(fast(0.1))
+    process = PharmaProcess(fast(0.1))
     assert not process.case.numerics.held
-    assert not Process(fast(method="mesh")).case.numerics.held
+    assert not PharmaProcess(fast(method="mesh")).case.numerics.held
 
 
 @pytest.mark.prove
@@ -63,10 +63,10 @@ def test_a_refused_run_says_unit_and_time(quick, monkeypatch):
     entry = (("kinetics.prefactor", 0),)
     assert quick.batch(entry, np.array([[26.0], [0.2]]), engine="xla").ok.all()
     monkeypatch.setattr(integrate, "limit_of", lambda tolerance: tolerance / 1000)
-    found = Process(fast()).run()
+    found = PharmaProcess(fast()).run()
     assert found.status.startswith("reactor: did not converge at ")
     assert "error estimate of a step" in found.status and np.isnan(found.attributes["A left"])
-    explicit = Process(fast(method="mesh")).run()
+    explicit = PharmaProcess(fast(method="mesh")).run()
     assert explicit.status.startswith("reactor: the time steps are too long from 0 s on")
 
 
@@ -114,7 +114,7 @@ def robertson(duration=100.0, temperature=None, **numerics):
 
 @pytest.fixture(scope="module")
 def stiff():
-    return Process(robertson())
+    return PharmaProcess(robertson())
 
 
 @pytest.mark.prove
@@ -129,7 +129,7 @@ def test_robertson_as_a_reactor(stiff):
 def test_both_engines_are_one(stiff):
     """Also where the temperature moves: values, and derivatives by every constant. B is a difference
     of extents 1e5 times as large, so that their round-off of 1e-16 is 1e-11 of it, and grows."""
-    moving = Process(robertson(10.0, linear("reactor.temperature", [313.15, 320.0, 305.0])))
+    moving = PharmaProcess(robertson(10.0, linear("reactor.temperature", [313.15, 320.0, 305.0])))
     for process in (stiff, moving):
         by = (*(("kinetics.prefactor", i) for i in range(3)), ("reactor.temperature", 0))
         here = process.at(by)
@@ -149,9 +149,9 @@ def test_controls_that_move(shape):
     profile = shape("reactor.temperature", [313.15, 330.0, 303.15])
     made = robertson(10.0, profile)
     other = replace(made, numerics=replace(made.numerics, method="adaptive", tolerance=1e-11))
-    process = Process(made)
+    process = PharmaProcess(made)
     assert process.case.numerics.held
-    np.testing.assert_allclose(process.values(), Process(other).values(), rtol=1e-6)
+    np.testing.assert_allclose(process.values(), PharmaProcess(other).values(), rtol=1e-6)
     run = process.run()
     assert run.trajectories["reactor"]["temperature"][-1] == 303.15
     assert run.trajectories["reactor"]["time"][-1] == 10.0

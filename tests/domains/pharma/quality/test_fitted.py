@@ -12,7 +12,7 @@ from tests.domains.pharma.pharma_cases import CASE, data
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.estimation import fitted_rows
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.quality import draws
 from snapo.domains.pharma.quality.estimation import ParameterFit
 from snapo.domains.pharma.read.case import read_case, resolve
@@ -129,7 +129,7 @@ def test_a_measurement_after_the_end_of_its_unit_is_refused(tmp_path):
 def test_after_its_end_a_unit_has_no_states(tmp_path):
     """From Python as well: no number stands for a time at which there was no batch."""
     (tmp_path / "batch.csv").write_text(data())
-    process = Process(resolve(tmp_path / "case.toml", tomllib.loads(CASE)))
+    process = PharmaProcess(resolve(tmp_path / "case.toml", tomllib.loads(CASE)))
     state, times = ("concentration.A",) * 3, np.array([1800.0, 3600.0, 4200.0])
     with jax.enable_x64(True):
         found = jax.jit(lambda x: process.observe(x, "reactor", state, times))(process.inputs)

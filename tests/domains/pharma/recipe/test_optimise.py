@@ -10,7 +10,7 @@ import pytest
 from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.read.case import read_case, resolve
 from snapo.domains.pharma.recipe.optimise import optimise, varies
 from snapo.domains.pharma.recipe.optimum import ACTIVE, SearchLimits, TracedRecipe, best, optimum
@@ -110,7 +110,7 @@ def reactor(**changes):
 def test_a_limit_is_worth_what_solving_again_gains():
     """Product per hour wants a short batch; the least product, 0.11 mol/L, holds it."""
     case = reactor()
-    found = optimise(Process(case))
+    found = optimise(PharmaProcess(case))
     assert found.recipe.converged and found.recipe.residual < 1e-6
     temperature, duration = found.recipe.x
     assert temperature == pytest.approx(323.15)
@@ -121,13 +121,13 @@ def test_a_limit_is_worth_what_solving_again_gains():
     for limit in (0.11 - step, 0.11 + step):
         first = replace(case.attributes[0], low=limit)
         moved = replace(case, attributes=(first, *case.attributes[1:]))
-        ends.append(optimise(Process(moved)).recipe.value)
+        ends.append(optimise(PharmaProcess(moved)).recipe.value)
     assert worth == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
 
 
 def test_a_reserve_stays_within_the_limit():
     case = reactor(reserve=1.0)
-    _, duration = (found := optimise(Process(case))).recipe.x
+    _, duration = (found := optimise(PharmaProcess(case))).recipe.x
     product = found.recipe.value * duration / 3600
     assert product == pytest.approx(0.11 + case.attributes[0].margin, rel=1e-9)
 
@@ -135,7 +135,7 @@ def test_a_reserve_stays_within_the_limit():
 @pytest.mark.prove
 def test_deviations_of_the_batches_stay_within_the_limit():
     case = reactor(deviations=0.3)
-    process = Process(case)
+    process = PharmaProcess(case)
     found = optimise(process)
     sigma = varies(process)
     product = found.recipe.value * found.recipe.x[1] / 3600
@@ -175,7 +175,7 @@ def test_mistakes_are_named(key, value, words):
 @pytest.mark.prove
 def test_the_example_flowsheet():
     """Six decisions, two starts, one answer; conditions hold and multipliers have their signs."""
-    found = optimise(Process(read_case(EXAMPLE)))
+    found = optimise(PharmaProcess(read_case(EXAMPLE)))
     recipe = found.recipe
     assert recipe.converged and recipe.conditions.stationarity < 1e-6
     assert np.ptp(found.endpoints) < 1e-6 * recipe.value and recipe.value > 1.5 * found.before

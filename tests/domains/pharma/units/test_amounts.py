@@ -31,7 +31,7 @@ from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.verification import balances, unit_balances
 from snapo.domains.pharma.control.closed_loop import stages_of
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.flowsheet.stream import NO_CRYSTALS, blank, clear, ledger, unflat
 from snapo.domains.pharma.read.case import resolve
 from snapo.problem.smooth import Exact
@@ -88,7 +88,9 @@ def semi_batch(dosing):
     unit = batch_reactor(2000.0, kind="semi-batch", dosing=dosing)
     found = (attribute("A", "reactor.concentration.A"),)
     ports = (*chain("charge", "reactor"), Connection("drops", "", "reactor", "dose"))
-    return Process(case((charge, drops), (unit,), ports, found, network=first_order_network()))
+    return PharmaProcess(
+        case((charge, drops), (unit,), ports, found, network=first_order_network())
+    )
 
 
 def by_hand(seconds, flow):
@@ -130,7 +132,7 @@ def test_an_antisolvent_is_what_its_feed_holds():
     unit = replace(unit, solubility=lower)
     feeds = feed((0.0, 0.1, 0.085, 0.1)), feed((0.0,) * 4, volume=0.0072, name="water")
     ports = (*chain("charge", name), Connection("water", "", name, "antisolvent"))
-    process = Process(case(feeds, (unit,), ports, [attribute("c", f"{name}.concentration")]))
+    process = PharmaProcess(case(feeds, (unit,), ports, [attribute("c", f"{name}.concentration")]))
     run = process.run({f"{name}.duration": np.array([14400.0])})
     assert run.streams[f"{name}.slurry"].antisolvent == pytest.approx(0.0072 * 887.6, rel=1e-9)
 
@@ -143,7 +145,7 @@ def test_a_continuous_reactor_ends_with_its_feed(kind):
     charge, found = feed((1.0, 0.0), volume=4e-3, duration=7200.0), []
     ports, wanted = chain("charge", "reactor"), (attribute("A", "reactor.concentration.A"),)
     network = first_order_network()
-    process = Process(case((charge,), (unit,), ports, wanted, network=network))
+    process = PharmaProcess(case((charge,), (unit,), ports, wanted, network=network))
     for seconds in (7200.0, 10800.0):
         run = process.run({"reactor.duration": np.array([seconds])})
         assert run.status == "ok"

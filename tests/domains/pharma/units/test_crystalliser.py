@@ -21,7 +21,7 @@ from tests.domains.pharma.process_cases import (
 
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.time import integrate
 from snapo.domains.pharma.time import mesh as meshes
 from snapo.domains.pharma.time.profile import saturation_share
@@ -30,7 +30,7 @@ from snapo.domains.pharma.units.filter import displacement, scaled_erfc
 
 def test_potassium_nitrate():
     """Seeded cooling, two independent codes agree to 1e-5 (volumes printed to five digits)."""
-    c, seed, nuclei = Process(potassium_nitrate()).values()
+    c, seed, nuclei = PharmaProcess(potassium_nitrate()).values()
     assert c == pytest.approx(428.92507, rel=1e-5)
     assert seed == pytest.approx(8.9486e-4, rel=2e-5)
     assert nuclei == pytest.approx(2.94683e-2, rel=1e-5)
@@ -75,7 +75,7 @@ def test_gradients_need_the_event(monkeypatch):
         for steps in (320, 640):
             given = alone()
             given = replace(given, numerics=replace(given.numerics, steps=steps))
-            found.append(matrix(Process(given)).jacobian[0])
+            found.append(matrix(PharmaProcess(given)).jacobian[0])
         return np.max(np.abs(found[1] - found[0])) / np.max(np.abs(found[1]))
 
     resolved = halving_gap()
@@ -100,7 +100,7 @@ def test_antisolvent_crystalliser_closes():
         attribute("crystals", f"{name}.crystals"),
         attribute("left", f"{name}.concentration"),
     ]
-    process = Process(case(feeds, (unit,), lines, measures))
+    process = PharmaProcess(case(feeds, (unit,), lines, measures))
     crystals, left = process.values()
     assert crystals > 1.0 and left < 0.085 * 150 * 0.06 / 0.0672 - 1.0
     assert max(abs(row.relative) for row in balances(process)) < 1e-10

@@ -17,7 +17,7 @@ from tests.domains.pharma.pharma_cases import (
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.flowsheet.stream import Stream, clear
 from snapo.domains.pharma.read.case import resolve
 from snapo.domains.pharma.units.filter_dryer import FilterDryer
@@ -70,7 +70,7 @@ heat_capacity = "1720 J/kg/K"
 )
 
 
-def process(**changes) -> Process:
+def process(**changes) -> PharmaProcess:
     data = tomllib.loads(CASE)
     for key, each in changes.items():
         if each is None:
@@ -78,7 +78,7 @@ def process(**changes) -> Process:
         else:
             data["units"]["fd"][key] = each
     numerics = {"method": "mesh", "steps": 160}  # quicker to compile than error control
-    return Process(resolve(TEMPLATE, data | {"numerics": numerics}))
+    return PharmaProcess(resolve(TEMPLATE, data | {"numerics": numerics}))
 
 
 def vessel(**changes) -> FilterDryer:

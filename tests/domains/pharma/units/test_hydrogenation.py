@@ -10,7 +10,7 @@ from tests.domains.pharma.pharma_cases import TEMPLATE, attribute, connections, 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.read.case import resolve
 
 # Hydrogen in water at 298.15 K: 7.8e-6 mol/m3/Pa (Sander, Atmos. Chem. Phys. 23, 10901, 2023; on
@@ -50,11 +50,11 @@ enthalpy = "-4 kJ/mol"
 )
 
 
-def process(prefactor="0.5 L/mol/s", order=None, **vessel) -> Process:
+def process(prefactor="0.5 L/mol/s", order=None, **vessel) -> PharmaProcess:
     data = tomllib.loads(CASE)
     data["units"]["vessel"] |= vessel
     data["reactions"][0] |= {"prefactor": prefactor, "order": order or {}}
-    return Process(resolve(TEMPLATE, data | {"numerics": {"method": "mesh"}}))
+    return PharmaProcess(resolve(TEMPLATE, data | {"numerics": {"method": "mesh"}}))
 
 
 @pytest.mark.prove
@@ -123,7 +123,7 @@ def test_balances_derivatives_and_both_engines():
 def test_held_steps_are_those_of_error_control():
     """By default steps are chosen once, and held: at the nominal batch and away from it the result
     is that of error control in every batch (SciPy's LSODA), within 1e-7 at 1e-8 a step."""
-    held = Process(resolve(TEMPLATE, tomllib.loads(CASE)))
+    held = PharmaProcess(resolve(TEMPLATE, tomllib.loads(CASE)))
     assert held.case.numerics.method == "mesh" and len(held.case.numerics.held["vessel"]) < 200
     entries = (("vessel.pressure", 0), ("vessel.transfer", 0))
     rows = held.at(entries) * np.array([[1.0, 1.0], [1.1, 0.8], [0.9, 1.2]])

@@ -18,7 +18,7 @@ from tests.domains.pharma.pharma_cases import (
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.read.case import resolve
 
 CASE = (
@@ -80,7 +80,7 @@ def process(**keys):
     data["units"]["cold"] |= keys
     moved = [f"cold.{each}" for each in keys]
     data["parameters"] = [each for each in data["parameters"] if each["of"] not in moved]
-    return Process(resolve(TEMPLATE, data))
+    return PharmaProcess(resolve(TEMPLATE, data))
 
 
 TAU, ENTERING, RHO, KV = 14400 * 30 / 120, 30.0, 1200.0, 0.5236
@@ -200,7 +200,7 @@ def test_a_cascade():
         {"from": "cold.slurry", "to": "second.feed"}, {"from": "second.slurry", "to": "mill.slurry"},
         {"from": "mill.slurry", "to": "filter.slurry"},
     ]  # fmt: skip
-    given = Process(resolve(TEMPLATE, data))
+    given = PharmaProcess(resolve(TEMPLATE, data))
     run = given.run()
     assert run.status == "ok" and max(abs(row.relative) for row in balances(given)) < 1e-10
     (g1, born1, crystals1, level1), factorials = exact(), np.array([1, 1, 2, 6, 24, 120])

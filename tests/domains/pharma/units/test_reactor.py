@@ -20,7 +20,7 @@ from tests.domains.pharma.process_cases import (
 
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.flowsheet.case import Connection
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.recipe.optimum import best
 from snapo.domains.pharma.units.reactor import Jacket
 
@@ -35,7 +35,7 @@ def closes(process, tolerance=1e-10):
 
 
 def test_batch_reactor():
-    process = Process(reactor_alone())
+    process = PharmaProcess(reactor_alone())
     np.testing.assert_allclose(process.values(), list(END.values()), atol=1e-7)
     found = process.values({"reactor.duration": np.array([1800.0])})
     np.testing.assert_allclose(found, list(MIDDLE.values()), atol=1e-7)
@@ -45,7 +45,7 @@ def test_batch_reactor():
 @pytest.mark.parametrize(("pieces", "value"), [(20, 0.610454), (80, 0.610776)])
 def test_best_temperature_profile(pieces, value):
     """A classic: the best value with this many pieces, to the digits published."""
-    process = Process(temperature_profile(pieces))
+    process = PharmaProcess(temperature_profile(pieces))
     fixed = process.nominal_inputs()
     found = best(
         lambda t: process.attributes({**fixed, "reactor.temperature": t})[0],
@@ -77,7 +77,7 @@ def test_stirred_tank_by_closed_form():
     tank = batch_reactor(2000.0, kind="stirred", volume=number("reactor.volume", 0.01, "m3"))
     charge = feed((1.0, 0.0), volume=0.02, duration=2000.0)
     found = (attribute("A", "reactor.concentration.A"),)
-    process = Process(
+    process = PharmaProcess(
         case((charge,), (tank,), chain("charge", "reactor"), found, network=first_order_network())
     )
     steady = 1 / (1 + 1e-3 * 1000)
@@ -93,7 +93,7 @@ def test_plug_flow_is_tanks_in_series():
     )
     charge = feed((1.0, 0.0), volume=0.06, duration=6000.0)
     found = (attribute("A", "reactor.concentration.A"),)
-    process = Process(
+    process = PharmaProcess(
         case((charge,), (tube,), chain("charge", "reactor"), found, network=first_order_network())
     )
     assert process.values()[0] == pytest.approx((1 + 1e-3 * 1000 / 50) ** -50, rel=1e-9)
@@ -136,7 +136,7 @@ def test_plug_flow_against_published_run():
     cold = number("charge.temperature", 298.15, "K")
     wanted = [attribute(s, f"reactor.concentration.{s}") for s in "ABC"]
     lines = chain("charge", "reactor")
-    process = Process(
+    process = PharmaProcess(
         case((replace(charge, temperature=cold),), (tube,), lines, wanted, network=found)
     )
     published = [1.98765e-3, 1.98765e-3, 0.148005]
@@ -162,7 +162,9 @@ def test_jacketed_reactors_close_their_heat(kind):
         fields["dosing"] = constant("reactor.dosing", 1e-5, "m3/s")
     unit = batch_reactor(2000.0, constant("reactor.temperature", 320.0), **fields)
     found = (attribute("T", "reactor.temperature", "K"),)
-    process = Process(case(tuple(feeds), (unit,), lines, found, network=first_order_network()))
+    process = PharmaProcess(
+        case(tuple(feeds), (unit,), lines, found, network=first_order_network())
+    )
     rows = closes(process)
     assert "energy" in {row.quantity for row in rows}
     if kind == "batch":

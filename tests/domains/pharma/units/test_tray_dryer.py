@@ -23,7 +23,7 @@ from tests.domains.pharma.process_cases import (
 
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.flowsheet.stream import clear
 from snapo.domains.pharma.quality.records import Parameter
 from snapo.domains.pharma.time.dynamics import Numerics
@@ -172,7 +172,7 @@ def process(unit, numerics=None):
         for name in ("dryer.temperature", "dryer.pressure", "filter.saturation", "dryer.critical")
     ]
     fields = {} if numerics is None else {"numerics": numerics}
-    return Process(case((charge,), units, lines, found, moved, **fields))
+    return PharmaProcess(case((charge,), units, lines, found, moved, **fields))
 
 
 def test_mass_and_energy_close_in_the_chain():

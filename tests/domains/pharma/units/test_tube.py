@@ -15,7 +15,7 @@ from tests.domains.pharma.process_cases import (
 )
 
 from snapo.domains.pharma.chapters.verification import balances
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.units.reactors.length import Along
 
 
@@ -35,7 +35,9 @@ def tube(order=1.0, constant=1.0, seconds=3.0, start=1.0, temperature=None, **fi
     unit = batch_reactor(seconds, temperature, **(named | fields))
     charge = feed((start, 0.0), volume=0.01 * seconds, duration=seconds)
     wanted = (attribute("A", "reactor.concentration.A"),)
-    return Process(case((charge,), (unit,), chain("charge", "reactor"), wanted, network=found))
+    return PharmaProcess(
+        case((charge,), (unit,), chain("charge", "reactor"), wanted, network=found)
+    )
 
 
 @pytest.mark.prove

@@ -20,7 +20,7 @@ from tests.domains.pharma.units.crystals.test_finite_volumes import seeded
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.case import Connection
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.flowsheet.stream import Grid, clear
 from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.time.integrate import integrate
@@ -151,7 +151,7 @@ def in_a_chain():
 
 @pytest.mark.study
 def test_in_a_chain_mass_closes_and_the_gradient_is_that_of_differences():
-    process = Process(in_a_chain())
+    process = PharmaProcess(in_a_chain())
     run = process.run()
     assert run.status == "ok"
     before, after = (run.streams[f"{each}.slurry"] for each in ("crystalliser", "mill"))

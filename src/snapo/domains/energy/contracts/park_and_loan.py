@@ -27,11 +27,11 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, Quantity
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext
 from snapo.problem.record import field
 from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
 
-from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
+from ...gas_storage.read.tables import DATE, PRICE, DateKey
 from ..core.contract import (
     ContractLayout,
     EnergyContract,
@@ -60,8 +60,8 @@ class WindowTable(CaseTable):
 class ParkAndLoanTable(CaseTable):
     """`[contract]` of kind "park-and-loan"."""
 
-    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    volume_unit: Nonempty = Field("MWh", description='a name such as "MWh"')
+    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
     start: DateKey = Field(description=DATE)
     end: DateKey = Field(description=DATE)
     max_park: CaseInput = LIMIT("largest volume parked at the end of a day", 0.0)

@@ -13,10 +13,10 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, NoPosition
 from snapo.case.load import load
 from snapo.case.quantity import NOT_NEGATIVE, Quantity
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, Nonempty, TableContext, parse
 
 from ...gas_storage.read.limits import read_limits, small_move
-from ...gas_storage.read.tables import ContractTable, FileName
+from ...gas_storage.read.tables import ContractTable
 from ..methods.measure import common_measure
 from .stores import JOINT_FLOW, STORES, Store, StoresContract, layout_of
 
@@ -34,7 +34,7 @@ ZERO = "min_injection", "min_withdrawal", "inventory_loss"
 class StoresTable(CaseTable):
     """`[contract]` of kind "stores"."""
 
-    stores: list[FileName] = Field(
+    stores: list[Nonempty] = Field(
         description='two files like ["fast.toml", "slow.toml"], each with the [contract] of a store'
     )
     net_injection: CaseInput | None = JOINT("largest joint flow into the stores", None)

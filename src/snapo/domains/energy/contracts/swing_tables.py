@@ -10,9 +10,9 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, custom
-from snapo.case.table import AnyTable, CaseTable, TableContext
+from snapo.case.table import AnyTable, CaseTable, Nonempty, TableContext
 
-from ...gas_storage.read.tables import DATE, PRICE, DateKey, FileName
+from ...gas_storage.read.tables import DATE, PRICE, DateKey
 from .swing import SwingContract, layout_of
 
 GROUP = "contract"
@@ -107,8 +107,8 @@ def _short(raw: Any, key: Any) -> CaseInput | str:
 class SwingTable(CaseTable):
     """`[contract]` of kind "swing"."""
 
-    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    volume_unit: Nonempty = Field("MWh", description='a name such as "MWh"')
+    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
     start: DateKey = Field(description=DATE)
     end: DateKey = Field(description=DATE)
     side: Literal["call", "put"] = Field("call", description='"call" or "put"')

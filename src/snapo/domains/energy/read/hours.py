@@ -15,12 +15,12 @@ from snapo.case.csv import FileReference, Row, read_rows, rising_dates
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import KeyContext, Quantity
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext
 from snapo.problem.process import Gaps
 
 from ...gas_storage.contract.records import GasMarket
 from ...gas_storage.prices.process import FEWEST, Times
-from ...gas_storage.read.tables import DATE, FORWARD, ZERO_RATE, DateKey, FileName
+from ...gas_storage.read.tables import DATE, FORWARD, ZERO_RATE, DateKey
 
 HOURS = 8760.0  # of a year of 365 days
 TIME = "a date or a time of the hour, 2026-05-01T00:00:00"
@@ -39,18 +39,18 @@ class HourlyQuantity(Quantity):
 class HourlyContractTable(CaseTable):
     """`[contract]` of a contract by the hour: units, first and last hour, local calendar."""
 
-    volume_unit: FileName = Field("MWh", description='"MWh"', pattern="^MWh$")
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    volume_unit: Nonempty = Field("MWh", description='"MWh"', pattern="^MWh$")
+    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
     start: Any = Field(description=TIME)
     end: Any = Field(description=TIME)
-    time_zone: FileName = Field("UTC", description='a name such as "Europe/Berlin"')
+    time_zone: Nonempty = Field("UTC", description='a name such as "Europe/Berlin"')
 
 
 class HourlyMarketTable(CaseTable):
     """`[market]` of a contract by the hour."""
 
     valuation_date: DateKey = Field(description=DATE)
-    forward_curve: FileName = Field(description="a CSV file with columns time,price")
+    forward_curve: Nonempty = Field(description="a CSV file with columns time,price")
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
 
 

@@ -11,13 +11,13 @@ from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext
 
 from ...gas_storage.contract.records import GasMarket
 from ...gas_storage.prices.factors import CORRELATION, OneFactorTable
 from ...gas_storage.prices.pair import CommodityPair
 from ...gas_storage.prices.trio import CommodityTrio
-from ...gas_storage.read.tables import DATE, ZERO_RATE, DateKey, FileName
+from ...gas_storage.read.tables import DATE, ZERO_RATE, DateKey
 from .hours import Hours, dated_curve, hourly_curve, hourly_market
 
 FIRST, SECOND, THIRD = "power", "gas", "co2"
@@ -28,13 +28,13 @@ RHO = Range(-1.0, 1.0, "()")
 class PowerMarketTable(CaseTable):
     """`[market.power]`."""
 
-    forward_curve: FileName = Field(description="a CSV file with columns time,price")
+    forward_curve: Nonempty = Field(description="a CSV file with columns time,price")
 
 
 class GasMarketTable(CaseTable):
     """`[market.gas]` or `[market.co2]`, certificates of emissions."""
 
-    forward_curve: FileName = Field(
+    forward_curve: Nonempty = Field(
         description="a CSV file with columns date,price (by day) or time,price (by hour)"
     )
 

@@ -33,7 +33,7 @@ TITLE = "Value by method"
 
 
 @dataclass(frozen=True)
-class IntrinsicPlan:
+class IntrinsicValue:
     """The best plan against today's curve: its value, and net injections [T] by decision day."""
 
     value: Number
@@ -49,12 +49,12 @@ class Reference:
     dynamic_programming_error: float | None = None
 
 
-def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicPlan]:
+def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicValue]:
     """The chapter "intrinsic value", which needs no training, of the bare contract."""
 
-    def measure(run: StudyRun) -> IntrinsicPlan:
+    def measure(run: StudyRun) -> IntrinsicValue:
         plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
-        return IntrinsicPlan(plan.value, plan.net)
+        return IntrinsicValue(plan.value, plan.net)
 
     return replace(INTRINSIC, measure=measure)
 
@@ -235,11 +235,11 @@ def cash_flow(run: StorageRun) -> Section:
     return Section("cash-flow", title, short, [Chart(svg, caption), Facts(facts)])
 
 
-def _unmeasured(run: StudyRun) -> IntrinsicPlan:
+def _unmeasured(run: StudyRun) -> IntrinsicValue:
     raise ValueError("see `intrinsic_chapter`")
 
 
-INTRINSIC = Chapter("intrinsic value", "Intrinsic value", IntrinsicPlan, _unmeasured,
+INTRINSIC = Chapter("intrinsic value", "Intrinsic value", IntrinsicValue, _unmeasured,
                     lambda run, plan: [], needs=(), key="intrinsic")  # fmt: skip
 REFERENCE = Chapter("dynamic programming", "Dynamic programming", Reference, measure_reference,
                     lambda run, reference: [], needs=())  # fmt: skip

@@ -21,10 +21,9 @@ from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import AnyTable, CaseTable, Range, TableContext, parse
+from snapo.case.table import AnyTable, CaseTable, Nonempty, Range, TableContext, parse
 
 from ..curves.products import ONE, months
-from ..read.tables import FileName
 from .rolling import TradeBlock
 
 SPREAD = "difference of the prices at which a unit is sold and bought, half of it paid for a trade"
@@ -61,7 +60,7 @@ class ProductsTable(CaseTable):
     months: dict | None = Field(None, description=FAMILY)
     quarters: dict | None = Field(None, description=FAMILY)
     seasons: dict | None = Field(None, description=FAMILY)
-    others: FileName | None = Field(
+    others: Nonempty | None = Field(
         None, description=f"a CSV file with columns {','.join(COLUMNS)}"
     )
 

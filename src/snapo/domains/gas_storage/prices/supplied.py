@@ -8,11 +8,10 @@ from pydantic import Field
 
 from snapo.case.csv import FileReference, read_array
 from snapo.case.error import CaseError, Unquoted
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext
 from snapo.problem.record import Schedule, field
 from snapo.problem.record.arrays import Array, Float, jnp
 
-from ..read.tables import FileName
 from .process import Delivery, PriceProcess, Times, register
 
 if TYPE_CHECKING:
@@ -23,8 +22,8 @@ class SuppliedTable(CaseTable):
     """`[model]` of kind "supplied"."""
 
     kind: Literal["supplied"]
-    training_paths: FileName = Field(description="the name of a .npy or .parquet file")
-    evaluation_paths: FileName = Field(description="the name of a .npy or .parquet file")
+    training_paths: Nonempty = Field(description="the name of a .npy or .parquet file")
+    evaluation_paths: Nonempty = Field(description="the name of a .npy or .parquet file")
     rescale_to_curve: bool = Field(False, description="true or false")
 
 

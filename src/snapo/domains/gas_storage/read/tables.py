@@ -13,7 +13,7 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.plausible import FRACTION, Plausible
 from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range
-from snapo.case.table import TITLE, CaseTable, NotNegative, Title
+from snapo.case.table import TITLE, CaseTable, Nonempty, NotNegative, Title
 
 from ..curves.quotes import QuotedCurveTable
 
@@ -29,7 +29,6 @@ def _plain_day(value: Any) -> Any:
 
 
 DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
-FileName = Annotated[str, Field(min_length=1)]
 
 END_VALUES = "a CSV file with columns inventory,value"
 CURVE = (
@@ -105,8 +104,8 @@ Settlement = Literal["flow"] | str | AfterDays | OnDate | MonthsAfter
 class ContractTable(CaseTable):
     """`[contract]`"""
 
-    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    volume_unit: Nonempty = Field("MWh", description='a name such as "MWh"')
+    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
     start: DateKey = Field(description=DATE)
     end: DateKey = Field(description=DATE)
     inventory: CaseInput = STOCK("gas in store at the start")
@@ -114,7 +113,7 @@ class ContractTable(CaseTable):
     min_inventory: CaseInput = LIMIT("least gas in store", 0.0, before=0.0)
     max_injection: CaseInput | None = RATE("largest injection per day", None)
     max_withdrawal: CaseInput | None = RATE("largest withdrawal per day", None)
-    ratchets: FileName | None = Field(
+    ratchets: Nonempty | None = Field(
         None,
         description="a CSV file with columns date,inventory,max_withdrawal,max_injection",
     )
@@ -125,7 +124,7 @@ class ContractTable(CaseTable):
     withdrawal_cost: CaseInput = COST("per unit withdrawn", 0.0)
     injection_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
     withdrawal_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
-    fixed_costs: FileName | None = Field(None, description="a CSV file with columns date,amount")
+    fixed_costs: Nonempty | None = Field(None, description="a CSV file with columns date,amount")
     injection_fuel: CaseInput = SHARE("share of the injection, bought on top", 0.0)
     withdrawal_fuel: CaseInput = SHARE("share of the withdrawal, not sold", 0.0)
     inventory_loss: CaseInput = SHARE(
@@ -134,8 +133,8 @@ class ContractTable(CaseTable):
     )  # fmt: skip
     inventory_cost: CaseInput = COST("per unit in store and day", 0.0, unit=f"{PRICE}/day")
     end_inventory: NotNegative | Literal["free"] = 0.0
-    end_value: NotNegative | Annotated[FileName, Field(description=END_VALUES)] | None = None
-    outages: list[str] | FileName = Field(
+    end_value: NotNegative | Annotated[Nonempty, Field(description=END_VALUES)] | None = None
+    outages: list[str] | Nonempty = Field(
         [],
         description='a list like ["2021-07-01/2021-07-14"], or a CSV file with columns '
         "from,to,injection_factor,withdrawal_factor",
@@ -148,10 +147,10 @@ class MarketTable(CaseTable):
     """`[market]`"""
 
     valuation_date: DateKey = Field(description=DATE)
-    forward_curve: FileName | None = Field(
+    forward_curve: Nonempty | None = Field(
         None, description="a CSV file with columns date,price; or quotes"
     )
-    quotes: FileName | None = Field(None, description="a CSV file with columns product,price")
+    quotes: Nonempty | None = Field(None, description="a CSV file with columns product,price")
     curve: QuotedCurveTable | None = Field(None, description=CURVE)
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     settlement: Settlement = Field("flow", description=RULES)

@@ -1,6 +1,6 @@
 """`[demand]` of kind "empirical": periods drawn from a history."""
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -9,14 +9,13 @@ from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import POSITIVE, quantity_of
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext
 from snapo.problem.record import field
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 
 FEWEST, MAXIMUM = 8, 520  # periods of a history: two weeks short of two months, ten years of weeks
-FileName = Annotated[str, Field(min_length=1)]
 MOVED = POSITIVE._replace(note=": the history is shifted to this mean")
 STRETCHED = ": the history is stretched to this standard deviation"
 
@@ -25,7 +24,7 @@ class EmpiricalTable(CaseTable):
     """`[demand]` of kind "empirical"."""
 
     kind: Literal["empirical"]
-    history: FileName = Field(
+    history: Nonempty = Field(
         description="the name of a CSV file with columns period,demand, and optionally factor"
     )
     mean: CaseInput | None = mean_key(MOVED, None)

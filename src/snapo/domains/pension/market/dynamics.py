@@ -110,7 +110,7 @@ def returns(case: PensionModel, terms: AssetTerms, now, market, shock, cash) -> 
     return Returns(log, swaps, displayed, tuple(beneath))
 
 
-class PriceGrowth(NamedTuple):
+class IndexGrowth(NamedTuple):
     """Growth of ln I and ln W: `price` [T] the shift, `index_volatility` [T], and for wages on top
     `wage` (per step) and `wage_volatility`."""
 
@@ -122,7 +122,7 @@ class PriceGrowth(NamedTuple):
 
 def growth(
     case: PensionModel, inputs: dict[str, Any], factors: MarketFactors, shift: Array
-) -> PriceGrowth:
+) -> IndexGrowth:
     """`shift` [T] is that of nominal minus that of real bonds: the break-even index, fitted.
 
     ln I' - ln I = shift + int p + s_I (dW_I + lambda_I d), where int p has its own price of risk.
@@ -131,7 +131,7 @@ def growth(
     volatility = use(inputs, inflation.index_volatility)
     risk = use(inputs, inflation.index_price_of_risk) * (0.0 if case.risk_neutral else case.step)
     drift = factors.volatility[:, -1] * factors.price_of_risk[-1] * factors.reached[-1]
-    return PriceGrowth(
+    return IndexGrowth(
         price=shift + drift + volatility * risk,
         index_volatility=volatility,
         wage=use(inputs, inflation.real_wage_growth) * case.step,

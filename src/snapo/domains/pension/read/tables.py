@@ -14,7 +14,7 @@ from snapo.case.meaning import Only
 from snapo.case.parts import PartNames, names_of_parts
 from snapo.case.quantity import FRACTION, NOT_NEGATIVE, POSITIVE, Range
 from snapo.case.report import ReportTable
-from snapo.case.table import TITLE, CaseTable, Title
+from snapo.case.table import TITLE, CaseTable, Nonempty, Title
 
 from ..quantities import (
     AMOUNT,
@@ -37,8 +37,7 @@ def _plain_day(value: Any) -> Any:
     return value
 
 
-Day = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
-Name = Annotated[str, Field(min_length=1)]
+ValuationDate = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 HiddenLayers = Annotated[list[Annotated[int, Field(ge=1, le=1024)]], Field(max_length=4)]
 Ratio = Annotated[float, Field(gt=0)]
 DATE, WHOLE = "a date, YYYY-MM-DD", "a whole number"
@@ -104,10 +103,10 @@ def one_of(*available: str, default: Any = ...) -> Any:
 class FundTable(CaseTable):
     """`[fund]`: the horizon, its steps and the money."""
 
-    valuation_date: Day = Field(description=DATE)
+    valuation_date: ValuationDate = Field(description=DATE)
     years: int = plain(Range(1, 60, noun=WHOLE))
     step: Literal["month", "year"] = one_of("month", "year", default="month")
-    currency: Name = Field("EUR", description='a name such as "EUR"')
+    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
     assets: CaseInput = AMOUNT(
         "the market value of all assets today",
         unit="{currency}", range=_above("the market value of all assets,"), group="assets",
@@ -117,7 +116,7 @@ class FundTable(CaseTable):
 class CurveTable(CaseTable):
     """`[curve]`: the nominal curve, and the measure of the scenarios."""
 
-    file: Name = csv("tenor,zero (or tenor,forward or tenor,swap)")
+    file: Nonempty = csv("tenor,zero (or tenor,forward or tenor,swap)")
     measure: Literal["P", "Q"] = one_of("P", "Q", default="P")
     compounding: Literal["continuous", "annual"] = one_of(
         "continuous", "annual", default="continuous"
@@ -136,7 +135,7 @@ class CurveTable(CaseTable):
 class RatesTable(CaseTable):
     """`[rates]`: the model of the short rate; lists have one number per factor."""
 
-    kind: Name = Field(description='the name of a model, such as "hull-white" or "g2++"')
+    kind: Nonempty = Field(description='the name of a model, such as "hull-white" or "g2++"')
     mean_reversion: tuple[CaseInput, ...] = REVERSION(f"mean reversion {OF_FACTOR}", by_factor=True)
     volatility: tuple[CaseInput, ...] = MOVING(f"volatility {OF_FACTOR}", by_factor=True)
     price_of_risk: tuple[CaseInput, ...] = PRICE_OF_RISK(
@@ -147,7 +146,7 @@ class RatesTable(CaseTable):
 class InflationTable(CaseTable):
     """`[inflation]`: break-evens, expected inflation, prices and wages."""
 
-    break_evens: Name = csv("tenor,rate (or tenor,forward)")
+    break_evens: Nonempty = csv("tenor,rate (or tenor,forward)")
     compounding: Literal["continuous", "annual"] | None = Field(
         None, description='"continuous" or "annual", by default as in [curve]'
     )
@@ -172,7 +171,7 @@ class InflationTable(CaseTable):
 class AssetsTable(CaseTable):
     """`[assets]`: the classes, and the meaning of their mean returns."""
 
-    file: Name = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
+    file: Nonempty = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
     return_kind: Literal["excess", "total"] = one_of("excess", "total")
     mean_kind: Literal["geometric", "arithmetic", "log"] = one_of("geometric", "arithmetic", "log")
     turnover: float | None = plain(_above("the largest share of the assets traded per year,"), None)
@@ -181,19 +180,19 @@ class AssetsTable(CaseTable):
 class CreditTable(CaseTable):
     """`[credit]`"""
 
-    file: Name = csv("rating,spread,mean_spread,mean_reversion,volatility,default_loss")
+    file: Nonempty = csv("rating,spread,mean_spread,mean_reversion,volatility,default_loss")
 
 
 class CurrenciesTable(CaseTable):
     """`[currencies]`"""
 
-    file: Name = csv("currency,market,volatility,premium,hedge_ratio,hedge_cost")
+    file: Nonempty = csv("currency,market,volatility,premium,hedge_ratio,hedge_cost")
 
 
 class CorrelationsTable(CaseTable):
     """`[correlations]`"""
 
-    file: Name = Field(
+    file: Nonempty = Field(
         description="the name of a CSV file: a square matrix with names in the first row"
     )
     repair: bool = Field(False, description="true or false")
@@ -202,7 +201,7 @@ class CorrelationsTable(CaseTable):
 class OverlayTable(CaseTable):
     """`[overlay]`: receiver swaps by tenor, at par unless their kind is another."""
 
-    file: Name = csv("tenor,kind,notional,low,high,cost")
+    file: Nonempty = csv("tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = one_of("assets", "liability", default="assets")
     leverage: CaseInput = SWAP_LIMIT(A_LIMIT, 1.0, range=NOT_NEGATIVE)
     collateral_stress: CaseInput = SWAP_LIMIT(
@@ -213,8 +212,8 @@ class OverlayTable(CaseTable):
 class ScenariosTable(CaseTable):
     """`[scenarios]`: ready-made scenarios instead of the generator."""
 
-    training: Name = Field(description="the name of a CSV file")
-    evaluation: Name = Field(description="the name of another CSV file")
+    training: Nonempty = Field(description="the name of a CSV file")
+    evaluation: Nonempty = Field(description="the name of another CSV file")
 
 
 class PolicyTable(CaseTable):
@@ -241,7 +240,7 @@ class FrontierTable(CaseTable):
 class StressTable(CaseTable):
     """`[stress]`: shocks for the table of the report."""
 
-    file: Name = csv("scenario,input,label,kind,size")
+    file: Nonempty = csv("scenario,input,label,kind,size")
 
 
 class FundReportTable(ReportTable):
@@ -253,7 +252,7 @@ class FundReportTable(ReportTable):
 class RegulationTable(CaseTable):
     """`[regulation]`: a regulator's rules, and the figures they ask for."""
 
-    rules: Name = Field(description='"dutch-ftk", or the name of a TOML file of rules')
+    rules: Nonempty = Field(description='"dutch-ftk", or the name of a TOML file of rules')
     policy_ratios: list[Ratio] = Field(
         [], description="funding ratios at the ends of the last months, the newest last"
     )
@@ -264,8 +263,8 @@ class RegulationTable(CaseTable):
 class PotsTable(CaseTable):
     """`[pots]`: personal pots by cohort, with a solidarity reserve."""
 
-    rules: Name = Field(description='"dutch-wtp", or the name of a TOML file of rules')
-    allocation: Name = csv("age,protection,exposure")
+    rules: Nonempty = Field(description='"dutch-wtp", or the name of a TOML file of rules')
+    allocation: Nonempty = csv("age,protection,exposure")
     reserve: CaseInput = RESERVE(
         OF_RESERVE, 0.0, range=_share_of("the assets"), name="reserve_today"
     )
@@ -278,7 +277,7 @@ class PotsTable(CaseTable):
 class FundingTable(CaseTable):
     """`[funding]`: the bases of a scheme of the United Kingdom, side by side."""
 
-    rules: Name = Field(description='"uk", or the name of a TOML file of rules')
+    rules: Nonempty = Field(description='"uk", or the name of a TOML file of rules')
     technical_provisions: float = plain(OVER_GILTS)
     low_dependency: float | None = plain(OVER_GILTS, None)
     buy_out: float = plain(OVER_GILTS)

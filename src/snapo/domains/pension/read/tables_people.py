@@ -8,7 +8,7 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.meaning import Only, Tables
 from snapo.case.quantity import ANY, FRACTION, NOT_NEGATIVE, POSITIVE, Range
-from snapo.case.table import CaseTable
+from snapo.case.table import CaseTable, Nonempty
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
@@ -24,7 +24,7 @@ from ..quantities import (
     YEARLY_RATE,
     plain,
 )
-from .tables import COHORTS, PROMISED, Name, csv, one_of
+from .tables import COHORTS, PROMISED, csv, one_of
 
 BY_SALARY = ("rate", "floor", "cap")  # numbers of a contribution that are shares of salaries
 
@@ -154,10 +154,10 @@ FormulaTable = Annotated[list[float], Field(min_length=2, max_length=3)]
 class MembersTable(CaseTable):
     """`[members]`: cohorts, or the actuary's cash flows."""
 
-    file: Name | None = csv(
+    file: Nonempty | None = csv(
         "name,status,sex,age,number,pension and, where they apply, salary,service,mortality", None
     )
-    cash_flows: Name | None = csv("year (or month),amount", None)
+    cash_flows: Nonempty | None = csv("year (or month),amount", None)
     normal_cost: Annotated[CaseInput, FLOWS, ACCRUING] = MEMBER_MONEY(
         "the value of the accrual of a step today", 0.0, name="normal_cost"
     )
@@ -170,7 +170,7 @@ class MortalityTable(CaseTable):
     """`[mortality]`: death probabilities or a formula, with improvement and multipliers."""
 
     kind: Literal["table", "gompertz-makeham"] = one_of("table", "gompertz-makeham")
-    file: Annotated[Name | None, _of_mortality("table")] = csv("sex,age,q", None)
+    file: Annotated[Nonempty | None, _of_mortality("table")] = csv("sex,age,q", None)
     male: Annotated[FormulaTable | None, _of_mortality("gompertz-makeham")] = Field(
         None, description="[alpha, beta] or [alpha, beta, makeham]"
     )
@@ -180,10 +180,10 @@ class MortalityTable(CaseTable):
     year: int | None = plain(
         Range(1900, 2200, noun="the calendar year of these probabilities,"), None
     )
-    improvement: CaseInput | Name = RATE(
+    improvement: CaseInput | Nonempty = RATE(
         "the yearly fall of death rates", 0.0, group="people", by=BY_AGE
     )
-    multiplier: CaseInput | Name = AMOUNT(
+    multiplier: CaseInput | Nonempty = AMOUNT(
         "death probabilities at these ages rise by a relative 1 %", 1.0, unit="1",
         range=POSITIVE, group="people", by=BY_AGE, name="mortality_multiplier",
     )  # fmt: skip
@@ -195,7 +195,7 @@ class LeeCarterTable(CaseTable):
     volatility: CaseInput = AMOUNT(
         "volatility of the mortality factor", unit=SQUARE_ROOT, group="volatility"
     )
-    file: Name = csv("sex,age,loading")
+    file: Nonempty = csv("sex,age,loading")
 
 
 class PlanTable(CaseTable):
@@ -295,7 +295,7 @@ class ContributionTable(CaseTable):
     floor: Annotated[CaseInput | None, PAID] = RULE(OF_RULE, None, range=OF_SALARIES)
     cap: Annotated[CaseInput | None, PAID] = RULE(OF_RULE, None, range=OF_SALARIES)
     sponsor_limit: Annotated[CaseInput | None, PAID] = PLAN_MONEY(OF_RULE, None)
-    schedule: Name | None = csv("date,amount (or year,amount)", None)
+    schedule: Nonempty | None = csv("date,amount (or year,amount)", None)
 
 
 class LiabilityTable(CaseTable):

@@ -21,7 +21,7 @@ from snapo.study.study import Part, StudyRun
 from ..derivatives.jacobian import matrix, second
 from ..derivatives.local import DerivativeBlock, Local, local
 from ..flowsheet.case import PharmaCase
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..given import Entry
 from ..quality import design_space
 from ..quality.records import Attribute, Parameter
@@ -251,7 +251,7 @@ def profile_slopes(case: PharmaCase) -> tuple[ProfileSlopes, ...]:
         profile = next((x for x in unit.profiles if x.value.name == name), None)
         if unit.time is None or profile is None or profile.kind != "linear":
             continue
-        fine = Process(with_nodes(case, name, NODES))
+        fine = PharmaProcess(with_nodes(case, name, NODES))
         share = np.linspace(0, 1, NODES)
         duration = float(unit.time.values[0])
         weight = np.gradient(share) * duration

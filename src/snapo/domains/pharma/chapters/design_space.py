@@ -13,7 +13,7 @@ from snapo.report.quantity import finite, number, percent, plus_minus, quantity,
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..quality import design_space, ranges
 from ..quality.boundary import Boundary, draws_for
 from ..quality.design_space import LargestBox, in_case_unit
@@ -71,7 +71,7 @@ def measure(run: StudyRun) -> SpaceMap:
     return result
 
 
-def space_map(process: Process, seed: int) -> SpaceMap:
+def space_map(process: PharmaProcess, seed: int) -> SpaceMap:
     """The map, its sampling error and binding attribute, and the largest box inside."""
     case = process.case
     result = design_space.probability_map(process, seed)

@@ -17,7 +17,7 @@ from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..quality.boundary import interval
 from ..quality.estimation import ParameterFit, fit, model_of, numbers_of, variables_of
 from ..quality.records import Estimation
@@ -61,7 +61,9 @@ class Validation:
     batches: tuple[Agreement, ...]
 
 
-def validate(process: "Process", estimation: Estimation, fit: ParameterFit) -> Validation | None:
+def validate(
+    process: "PharmaProcess", estimation: Estimation, fit: ParameterFit
+) -> Validation | None:
     """The batches that were held out; None if there are none."""
     if not estimation.held_out:
         return None
@@ -132,7 +134,7 @@ def measure(run: StudyRun) -> Estimates:
     return result
 
 
-def estimates(process: Process) -> Estimates:
+def estimates(process: PharmaProcess) -> Estimates:
     """The fit requested in a case."""
     request = process.case.estimation
     assert request is not None

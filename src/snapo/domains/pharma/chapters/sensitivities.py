@@ -17,7 +17,7 @@ from ..derivatives import sensitivities
 from ..derivatives.jacobian import matrix
 from ..derivatives.sensitivities import Rank
 from ..flowsheet.inputs import pharma_inputs
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..given import every_entry
 from ..quality import batches
 from ..quality.batches import AttributeLimits
@@ -66,7 +66,7 @@ def measure(run: StudyRun) -> SensitivityMatrix:
     )  # fmt: skip
 
 
-def every_sensitivity(complete: Process) -> Iterable[tuple]:
+def every_sensitivity(complete: PharmaProcess) -> Iterable[tuple]:
     """attribute, input, label, value, unit: by all numbers of the case."""
     inputs = pharma_inputs(complete.case)
     entries = every_entry(complete.inputs)
@@ -103,7 +103,7 @@ class CriticalityTable:
     draws: int
 
 
-def criticality(process: Process, seed: int, draws: int = DRAWS) -> CriticalityTable:
+def criticality(process: PharmaProcess, seed: int, draws: int = DRAWS) -> CriticalityTable:
     """The nominal batch at both ends of every normal range, and the same drawn ones."""
     case = process.case
     entries = batches.varied(case)

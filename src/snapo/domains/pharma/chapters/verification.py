@@ -22,7 +22,7 @@ from ..derivatives.convergence import (
     on_finer_cells,
 )
 from ..flowsheet.flow import leaving, sources
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..flowsheet.stream import Ledger, Stream
 from ..quality.design_space import in_case_unit
 from ..shared import SOUND, open_loop, process
@@ -56,7 +56,7 @@ class Balance:
     relative: Number
 
 
-def balances(process: Process, inputs=None) -> list[Balance]:
+def balances(process: PharmaProcess, inputs=None) -> list[Balance]:
     """The balances of every unit but tests of the product, and of the whole as unit "process"."""
     case = process.case
 
@@ -82,7 +82,9 @@ def balances(process: Process, inputs=None) -> list[Balance]:
     return results + unit_balances(process, "process", into, out, list(ledgers.values()))
 
 
-def unit_balances(process: Process, name: str, into, out, ledgers: list[Ledger]) -> list[Balance]:
+def unit_balances(
+    process: PharmaProcess, name: str, into, out, ledgers: list[Ledger]
+) -> list[Balance]:
     """The balances of the units with these `ledgers`, between the streams into and out of them."""
     network = process.case.network
     made = np.sum([ledger.made for ledger in ledgers], axis=0)

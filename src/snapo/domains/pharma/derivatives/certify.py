@@ -9,7 +9,7 @@ from ..quality import batches
 from .jacobian import matrix
 
 if TYPE_CHECKING:
-    from ..flowsheet.process import Process
+    from ..flowsheet.process import PharmaProcess
 
 POINTS, STEP = 3, 0.01  # random points; steps as shares of half the normal range
 TOLERANCE = 1e-5  # of the largest entry in the row, or of a margin in half a range
@@ -36,7 +36,7 @@ class Checked(NamedTuple):
         return bool((np.where(self.kink, 0.0, self.error) <= TOLERANCE).all())
 
 
-def certify(process: "Process", seed: int) -> list[Checked]:
+def certify(process: "PharmaProcess", seed: int) -> list[Checked]:
     """The set point first, then `POINTS` random ones within the normal operating ranges."""
     case = process.case
     low = np.array([parameter.normal_low for parameter in case.parameters])
@@ -49,7 +49,7 @@ def certify(process: "Process", seed: int) -> list[Checked]:
     return [_check(process, *value, step) for value in zip(points, values)]
 
 
-def _moved_values(process: "Process", points: np.ndarray, step: np.ndarray) -> np.ndarray:
+def _moved_values(process: "PharmaProcess", points: np.ndarray, step: np.ndarray) -> np.ndarray:
     """[points, 4 P + 1, Q] attributes two steps and one step below and above, and at the point."""
     entries = [(parameter.input, parameter.entry) for parameter in process.case.parameters]
     size = len(step)
@@ -62,7 +62,9 @@ def _moved_values(process: "Process", points: np.ndarray, step: np.ndarray) -> n
     return batches.attributes(process, np.concatenate(rows)).reshape(len(points), len(moves), -1)
 
 
-def _check(process: "Process", point: np.ndarray, values: np.ndarray, step: np.ndarray) -> Checked:
+def _check(
+    process: "PharmaProcess", point: np.ndarray, values: np.ndarray, step: np.ndarray
+) -> Checked:
     entries = [(parameter.input, parameter.entry) for parameter in process.case.parameters]
     inputs = batches.inputs_with(process, dict(zip(entries, point)))
     # By all numbers, which costs the adjoint nothing: the same function gives the run's table.

@@ -8,7 +8,7 @@ import numpy as np
 
 from snapo.study.chapter import Number
 
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..quality import batches
 from ..quality.records import Attribute
 from .certify import STEP
@@ -30,7 +30,7 @@ class Cells:
     passed: bool
 
 
-def finer_cells(process: Process) -> Process | None:
+def finer_cells(process: PharmaProcess) -> PharmaProcess | None:
     """The process with twice the number of cells and of time steps; None without any cells."""
     case = process.case
     units = tuple(unit.finer() for unit in case.units)
@@ -38,10 +38,10 @@ def finer_cells(process: Process) -> Process | None:
         return None
     # Steps of stiff units were chosen for other cells, so they are chosen again.
     numerics = replace(case.numerics, steps=2 * case.numerics.steps, held={})
-    return Process(replace(case, units=units, numerics=numerics))
+    return PharmaProcess(replace(case, units=units, numerics=numerics))
 
 
-def on_finer_cells(process: Process, inputs=None) -> tuple[Cells, ...]:
+def on_finer_cells(process: PharmaProcess, inputs=None) -> tuple[Cells, ...]:
     """Every attribute; () if no unit has cells."""
     finer = finer_cells(process)
     if finer is None:
@@ -94,7 +94,7 @@ class Convergence:
     cells: tuple[Cells, ...] = ()
 
 
-def _own(process: Process, inputs) -> Jacobian:
+def _own(process: PharmaProcess, inputs) -> Jacobian:
     """By the parameters, from the function that gives a run its matrix: it is compiled once."""
     entries = batches.varied(process.case)
     result = matrix(process, inputs, entries=entries)
@@ -102,7 +102,7 @@ def _own(process: Process, inputs) -> Jacobian:
     return result._replace(jacobian=result.jacobian[:, columns])
 
 
-def _differences(process: Process, inputs) -> Jacobian:
+def _differences(process: PharmaProcess, inputs) -> Jacobian:
     """By the parameters, as central differences of fourth order of single runs."""
     parameters = process.case.parameters
     here, values = process.at(process.entries, inputs), process.nominal_inputs(inputs)
@@ -121,7 +121,7 @@ def _differences(process: Process, inputs) -> Jacobian:
     return Jacobian(process.values(inputs), np.stack(columns, 1), "forward", reason, runs)
 
 
-def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Convergence:
+def convergence(process: PharmaProcess, inputs=None, tolerance: float = 1e-10) -> Convergence:
     """Every attribute and its derivative with respect to every parameter, three ways; the case's
     own is judged.
 
@@ -136,7 +136,7 @@ def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Conv
         ways.append(replace(numerics, method="adaptive", tolerance=tight))
     tables = []
     for path in ways:
-        other = Process(replace(process.case, numerics=path))
+        other = PharmaProcess(replace(process.case, numerics=path))
         if path == numerics:
             differences = _own(process, inputs)
         elif path.method == "adaptive" and numerics.held:

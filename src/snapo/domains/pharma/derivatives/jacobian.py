@@ -4,7 +4,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..given import Entry
 from .mode import DERIVATIVES, Mode
 
@@ -28,7 +28,7 @@ class Jacobian(NamedTuple):
 
 
 def matrix(
-    process: Process,
+    process: PharmaProcess,
     inputs=None,
     entries: tuple[Entry, ...] | None = None,
     attributes: tuple[str, ...] | None = None,
@@ -61,7 +61,7 @@ def matrix(
 
 
 def choose(
-    process: Process, rows: int, columns: int, mode: Literal["auto", "adjoint", "forward"]
+    process: PharmaProcess, rows: int, columns: int, mode: Literal["auto", "adjoint", "forward"]
 ) -> tuple[Mode, str]:
     """The cheaper mode, by counting tangents, and the count as text."""
     adjoint, forward = ADJOINT_COST * rows, float(columns)
@@ -76,7 +76,7 @@ def choose(
     return selected, f"{counted}; forward mode needs {columns} of these"
 
 
-def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndarray]:
+def gradient(process: PharmaProcess, attribute: str, inputs=None) -> dict[str, np.ndarray]:
     """Derivatives of one attribute, for every entry of every input, from ONE adjoint pass; per
     domain unit."""
     row = process.names.index(attribute)
@@ -89,7 +89,9 @@ def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndar
     return process.either(("gradient", row), make, process.nominal_inputs(inputs))
 
 
-def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None) -> np.ndarray:
+def second(
+    process: PharmaProcess, pairs: tuple[tuple[Entry, Entry], ...], inputs=None
+) -> np.ndarray:
     """[pairs, Q] mixed second derivatives of every attribute, forward over reverse."""
     if process.case.numerics.method == "adaptive":
         raise ValueError("Second derivatives are those of the mesh; use method 'mesh'.")

@@ -11,7 +11,7 @@ from snapo.case.quantity import numbers_in
 from ..flowsheet.feed import Feed, feed
 from ..flowsheet.flow import leaving, sources, through, yields
 from ..flowsheet.order import Group, groups
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..flowsheet.stream import Stream, flat, unflat
 from ..given import Entry
 from .mode import of_method
@@ -53,7 +53,7 @@ class Local(NamedTuple):
     units: dict[str, DerivativeBlock]
 
 
-def local(process: Process, inputs=None) -> Local:
+def local(process: PharmaProcess, inputs=None) -> Local:
     """The derivatives of every single unit at the streams for `inputs`."""
     case, values = process.case, process.nominal_inputs(inputs)
     streams = process.run(inputs).streams
@@ -85,7 +85,7 @@ def _of_feed(record: Feed) -> LocalRun:
 
 
 def _of_group(
-    process: Process, group: Group, into: tuple[str, ...], out: tuple[str, ...]
+    process: PharmaProcess, group: Group, into: tuple[str, ...], out: tuple[str, ...]
 ) -> LocalRun:
     def run(streams, inputs):
         result = through(process.case.flowsheet, group, dict(zip(into, streams)), inputs)
@@ -94,14 +94,14 @@ def _of_group(
     return run
 
 
-def _of_process(process: Process, names: tuple[str, ...]) -> LocalRun:
+def _of_process(process: PharmaProcess, names: tuple[str, ...]) -> LocalRun:
     def run(streams, inputs):
         return (), yields(process.case.flowsheet, dict(zip(names, streams)))
 
     return run
 
 
-def _entries(process: Process, record: Any, reacts: bool) -> tuple[Entry, ...]:
+def _entries(process: PharmaProcess, record: Any, reacts: bool) -> tuple[Entry, ...]:
     """Its own inputs, and of a unit that `reacts` those of the network."""
     records = (record, process.case.network) if reacts else (record,)
     names = [number.name for number in numbers_in(records) if number.name in process.inputs]
@@ -109,7 +109,7 @@ def _entries(process: Process, record: Any, reacts: bool) -> tuple[Entry, ...]:
 
 
 def _block(
-    process: Process, name, inlets, outlets, entries, run: LocalRun, streams, inputs
+    process: PharmaProcess, name, inlets, outlets, entries, run: LocalRun, streams, inputs
 ) -> DerivativeBlock:
     fixed = tuple(streams[inlet] for inlet in inlets)
     size = max(len(flat(item)) for item in streams.values())

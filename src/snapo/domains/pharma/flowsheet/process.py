@@ -59,7 +59,7 @@ class Batch(NamedTuple):
     ok: np.ndarray
 
 
-class Process:
+class PharmaProcess:
     """A case with its compiled functions: made once, called often without compiling again.
 
     - `case`: as it was given, with the steps that it needs. `form`: the form of its flowsheet,

@@ -13,7 +13,7 @@ from ..given import Entry
 from .draws import all_draws, all_entries
 
 if TYPE_CHECKING:
-    from ..flowsheet.process import Process
+    from ..flowsheet.process import PharmaProcess
 
 CHUNK = 128  # batches side by side; few rows are filled up to it, so that nothing compiles again
 
@@ -26,7 +26,7 @@ def varied(case: PharmaCase) -> tuple[Entry, ...]:
 
 
 def inputs_with(
-    process: "Process",
+    process: "PharmaProcess",
     changes: Mapping[Entry, float],
     about: Mapping[str, np.ndarray] | None = None,
 ) -> dict[str, np.ndarray]:
@@ -39,7 +39,7 @@ def inputs_with(
 
 
 def drawn(
-    process: "Process", changes: Mapping[Entry, float], samples: int, seed: int
+    process: "PharmaProcess", changes: Mapping[Entry, float], samples: int, seed: int
 ) -> np.ndarray:
     """[samples, V] draws of `varied` about the set point moved by `changes`; the same each time."""
     about = inputs_with(process, changes)
@@ -48,13 +48,13 @@ def drawn(
     return np.hstack([batch, np.broadcast_to(fixed, (samples, len(fixed)))])
 
 
-def nominally(process: "Process", changes: Mapping[Entry, float]) -> np.ndarray:
+def nominally(process: "PharmaProcess", changes: Mapping[Entry, float]) -> np.ndarray:
     """[1, V] the nominal model at the set point moved by `changes`."""
     about = inputs_with(process, changes)
     return np.array([[about[name][entry] for name, entry in varied(process.case)]])
 
 
-def attributes(process: "Process", rows: np.ndarray) -> np.ndarray:
+def attributes(process: "PharmaProcess", rows: np.ndarray) -> np.ndarray:
     """[n, Q] attributes of `rows` [n, V]; a batch without a finite result is NaN throughout."""
     count = len(rows)
     if count < CHUNK:

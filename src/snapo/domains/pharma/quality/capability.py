@@ -13,7 +13,7 @@ from . import batches, draws
 from .batches import AttributeLimits
 
 if TYPE_CHECKING:
-    from ..flowsheet.process import Process
+    from ..flowsheet.process import PharmaProcess
 
 
 WORLDS, INNER = 64, 32  # draws of the uncertain numbers, and batches for each
@@ -54,7 +54,7 @@ class Capability:
     cpk_high: Floats
 
 
-def capability(process: "Process", count: int, seed: int) -> Capability:
+def capability(process: "PharmaProcess", count: int, seed: int) -> Capability:
     """Draws of everything uncertain and of parameters that vary, at the set point."""
     rows = batches.drawn(process, {}, count, seed)
     values = from_values(process.case, batches.attributes(process, rows))
@@ -96,7 +96,7 @@ def _cpk(limits: AttributeLimits, values: np.ndarray) -> np.ndarray:
         return np.where(varies, limits.distance(mean) / (3 * deviation), np.nan)
 
 
-def _apart(process: "Process", seed: int) -> dict[str, np.ndarray]:
+def _apart(process: "PharmaProcess", seed: int) -> dict[str, np.ndarray]:
     """Cpk between batches, and its interval over the uncertain numbers: `WORLDS` draws of them,
     with the same `INNER` batches for each."""
     limits, uncertain = AttributeLimits.of(process.case), draws.unknown(process.case)

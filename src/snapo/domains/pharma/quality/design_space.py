@@ -17,7 +17,7 @@ from .boundary import Boundary, boundaries, distances, interval
 from .records import Parameter
 
 if TYPE_CHECKING:
-    from ..flowsheet.process import Process
+    from ..flowsheet.process import PharmaProcess
 
 
 class Point(NamedTuple):
@@ -51,7 +51,7 @@ class ProbabilityMap(NamedTuple):
     boundaries: tuple[Boundary, ...] = ()
 
 
-def probability_map(process: "Process", seed: int) -> ProbabilityMap:
+def probability_map(process: "PharmaProcess", seed: int) -> ProbabilityMap:
     """The map requested by `[design_space]` of the case; the same draws at every point."""
     case: PharmaCase = process.case
     space = case.design_space
@@ -72,14 +72,14 @@ def probability_map(process: "Process", seed: int) -> ProbabilityMap:
 
 
 def at_points(
-    process: "Process", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
+    process: "PharmaProcess", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
 ) -> Point:
     """[n] probabilities at set points, each moved by its `changes` in the domain's unit."""
     return graded(process.case, drawn_values(process, changes, samples, seed))
 
 
 def drawn_values(
-    process: "Process", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
+    process: "PharmaProcess", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
 ) -> np.ndarray:
     """[n, samples, Q] attributes of the same batches at every set point."""
     rows = np.concatenate([batches.drawn(process, item, samples, seed) for item in changes])

@@ -26,7 +26,7 @@ from ..derivatives.sensitivities import entry_name
 from .records import Estimation, Experiment
 
 if TYPE_CHECKING:
-    from ..flowsheet.process import Process
+    from ..flowsheet.process import PharmaProcess
 
 NOTABLE = 0.3  # of a direction's length: a number that belongs to it
 DOUBT = 1e-3  # tail of chi^2 below which the model does not describe the data
@@ -75,7 +75,7 @@ class ParameterFit:
     starts: int
 
 
-def fit(process: "Process", estimation: Estimation) -> ParameterFit:
+def fit(process: "PharmaProcess", estimation: Estimation) -> ParameterFit:
     """Least squares within the bounds, from the case's numbers and from others."""
     model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
@@ -167,7 +167,7 @@ def _numbers(variables: np.ndarray, log: np.ndarray) -> np.ndarray:
     return np.where(log, np.exp(np.where(log, variables, 0.0)), variables)
 
 
-def model_of(process: "Process", estimation: Estimation, experiments: Sequence[Experiment]):
+def model_of(process: "PharmaProcess", estimation: Estimation, experiments: Sequence[Experiment]):
     """[P] fitted numbers -> [n] the model's values of the measurements, by experiment."""
     resolved = tuple(zip(estimation.inputs, estimation.entries))
 
@@ -186,7 +186,7 @@ def model_of(process: "Process", estimation: Estimation, experiments: Sequence[E
     return run
 
 
-def _observed(process: "Process", inputs, experiment):
+def _observed(process: "PharmaProcess", inputs, experiment):
     """[n] states at their times, unit by unit, back in the order of the data."""
     units = [state.partition(".")[0] for state in experiment.state]
     result = jnp.zeros(len(units))

@@ -26,7 +26,7 @@ from .ranges import Changes, Good, goods
 from .records import Parameter
 
 if TYPE_CHECKING:
-    from ..flowsheet.process import Process
+    from ..flowsheet.process import PharmaProcess
 
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 NOMINAL = (16, 7, 2)  # shares evaluated, then within the bracket of an end; repetitions
@@ -76,7 +76,7 @@ Ranges = Mapping[str, PairEnds | None]  # of each parameter
 
 
 def pairs(
-    process: "Process",
+    process: "PharmaProcess",
     nominal: Ranges,
     probable: Ranges,
     required: float,
@@ -117,7 +117,7 @@ class _Way(NamedTuple):
         }
 
 
-def _ways(process: "Process", both, ranges: Ranges) -> list[_Way]:
+def _ways(process: "PharmaProcess", both, ranges: Ranges) -> list[_Way]:
     ways = []
     for i, (x, y) in enumerate(both):
         sides = [
@@ -133,7 +133,11 @@ def _ways(process: "Process", both, ranges: Ranges) -> list[_Way]:
 
 
 def _together(
-    process: "Process", both: Sequence, ranges: Ranges, valid: Good, search: tuple[int, int, int]
+    process: "PharmaProcess",
+    both: Sequence,
+    ranges: Ranges,
+    valid: Good,
+    search: tuple[int, int, int],
 ) -> list[Together | None]:
     ways = _ways(process, both, ranges)
     if not ways:
@@ -191,7 +195,7 @@ def _ends(observed: dict[float, tuple]) -> tuple[float, int, float, float]:
     return last, fails, certain, possible
 
 
-def _interactions(process: "Process", both: Sequence) -> list[tuple]:
+def _interactions(process: "PharmaProcess", both: Sequence) -> list[tuple]:
     """(interaction [Q], its largest share of a room, the attribute, whether all corners do)."""
     if not both:
         return []

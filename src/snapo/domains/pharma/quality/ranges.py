@@ -18,7 +18,7 @@ from .design_space import at_points, in_case_unit
 from .records import Parameter
 
 if TYPE_CHECKING:
-    from ..flowsheet.process import Process
+    from ..flowsheet.process import PharmaProcess
 
 Changes = Mapping[Entry, float]  # of a set point, in the domain's unit
 
@@ -36,7 +36,7 @@ class GradedPoints(NamedTuple):
 Good = Callable[[Sequence[Changes]], GradedPoints]
 
 
-def goods(process: "Process", required: float, samples: int, seed: int) -> tuple[Good, Good]:
+def goods(process: "PharmaProcess", required: float, samples: int, seed: int) -> tuple[Good, Good]:
     """By the model at its nominal numbers; and with the `required` probability of `samples` draws,
     a parameter with a distribution varying about its point."""
     case = process.case
@@ -61,7 +61,7 @@ def goods(process: "Process", required: float, samples: int, seed: int) -> tuple
 
 
 if TYPE_CHECKING:
-    from ..flowsheet.process import Process
+    from ..flowsheet.process import PharmaProcess
 
 NOMINAL = (17, 7, 3)  # points over the range, then within the bracket of an edge; repetitions
 PROBABLE = (9, 3, 1)  # every point of these is many batches
@@ -105,7 +105,7 @@ RangePoints = list[tuple[Parameter, float]]  # [n] (parameter, value in the doma
 
 
 def proven_ranges(
-    process: "Process", required: float, samples: int, seed: int
+    process: "PharmaProcess", required: float, samples: int, seed: int
 ) -> list[ProvenRange]:
     """Both ranges of every parameter.
 
@@ -128,7 +128,7 @@ def changes(points: RangePoints) -> list[Changes]:
     return [{(p.input, p.entry): x} for p, x in points]
 
 
-def set_point(process: "Process", parameter: Parameter) -> float:
+def set_point(process: "PharmaProcess", parameter: Parameter) -> float:
     """The parameter's set point in the domain's unit."""
     return float(process.inputs[parameter.input][parameter.entry])
 
@@ -142,7 +142,9 @@ class _Edge(NamedTuple):
     fails: int
 
 
-def _ranges(process: "Process", valid: Good, search: tuple[int, int, int]) -> list[AcceptableRange]:
+def _ranges(
+    process: "PharmaProcess", valid: Good, search: tuple[int, int, int]
+) -> list[AcceptableRange]:
     case = process.case
     scans = []
     for selected in case.parameters:

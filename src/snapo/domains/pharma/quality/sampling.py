@@ -6,25 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from . import batches
 
 COARSER, ENOUGH = 4, 0.01  # times larger steps, where attributes move by less than this in margins
 
 
-def on_steps(process: Process, steps: int) -> Process:
+def on_steps(process: PharmaProcess, steps: int) -> PharmaProcess:
     """The same process with as many steps per piece."""
     case = process.case
     if steps == case.numerics.steps:
         return process
-    result = Process(replace(case, numerics=replace(case.numerics, steps=steps)))
+    result = PharmaProcess(replace(case, numerics=replace(case.numerics, steps=steps)))
     result.inputs = process.inputs
     return result
 
 
 def sampler(
-    process: Process, made: Callable[[Process, int], Process] | None = None
-) -> tuple[Process, dict[str, Any]]:
+    process: PharmaProcess, made: Callable[[PharmaProcess, int], PharmaProcess] | None = None
+) -> tuple[PharmaProcess, dict[str, Any]]:
     """The process for statistics, and the accuracy that its mesh costs. `made`: makes the same
     process on other steps, `on_steps` where none is given.
 

@@ -12,7 +12,7 @@ from snapo.case.quantity import numbers_in
 from ..derivatives.jacobian import choose, matrix
 from ..derivatives.sensitivities import spread
 from ..flowsheet.case import PharmaCase
-from ..flowsheet.process import Process
+from ..flowsheet.process import PharmaProcess
 from ..quality import batches
 from ..quality.draws import all_entries
 from .optimum import Recipe, TracedRecipe, optimum
@@ -60,7 +60,7 @@ class Optimum(NamedTuple):
     endpoints: tuple[float, ...]
 
 
-def optimise(process: Process, seed: int = 0) -> Optimum:
+def optimise(process: PharmaProcess, seed: int = 0) -> Optimum:
     """Chooses the decisions of the case's `[optimise]`; all limits are constraints.
 
     Several starts: the best of those that meet the conditions, else the best of all.
@@ -92,7 +92,9 @@ def optimise(process: Process, seed: int = 0) -> Optimum:
     return Optimum(recipe, limits, steep, before, reason, traced.compiling, solving, endpoints)
 
 
-def goal_and_room(process: Process, limits: tuple[AttributeLimit, ...], steep: tuple[Ramp, ...]):
+def goal_and_room(
+    process: PharmaProcess, limits: tuple[AttributeLimit, ...], steep: tuple[Ramp, ...]
+):
     """From decisions [n] to the goal, the room to every limit, and both of every ramp."""
     case, nominal = process.case, process.nominal_inputs()
     ask = case.optimise
@@ -132,7 +134,7 @@ def _sum(terms: tuple[Term, ...], measures, inputs) -> Array:
     return total
 
 
-def varies(process: Process) -> np.ndarray:
+def varies(process: PharmaProcess) -> np.ndarray:
     """[Q] standard deviation of the batches about the case's recipe, to first order, in the
     attributes' units; zeros where nothing asks for it."""
     case = process.case

@@ -17,7 +17,7 @@ from tests.domains.pharma.process_cases import (
 )
 
 from snapo.domains.pharma.chapters.verification import balances
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.units.crystals.seed import Seed
 
 SOLUBLE, DENSITY, FED, SEED = 100.0, 1200.0, 375.0, 5.0  # kg/m3
@@ -52,7 +52,7 @@ def crystallised(**fields):
     found = [attribute(each, each) for each in measures]
     charge = feed((0.0, 0.1, FED / 150, IMPURITY / 250))
     ports = chain("charge", "crystalliser", "filter")
-    return Process(case((charge,), (unit, cake_filter()), ports, found))
+    return PharmaProcess(case((charge,), (unit, cake_filter()), ports, found))
 
 
 @pytest.mark.prove

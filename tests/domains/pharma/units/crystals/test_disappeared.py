@@ -15,7 +15,7 @@ from tests.domains.pharma.process_cases import (
 )
 from tests.domains.pharma.units.crystals.test_finite_volumes import seeded
 
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.units.crystals.kinetics import Rates
 from snapo.domains.pharma.units.crystals.population import disappeared
@@ -75,7 +75,7 @@ def cycled(top, edges=None, **fields):
     )
     found = (attribute("d32", f"{name}.d32", "um", 1e6),)
     charge = feed((0.0, 0.0, 0.125, 0.0))
-    return Process(case((charge,), (unit,), chain("charge", name), found, numerics=ERROR))
+    return PharmaProcess(case((charge,), (unit,), chain("charge", name), found, numerics=ERROR))
 
 
 @pytest.mark.prove

@@ -20,7 +20,7 @@ from tests.domains.pharma.process_cases import (
 
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.time.dynamics import Numerics
 from snapo.domains.pharma.units.crystals.population import (
     NUMBER,
@@ -176,9 +176,9 @@ def alone(edges, measures=MEASURES, **fields):
 @pytest.mark.prove
 def test_against_moments():
     """The moment model is exact here: what is left falls with the square of the cells' width."""
-    exact, gaps = Process(alone(None, MEASURES[:3])).values(), []
+    exact, gaps = PharmaProcess(alone(None, MEASURES[:3])).values(), []
     for cells in (100, 200):
-        process = Process(alone(np.linspace(0, 300e-6, cells + 1), MEASURES[:3]))
+        process = PharmaProcess(alone(np.linspace(0, 300e-6, cells + 1), MEASURES[:3]))
         gaps.append(np.abs(process.values() / exact - 1))
         assert max(abs(row.relative) for row in balances(process)) < 1e-10
     assert np.all(gaps[1] < [2.5e-3, 2.5e-3, 5e-6])
@@ -188,7 +188,7 @@ def test_against_moments():
 @pytest.mark.prove
 def test_too_long_steps_are_a_status():
     """The smallest cells of a geometric grid need short steps; a mesh without them says so."""
-    process = Process(alone(np.geomspace(1e-6, 400e-6, 101), MEASURES[:1]))
+    process = PharmaProcess(alone(np.geomspace(1e-6, 400e-6, 101), MEASURES[:1]))
     status = process.run().status
     assert status.startswith("crystalliser: the time steps are too long from ")
     assert "adaptive" in status and "more steps" in status
@@ -197,7 +197,7 @@ def test_too_long_steps_are_a_status():
 @pytest.mark.prove
 def test_gradients_against_differences():
     """Each attribute by each temperature node: 1e-5 of the largest in its row."""
-    process = Process(alone(np.linspace(0, 300e-6, 101)))
+    process = PharmaProcess(alone(np.linspace(0, 300e-6, 101)))
     found = matrix(process).jacobian
     columns = []
     for name, entry in process.entries:
@@ -209,7 +209,7 @@ def test_gradients_against_differences():
         columns.append((ends[0] - ends[1]) / 2e-3)
     gap = np.abs(np.array(columns).T - found).max(1) / np.abs(found).max(1)
     assert gap.max() < 1e-5
-    exact = matrix(Process(alone(None, MEASURES[:3]))).jacobian
+    exact = matrix(PharmaProcess(alone(None, MEASURES[:3]))).jacobian
     near = np.abs(found[:3] - exact).max(1) / np.abs(exact).max(1)
     assert np.all(near < [0.05, 0.05, 1e-3])
 
@@ -219,9 +219,9 @@ def test_error_control_finds_the_steps():
     """On a geometric grid, where the mesh above gives up."""
     edges = np.geomspace(1e-6, 400e-6, 101)
     long = Numerics("adaptive", 320, 1e-7, 20_000, True)
-    run = Process(alone(edges, MEASURES[:1], numerics=long)).run()
+    run = PharmaProcess(alone(edges, MEASURES[:1], numerics=long)).run()
     assert run.status == "ok" and run.measures["crystalliser.at_largest"] < 1e-6
-    exact = Process(alone(None, MEASURES[:1])).values()[0]
+    exact = PharmaProcess(alone(None, MEASURES[:1])).values()[0]
     assert run.attributes["d43"] == pytest.approx(exact, rel=0.016)  # the grid's own error
 
 
@@ -237,7 +237,7 @@ def test_undersaturated_seed_dissolves_and_mass_closes():
     unit = replace(unit, kinetics=replace(unit.kinetics, dissolution=dissolution))
     found = (attribute("crystals", "crystalliser.crystals"),)
     lines = chain("charge", "crystalliser")
-    process = Process(case((feed((0.0, 0.0, 0.1, 0.0)),), (unit,), lines, found))
+    process = PharmaProcess(case((feed((0.0, 0.0, 0.1, 0.0)),), (unit,), lines, found))
     run = process.run()
     assert 0 < run.attributes["crystals"] < 0.1
     numbers = run.trajectories["crystalliser"]["mu0"]

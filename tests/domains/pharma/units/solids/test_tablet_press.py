@@ -19,7 +19,7 @@ from tests.domains.pharma.pharma_cases import (
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.read.case import resolve
 from snapo.domains.pharma.units.solids.release import gone, released
 from snapo.domains.pharma.units.solids.tablet_press import TabletPress, acceptance
@@ -108,11 +108,11 @@ steps = 64
 )  # fmt: skip
 
 
-def process(**press) -> Process:
+def process(**press) -> PharmaProcess:
     data = tomllib.loads(CASE)
     changed = data["units"]["press"] | press
     data["units"]["press"] = {key: each for key, each in changed.items() if each is not None}
-    return Process(resolve(TEMPLATE, data))
+    return PharmaProcess(resolve(TEMPLATE, data))
 
 
 @pytest.fixture(scope="module")
