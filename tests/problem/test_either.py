@@ -99,6 +99,23 @@ def test_numpy_is_in_use_within_the_function_only():
     assert isinstance(xp.zeros(2), jax.Array)
 
 
+@pytest.mark.parametrize("evaluated", [either.with_numpy, lambda function: function])
+def test_rows_are_gone_through_backwards(evaluated):
+    """x_t = a_t x_(t+1) + b_t from x_T = 2, and the running maximum of it; c as it is."""
+    a, b = np.array([0.5, -2.0, 0.25]), np.array([1.0, 3.0, -1.0])
+
+    def rolled():
+        def step(later, row):
+            return row[0] * later[0] + row[1][0], row[1][1]
+
+        rows = a, (b, None)
+        return either.backwards(step, (xp.asarray(2.0), None), rows, len(a))
+
+    x, none = evaluated(rolled)()
+    assert np.asarray(x).tolist() == [3.0, 4.0, -0.5] and none is None
+    assert np.asarray(evaluated(either.running_maximum)(x)).tolist() == [3.0, 4.0, 4.0]
+
+
 def test_known_numbers_are_evaluated_within_a_trace():
     def function(x):
         return x + float(either.at_once(xp.exp)(0.5))

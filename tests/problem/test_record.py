@@ -13,7 +13,7 @@ import pytest
 
 from snapo.problem.process import Schwartz
 from snapo.problem.record import AbstractVar, Input, Schedule, TreeRecord, field
-from snapo.problem.record.arrays import NUMPY, TRACED, custom_jvp
+from snapo.problem.record.arrays import custom_jvp
 
 
 class Pair(TreeRecord):
@@ -104,20 +104,6 @@ def test_an_input_is_as_before():
     )
     with pytest.raises(ValueError, match="3 labels for 4 numbers"):
         Input([[1, 2], [3, 4]], labels="abc")
-
-
-def test_both_libraries_go_backwards_alike():
-    """x_t = a_t x_(t+1) + b_t from x_T = 2, and the running maximum of it."""
-    a, b = np.array([0.5, -2.0, 0.25]), np.array([1.0, 3.0, -1.0])
-    results = []
-    for arrays in (NUMPY, TRACED):
-        x = arrays.backwards(
-            lambda later, row: row[0] * later + row[1], arrays.xp.asarray(2.0), (a, b)
-        )
-        results.append(x)
-        assert np.asarray(x).tolist() == [3.0, 4.0, -0.5]
-        assert np.asarray(arrays.running_maximum(x)).tolist() == [3.0, 4.0, 4.0]
-        assert float(arrays.fixed(x[0])) == 3.0
 
 
 def test_a_rule_of_derivatives_is_used():

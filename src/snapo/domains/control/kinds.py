@@ -9,6 +9,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from snapo.problem.record.either import with_numpy, xp
+
 PlantValues = Mapping[str, Any]
 
 
@@ -251,7 +253,7 @@ class LinearQuadraticKind(PlantKind):
                 yield "measurement.x", inputs.tolist(), f"it must be {size} numbers"
 
 
-def holding_flow(p, xp):
+def holding_flow(p):
     """The flow that holds the lower level at its target."""
     return p["lower"] * xp.sqrt(2 * p["gravity"] * p["target"])
 
@@ -293,7 +295,7 @@ class TwoTanksKind(PlantKind):
         if plant["target"] > maximum:
             message = f"it must be at most {maximum:.4g}: no tank may overflow while it is held"
             yield "plant.target", float(plant["target"]), message
-        holding = float(holding_flow(plant, np))
+        holding = float(with_numpy(holding_flow)(plant))
         if holding > plant["flow"]:
             message = f"it must be at least {holding:.4g}, which holds the target"
             yield "plant.flow", float(plant["flow"]), message

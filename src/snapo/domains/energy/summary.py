@@ -4,7 +4,7 @@ from typing import Any
 
 from snapo.case.given import CaseInput
 from snapo.problem.record import Schedule
-from snapo.problem.record.arrays import NUMPY
+from snapo.problem.record.either import with_numpy
 from snapo.study.kind import inputs_line
 
 from ..gas_storage.contract.terms import discount
@@ -33,6 +33,7 @@ def lines(case: EnergyCase) -> list[str]:
     ]
 
 
+@with_numpy
 def known_schedule(case: EnergyCase) -> Schedule:
     """The schedule of a case at its forward prices, in NumPy, without those of the price process.
 
@@ -40,10 +41,10 @@ def known_schedule(case: EnergyCase) -> Schedule:
     """
     market, at = case.market, CaseInput.used
     paid, settled = (discount(market, days) for days in (market.gas_day, case.day + 1))
-    start, terms = case.contract.terms(at, paid, settled, NUMPY)  # pyright: ignore
+    start, terms = case.contract.terms(at, paid, settled)  # pyright: ignore
     forward: Any = at(market.forward_curve)[: len(case.days)]
-    terms = charged(terms, forward, NUMPY)
-    ranges = intervals(case.contract.layout, terms, NUMPY)
+    terms = charged(terms, forward)
+    ranges = intervals(case.contract.layout, terms)
     none: Any = None  # only paths and policies read it
     steps = Step(case.time, forward, terms, ranges, case.model.second_price(), none)  # pyright: ignore
     return Schedule(Constants(start, none, none, none, none), steps)

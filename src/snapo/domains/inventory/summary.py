@@ -4,6 +4,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from snapo.problem.record.either import with_numpy
 from snapo.study.kind import inputs_line
 
 from .demand.base import MEAN
@@ -26,9 +27,8 @@ def _item_lines(case: InventoryCase) -> list[str]:
     parameters, factors = case.demand.values(), case.season.values if case.seasonal else np.ones(1)
     season = season_ahead(factors, case.horizon, item.lead_time)
     mean, deviation = parameters[MEAN] * season, case.demand.deviation(parameters, season)
-    level = float(
-        base_stock(mean, deviation, safety_factor(case, NormalDist().inv_cdf), np)[case.warm_up]
-    )
+    safety = safety_factor(case, NormalDist().inv_cdf)
+    level = float(with_numpy(base_stock)(mean, deviation, safety)[case.warm_up])
     return [
         f"{case.title}: {_periods(case)}",
         f"demand of a {case.period}: {case.demand.describe()}; without stock it is {unmet}",

@@ -7,17 +7,14 @@ equations. Reading a case needs the first, and calls none of the second. The nam
 libraries, and so are the objects that come from them: `jnp.exp` is `jax.numpy.exp`. Types of arrays
 are those of jaxtyping where types are checked, and nothing at run time.
 
-Equations that a check evaluates too are written for an `ArrayLibrary`: JAX in a simulator, NumPy
-where a case is checked.
+Equations that a check evaluates too use `xp` of `either`: JAX in a simulator, NumPy in a check.
 """
 
 from collections.abc import Callable
 from functools import cache, wraps
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
     import equinox as eqx
@@ -76,50 +73,3 @@ def custom_jvp(
         return call
 
     return decorated
-
-
-class ArrayLibrary(NamedTuple):
-    """An array library: its functions as in NumPy, and three that JAX has its own names for.
-
-    - `running_maximum(x)`: of the elements up to each.
-    - `backwards(step, last, rows)`: stacked results of `step(result of the next row, row)`.
-    - `fixed(x)`: a number without a derivative.
-    """
-
-    xp: Any
-    running_maximum: Callable[[Any], Any]
-    backwards: Callable[[Callable[[Any, Any], Any], Any, Any], Any]
-    fixed: Callable[[Any], Any]
-
-
-def _row(rows: Any, t: int) -> Any:
-    if not isinstance(rows, tuple):
-        return rows[t]
-    return getattr(type(rows), "_make", tuple)(_row(x, t) for x in rows)
-
-
-def _row_by_row(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
-    first = rows
-    while isinstance(first, tuple):
-        first = first[0]
-    results = []
-    for t in reversed(range(len(first))):
-        last = step(last, _row(rows, t))
-        results.append(last)
-    if not isinstance(last, tuple):
-        return np.array(results[::-1])
-    return tuple(np.array(leaves[::-1]) for leaves in zip(*results))
-
-
-def _scanned(step: Callable[[Any, Any], Any], last: Any, rows: Any) -> Any:
-    def result(following, row):
-        row = step(following, row)
-        return row, row
-
-    return jax.lax.scan(result, last, rows, reverse=True)[1]
-
-
-NUMPY = ArrayLibrary(np, np.maximum.accumulate, _row_by_row, np.asarray)
-TRACED = ArrayLibrary(
-    jnp, lambda x: jax.lax.cummax(x), _scanned, lambda x: jax.lax.stop_gradient(x)
-)

@@ -116,15 +116,31 @@ def tree_map(function: Callable[..., Any], tree: Any, *more: Any) -> Any:
     return made([tree_map(function, *parts) for parts in zip(tree, *more)])
 
 
-def scan(step: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any, count: int) -> Any:
+def scan(
+    step: Callable[[Any, Any], tuple[Any, Any]], start: Any, rows: Any, count: int, reverse=False
+) -> Any:
     """`jax.lax.scan` over `count` rows: the final state, and the stacked results."""
     if not in_use():
-        return jax.lax.scan(step, start, rows, count)
-    results = []
-    for t in range(count):
-        start, result = step(start, tree_map(itemgetter(t), rows))
-        results.append(result)
+        return jax.lax.scan(step, start, rows, count, reverse)
+    results: list[Any] = [None] * count
+    for t in reversed(range(count)) if reverse else range(count):
+        start, results[t] = step(start, tree_map(itemgetter(t), rows))
     return start, tree_map(lambda *leaves: np.stack(leaves), *results)
+
+
+def backwards(step: Callable[[Any, Any], Any], last: Any, rows: Any, count: int) -> Any:
+    """Stacked results of `step(result of the next row, row)`; of the last row, from `last`."""
+
+    def both(following: Any, row: Any) -> tuple[Any, Any]:
+        result = step(following, row)
+        return result, result
+
+    return scan(both, last, rows, count, reverse=True)[1]
+
+
+def running_maximum(x: Any) -> Any:
+    """[n] of the elements up to each of `x` [n]."""
+    return np.maximum.accumulate(x) if in_use() else jax.lax.cummax(x)
 
 
 def over(function: Callable[[Any], Any]) -> Callable[[Any], Any]:

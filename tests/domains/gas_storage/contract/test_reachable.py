@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from snapo.domains.gas_storage.contract.reachable import InventoryLimits, reachable
-from snapo.problem.record.arrays import TRACED
 
 DAYS = 2
 
@@ -28,7 +27,7 @@ def highest(capacity, row, interpolation):
         0 * days,
         0 * days,
     )
-    return reachable(limits, jnp.zeros_like(row), capacity, interpolation, TRACED)[1][0]
+    return reachable(limits, jnp.zeros_like(row), capacity, interpolation)[1][0]
 
 
 @pytest.mark.parametrize("interpolation", ["linear", pytest.param("step", marks=pytest.mark.prove)])

@@ -36,6 +36,7 @@ from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem, prepare
+from snapo.problem.record.either import with_numpy
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
@@ -193,7 +194,7 @@ def test_reachable_is_the_longest_interval_that_can_go_on(template, seed):
     numbers = {name: entry.value for name, entry in inputs.items()}
     at_inputs = partial(in_numpy, numbers)
     limits = inventory_limits(simulator.contract, at_inputs)
-    in_numpy_too = reachable(limits, *end_interval(simulator.contract, at_inputs), kind)
+    in_numpy_too = with_numpy(reachable)(limits, *end_interval(simulator.contract, at_inputs), kind)
     low, high = (x[:-1] for x in in_numpy_too)
     if np.all(np.abs(high - low) > 1e-6):  # a set of one point is there or not by rounding
         assert_allclose(low, steps.low, rtol=1e-12, atol=1e-9)

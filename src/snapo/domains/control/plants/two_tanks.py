@@ -3,6 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.problem.record.either import with_numpy
+
 from ..kinds import TwoTanksKind, holding_flow
 from .plant import Plant, runge_kutta
 
@@ -26,7 +28,7 @@ class TwoTanks(TwoTanksKind, Plant):
         return {name: smooth.clip(h, 0.0, top, scale=top) for name, h in after.items()}
 
     def cost(self, w, p, state, u):
-        away = (u[0] - holding_flow(p, jnp)) / p["flow"]
+        away = (u[0] - holding_flow(p)) / p["flow"]
         return {
             "level": w["level"] * (state["lower"] - p["target"]) ** 2,
             "pump": w["pump"] * away**2,
@@ -45,7 +47,7 @@ class TwoTanks(TwoTanksKind, Plant):
         return {"upper": np.array(requested * ratio**2), "lower": np.array(requested)}
 
     def rest(self, p):
-        return np.array([float(holding_flow(p, np))])
+        return np.array([float(with_numpy(holding_flow)(p))])
 
     def proportional(self, p):
         return {"lower": np.array([0.1 * float(p["flow"])])}

@@ -10,7 +10,6 @@ of the whole term, may be limited.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +18,8 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity, Range
 from snapo.case.table import CaseTable, TableContext
 from snapo.problem.record import field
-from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
+from snapo.problem.record.arrays import Array, Bool, NumbersOf
+from snapo.problem.record.either import xp
 
 from ..core.contract import (
     ContractLayout,
@@ -111,14 +111,14 @@ class BatteryContract(EnergyContract):
     reserve: SoldReserve | None
     layout: ContractLayout = field(static=True)
 
-    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
-        xp, count = arrays.xp, len(self.day_ends)
+    def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
+        count = len(self.day_ends)
         one, zero = xp.ones(count), xp.zeros(count)
         energy, into = at(self.energy), at(self.charge_efficiency)
         out, wear = at(self.discharge_efficiency), at(self.wear)
         charge, discharge = at(self.charge), at(self.discharge)
         high, again = [energy * one], [xp.zeros(count, bool)]
-        day, term = self._cycles(at, discharge * count / energy, xp)
+        day, term = self._cycles(at, discharge * count / energy)
         if day is not None:
             high.append(day * energy * one)
             again.append(xp.asarray(self.day_ends))
@@ -147,10 +147,10 @@ class BatteryContract(EnergyContract):
         )
         if self.reserve is not None:
             power = xp.minimum(charge, discharge * out)
-            steps = self.reserve.added(steps, at(self.reserve.price) * power * paid, xp)
+            steps = self.reserve.added(steps, at(self.reserve.price) * power * paid)
         return Terms(start, steps)
 
-    def _cycles(self, at: NumbersOf, highest: Array, xp: Any) -> tuple[Array | None, Array | None]:
+    def _cycles(self, at: NumbersOf, highest: Array) -> tuple[Array | None, Array | None]:
         """Limits of a day and of the term. Of two, that which the other one implies is at least
         `highest`, the cycles of all hours: no plan reaches it, and methods need no nodes for it."""
         day, term = (x and at(x) for x in (self.cycles_day, self.cycles_term))

@@ -29,7 +29,8 @@ from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, Quantity
 from snapo.case.table import CaseTable, Nonempty, TableContext
 from snapo.problem.record import field
-from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
+from snapo.problem.record.arrays import Array, Bool, NumbersOf
+from snapo.problem.record.either import xp
 
 from ...gas_storage.read.tables import DATE, PRICE, DateKey
 from ..core.contract import (
@@ -105,8 +106,8 @@ class ParkAndLoanContract(EnergyContract):
     open: Bool[np.ndarray, "T 2"]
     layout: ContractLayout = field(static=True)
 
-    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
-        xp, count = arrays.xp, len(self.open)
+    def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
+        count = len(self.open)
         last = np.arange(count) == count - 1
         none = xp.zeros((count, 1))
         park, loan = (at(x) for x in self.limits)

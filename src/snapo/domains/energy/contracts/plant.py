@@ -18,7 +18,8 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.problem.record import field
-from snapo.problem.record.arrays import Array, ArrayLibrary, NumbersOf
+from snapo.problem.record.arrays import Array, NumbersOf
+from snapo.problem.record.either import xp
 
 from ..core.contract import (
     ContractLayout,
@@ -66,8 +67,8 @@ class PlantContract(EnergyContract):
     steps: PowerSteps | None = field(static=True, default=None)
     powers: tuple[int, ...] = field(static=True, default=())
 
-    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
-        xp, count, counted = arrays.xp, len(paid), len(self.layout.levels)
+    def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
+        count, counted = len(paid), len(self.layout.levels)
         emissions = xp.zeros(count)
         if self.emission_price is not None:
             emissions = at(self.per_fuel) * at(self.emission_price)
@@ -95,9 +96,9 @@ class PlantContract(EnergyContract):
             index=-(rate * paid)[:, None],
             fixed_index=-paid[:, None] * fuel,
         )
-        return Terms(xp.zeros(counted), self._ramped(at, steps, xp))
+        return Terms(xp.zeros(counted), self._ramped(at, steps))
 
-    def _ramped(self, at: NumbersOf, terms: StepTerms, xp: Any) -> StepTerms:
+    def _ramped(self, at: NumbersOf, terms: StepTerms) -> StepTerms:
         """With the power of each move, if there is a ramp. No number is known where other inputs
         would have other steps: all are NaN then."""
         if self.ramp is None or self.steps is None:

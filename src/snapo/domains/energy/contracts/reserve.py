@@ -21,6 +21,7 @@ from snapo.case.quantity import NOT_NEGATIVE, CaseInput, KeyContext, custom
 from snapo.case.table import CaseTable, TableContext
 from snapo.problem.record import TreeRecord, field
 from snapo.problem.record.arrays import Array, Bool, Float
+from snapo.problem.record.either import xp
 
 from ..core.contract import ContractLayout, ContractMove, MoveLimits, StepTerms
 from ..read.hours import HourlyQuantity, Hours, rows_by_hour
@@ -65,12 +66,12 @@ class SoldReserve(TreeRecord):
     last_steps: Bool[np.ndarray, " T"]
     moves: tuple[tuple[int, int], ...] = field(static=True)
 
-    def added(self, terms: StepTerms, earned: Array, xp: Any) -> StepTerms:
+    def added(self, terms: StepTerms, earned: Array) -> StepTerms:
         """Terms with the moves in reserve; `earned` [T]: by each of them."""
         fixed = xp.stack([xp.zeros_like(earned), *[earned] * len(self.moves)], axis=1)
-        return terms._replace(fixed=fixed, of_moves=self._limits(terms, xp))
+        return terms._replace(fixed=fixed, of_moves=self._limits(terms))
 
-    def _limits(self, terms: StepTerms, xp: Any) -> MoveLimits:
+    def _limits(self, terms: StepTerms) -> MoveLimits:
         """Of the first level, the energy in store; those of the other ones are as before."""
         first_steps, last_steps = xp.asarray(self.first_steps), xp.asarray(self.last_steps)
         bottom, top = terms.low[:, 0], terms.high[:, 0]

@@ -13,13 +13,14 @@ and submodular flows", Mathematical Programming 42 (1988), 489-563).
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.problem.record import TreeRecord, field
-from snapo.problem.record.arrays import Array, ArrayLibrary, NumbersOf
+from snapo.problem.record.arrays import Array, NumbersOf
+from snapo.problem.record.either import backwards, xp
 
 from ..core.contract import (
     ContractLayout,
@@ -94,11 +95,10 @@ class StoresContract(EnergyContract):
         """Whether the stores depend on each other."""
         return len(self.layout.levels) > STORES
 
-    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
-        xp = arrays.xp
+    def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
         daily = paid[::STORES]
-        flows = self._daily_flows(at, xp)
-        sets = _feasible(flows, *self._limits(at, xp), self.transfers, arrays)
+        flows = self._daily_flows(at)
+        sets = _feasible(flows, *self._limits(at), self.transfers)
         count, levels = len(daily), len(self.layout.levels)
         rates = xp.stack([flows.into, flows.out], axis=2)  # [T, stores, 2]
         nothing = xp.zeros((count, 2))
@@ -110,7 +110,7 @@ class StoresContract(EnergyContract):
             price.append((sign - fuel) * daily[:, None])
             money.append(-cost * daily[:, None])
             largest.append([nothing] * k + [rates[:, k]] + [nothing] * (STORES - 1 - k))
-        low, high = self._level_limits(flows, sets, xp)
+        low, high = self._level_limits(flows, sets)
         none, restarts = (
             xp.zeros((count * STORES, levels)),
             np.zeros((count * STORES, levels), bool),
@@ -118,24 +118,24 @@ class StoresContract(EnergyContract):
         restarts[STORES - 1 :: STORES, STORES:] = True
         steps = StepTerms(
             xp.zeros((count * STORES, 2 * STORES)),
-            _by_step(xp, *(xp.concatenate(x, axis=1) for x in largest)),
-            _by_step(xp, *[xp.concatenate(price, axis=1)] * STORES),
-            _by_step(xp, *[xp.concatenate(money, axis=1)] * STORES),
+            _by_step(*(xp.concatenate(x, axis=1) for x in largest)),
+            _by_step(*[xp.concatenate(price, axis=1)] * STORES),
+            _by_step(*[xp.concatenate(money, axis=1)] * STORES),
             low,
             high,
             xp.where(restarts, low, none),
             none,
             xp.asarray(restarts),
             xp.zeros((count * STORES, len(self.layout.every_move))),
-            promises=self._promises(flows, sets, xp) if self.joint else None,
-            of_levels=self._holding(at, daily, xp),
+            promises=self._promises(flows, sets) if self.joint else None,
+            of_levels=self._holding(at, daily),
         )
-        return Terms(xp.append(self._start(at, xp), xp.zeros(levels - STORES)), steps)
+        return Terms(xp.append(self._start(at), xp.zeros(levels - STORES)), steps)
 
-    def _start(self, at: NumbersOf, xp: Any) -> Array:
+    def _start(self, at: NumbersOf) -> Array:
         return xp.stack([at(store.inventory) for store in self.stores])
 
-    def _daily_flows(self, at: NumbersOf, xp: Any) -> DailyFlows:
+    def _daily_flows(self, at: NumbersOf) -> DailyFlows:
         """No more than the joint limits leave, whatever the other store does."""
         rates = [
             xp.stack([at(x.rates[side]) * x.factors[:, side] for x in self.stores], 1)
@@ -156,7 +156,7 @@ class StoresContract(EnergyContract):
             )
         return DailyFlows(into, out, net_in, net_out)
 
-    def _limits(self, at: NumbersOf, xp: Any) -> tuple[Array, Array]:
+    def _limits(self, at: NumbersOf) -> tuple[Array, Array]:
         """[T + 1, stores] the least and the most in store at the start of a day, and at the end."""
         low, high = (xp.stack([at(x.limits[side]) for x in self.stores], axis=1) for side in (0, 1))
         for k, store in enumerate(self.stores):
@@ -166,7 +166,7 @@ class StoresContract(EnergyContract):
                 low, high = (xp.where(end, at(store.end), x) for x in (low, high))
         return low, high
 
-    def _level_limits(self, flows: DailyFlows, sets: FeasibleSets, xp: Any) -> tuple[Array, Array]:
+    def _level_limits(self, flows: DailyFlows, sets: FeasibleSets) -> tuple[Array, Array]:
         """[steps, levels] after each step: of the first store those of the end of the day, of the
         second one those of its start until it has decided."""
         sides = []
@@ -177,10 +177,10 @@ class StoresContract(EnergyContract):
             early = [limit[1:, 0], limit[:-1, 1], sign * rate[:, 0]]
             late = [limit[1:, 0], limit[1:, 1], sign * net]
             count = len(self.layout.levels)
-            sides.append(_by_step(xp, *(xp.stack(x[:count], axis=1) for x in (early, late))))
+            sides.append(_by_step(*(xp.stack(x[:count], axis=1) for x in (early, late))))
         return sides[0], sides[1]
 
-    def _promises(self, flows: DailyFlows, sets: FeasibleSets, xp: Any) -> Promises:
+    def _promises(self, flows: DailyFlows, sets: FeasibleSets) -> Promises:
         """Limits of sums after each step, from which the second store can keep its own limits, the
         joint ones and those of the sum; see `SUMS`."""
         rows = xp.array(self.layout.sums)
@@ -202,12 +202,12 @@ class StoresContract(EnergyContract):
             modes = [inward, inward, [-top - out, -high - flows.net_out, never]]
         early = xp.stack([xp.stack(x, axis=1) for x in modes], axis=2)
         late = xp.stack([xp.stack(late_limits, axis=1)] * len(modes), axis=2)
-        minimum = _by_step(xp, early, late)
+        minimum = _by_step(early, late)
         return Promises(
             xp.broadcast_to(rows, (len(minimum), *rows.shape)), minimum, xp.ones(len(minimum))
         )
 
-    def _holding(self, at: NumbersOf, daily: Array, xp: Any) -> LevelMoney | None:
+    def _holding(self, at: NumbersOf, daily: Array) -> LevelMoney | None:
         """What is in store at the start of a day is paid for on it."""
         if all(store.holding is None for store in self.stores):
             return None
@@ -216,24 +216,21 @@ class StoresContract(EnergyContract):
         above = [nothing if x.holding is None else at(x.holding) * daily for x in self.stores]
         above += [nothing] * (shape[1] - STORES)
         rates = xp.stack([xp.zeros(shape[:2]), xp.stack(above, axis=1)], axis=2)
-        before = _by_step(xp, rates, xp.zeros(shape))
+        before = _by_step(rates, xp.zeros(shape))
         return LevelMoney(before, xp.zeros_like(before))
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         return {"inventory": [max(levels[x.name], 0.0) for x in self.layout.levels[:STORES]]}
 
 
-def _by_step(xp: Any, *parts: Array) -> Array:
+def _by_step(*parts: Array) -> Array:
     """[T x parts, …] of one array [T, …] for each step of a day."""
     return xp.stack(parts, axis=1).reshape(-1, *parts[0].shape[1:])
 
 
-def _feasible(
-    flows: DailyFlows, low: Array, high: Array, transfers: bool, arrays: ArrayLibrary
-) -> FeasibleSets:
+def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> FeasibleSets:
     """[T + 1] at the start of each day, and at the end. Without transfers nothing must be injected:
     limits are then kept by withdrawing, or by no flow."""
-    xp = arrays.xp
 
     def tight(low: Array, high: Array, bottom: Array, top: Array) -> FeasibleSets:
         bottom, top = xp.maximum(bottom, xp.sum(low)), xp.minimum(top, xp.sum(high))
@@ -255,7 +252,7 @@ def _feasible(
         )
 
     last = tight(low[-1], high[-1], xp.sum(low[-1]), xp.sum(high[-1]))
-    days = arrays.backwards(back, last, (flows, low[:-1], high[:-1]))
+    days = backwards(back, last, (flows, low[:-1], high[:-1]), len(flows.into))
     return FeasibleSets(*(xp.concatenate([x, y[None]]) for x, y in zip(days, last)))
 
 

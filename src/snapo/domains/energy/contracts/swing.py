@@ -11,7 +11,6 @@ Science 50 (2004).
 
 import datetime
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,8 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.table import TableContext
 from snapo.problem.record import field
-from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, NumbersOf
+from snapo.problem.record.arrays import Array, Bool, NumbersOf
+from snapo.problem.record.either import backwards, xp
 
 from ...gas_storage.prices.index import ONE_FACTOR, indexed
 from ...gas_storage.prices.process import Delivery, PriceProcess
@@ -77,8 +77,8 @@ class SwingContract(EnergyContract):
     firm: bool = field(static=True)
     most_rights: int = field(static=True)
 
-    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
-        xp, count = arrays.xp, len(self.year_ends)
+    def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
+        count = len(self.year_ends)
         names = [level.name for level in self.layout.levels]
         strike = at(self.add if self.strike is None else self.strike)  # pyright: ignore
         index = None
@@ -111,9 +111,9 @@ class SwingContract(EnergyContract):
             start.append(xp.zeros(()))
         bank = None
         if self.layout.banks:
-            bank = self._bank(at, strike, paid, xp)
-            newest = _number(at, self.made_up, xp) - _number(at, self.carried, xp)
-            for age, units in enumerate((newest, _number(at, self.older, xp))[: self.layout.banks]):
+            bank = self._bank(at, strike, paid)
+            newest = _number(at, self.made_up) - _number(at, self.carried)
+            for age, units in enumerate((newest, _number(at, self.older))[: self.layout.banks]):
                 low.append(zero if age else -bank.limit)
                 high.append(bank.share * bank.minimum)
                 owed.append(zero)
@@ -136,22 +136,22 @@ class SwingContract(EnergyContract):
             xp.stack(again, axis=1) if again else xp.zeros((count, 0), bool),
             xp.zeros((count, len(self.layout.every_move))),
             index,
-            self._promises(at, arrays),
+            self._promises(at),
             bank,
         )
         return Terms(xp.stack(start) if start else xp.zeros(0), steps)
 
-    def _promises(self, at: NumbersOf, arrays: ArrayLibrary) -> Promises | None:
+    def _promises(self, at: NumbersOf) -> Promises | None:
         """The promises of a firm minimum with rights, in one contract year: the rest of it is at
         most the most volume of a day, times the rights left, and times the days that rests
         leave."""
         if not self.firm or self.annual_min is None:
             return None
         if self.layout.banks:
-            return self._carried(at, arrays)
+            return self._carried(at)
         if not self.most_rights:
             return None
-        xp, minimum, daily = arrays.xp, at(self.annual_min), at(self.max_daily)[0]
+        minimum, daily = at(self.annual_min), at(self.max_daily)[0]
         count, modes = len(self.year_ends), len(self.layout.modes)
         left = np.arange(count - 1, -1, -1)
         waits = np.append(0, np.arange(modes - 1, 0, -1))
@@ -161,28 +161,28 @@ class SwingContract(EnergyContract):
         bounds = xp.stack([minimum - daily * days, rights], axis=1)
         return Promises(xp.broadcast_to(weights, (count, 2, 2)), bounds)
 
-    def _carried(self, at: NumbersOf, arrays: ArrayLibrary) -> Promises:
+    def _carried(self, at: NumbersOf) -> Promises:
         """The promises of a firm minimum, lower by the units carried forward: the rest of it is at
         most the volume of the days left of the year."""
-        xp, daily = arrays.xp, at(self.max_daily)
+        daily = at(self.max_daily)
         following = xp.append(daily[1:], 0.0)
 
         def back(left, row):
             return xp.where(row[0], 0.0, left + row[1])
 
         rows = xp.asarray(self.year_ends), following
-        left = arrays.backwards(back, xp.zeros(()), rows)
+        left = backwards(back, xp.zeros(()), rows, len(daily))
         minimum = at(self.annual_min) - left  # pyright: ignore[reportArgumentType]
         weights = xp.broadcast_to(xp.array([1.0, -1.0]), (len(daily), 1, 2))
         return Promises(weights, minimum[:, None, None])
 
-    def _bank(self, at: NumbersOf, strike: Array, paid: Array, xp: Any) -> Bank:
+    def _bank(self, at: NumbersOf, strike: Array, paid: Array) -> Bank:
         """Units short may be made up, units in excess are carried forward."""
         zero, price = xp.zeros(len(self.year_ends)), self.make_up_price
         return Bank(
-            zero + _number(at, self.annual_min, xp),
+            zero + _number(at, self.annual_min),
             zero + (price is not None),
-            zero + _number(at, self.carry_max, xp),
+            zero + _number(at, self.carry_max),
             zero if price is None else (strike - at(price)) * paid,
         )
 
@@ -225,7 +225,7 @@ class SwingContract(EnergyContract):
         return indexed(prices, delivery, self.fixing)
 
 
-def _number(at: NumbersOf, number: CaseInput | None, xp: Any) -> Array:
+def _number(at: NumbersOf, number: CaseInput | None) -> Array:
     return xp.zeros(()) if number is None else at(number)
 
 

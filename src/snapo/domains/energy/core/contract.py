@@ -26,7 +26,7 @@ import numpy as np
 from snapo.case.given import CaseInput
 from snapo.case.table import TableContext
 from snapo.problem.record import AbstractVar, TreeRecord
-from snapo.problem.record.arrays import Array, ArrayLibrary, Bool, Float, NumbersOf
+from snapo.problem.record.arrays import Array, Bool, Float, NumbersOf
 
 from ...gas_storage.prices.process import Delivery, PriceProcess
 from .bank import Bank
@@ -311,7 +311,7 @@ class EnergyContract(TreeRecord):
     layout: AbstractVar[ContractLayout]
 
     @abc.abstractmethod
-    def terms(self, at: NumbersOf, paid: Array, settled: Array, arrays: ArrayLibrary) -> Terms:
+    def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
         """The numbers; `at`: those of an input where they are used. `paid` [T]: discount factors
         of the commodity; `settled` [T]: of money that is owed when the step is over, a day later.
         """

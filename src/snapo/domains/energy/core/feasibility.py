@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.problem.record.arrays import TRACED, Array, ArrayLibrary, Float, jax, jnp
+from snapo.problem.record.arrays import Array, Float, jax, jnp
+from snapo.problem.record.either import backwards, fixed, xp
 
 from .contract import ContractLayout, ContractMove, StepPrices, StepTerms
 
@@ -27,9 +28,9 @@ class Intervals(NamedTuple):
     next_high: Float[Array, "T levels"]
 
 
-def intervals(layout: ContractLayout, steps: StepTerms, arrays: ArrayLibrary = TRACED) -> Intervals:
+def intervals(layout: ContractLayout, steps: StepTerms) -> Intervals:
     """An empty one has its low above its high, and so have all before it."""
-    xp, (least, most) = arrays.xp, changes(layout, steps, arrays.xp)
+    least, most = changes(layout, steps)
 
     def back(successor, row):
         low, high, restarts, least, most = row
@@ -43,10 +44,10 @@ def intervals(layout: ContractLayout, steps: StepTerms, arrays: ArrayLibrary = T
 
     free = xp.full(len(layout.levels), xp.inf)
     rows = steps.low, steps.high, steps.restarts, least, most
-    return Intervals(*arrays.backwards(back, (-free, free, -free, free), rows))
+    return Intervals(*backwards(back, (-free, free, -free, free), rows, len(steps.low)))
 
 
-def changes(layout: ContractLayout, steps: StepTerms, xp: Any) -> tuple[Array, Array]:
+def changes(layout: ContractLayout, steps: StepTerms) -> tuple[Array, Array]:
     """[T, levels] the least and the most that a step may change each level by."""
     least, most = [], []
     for move in layout.every_move:
@@ -60,14 +61,13 @@ def changes(layout: ContractLayout, steps: StepTerms, xp: Any) -> tuple[Array, A
     return xp.min(xp.stack(least), axis=0), xp.max(xp.stack(most), axis=0)
 
 
-def charged(steps: StepTerms, forward: Array, arrays: ArrayLibrary = TRACED) -> StepTerms:
+def charged(steps: StepTerms, forward: Array) -> StepTerms:
     """With promises: a charge for a missed unit, so large that no method misses one by choice."""
     if steps.promises is None:
         return steps
-    xp = arrays.xp
     price = xp.abs(steps.price) + (0.0 if steps.index is None else xp.abs(steps.index))
     unit = xp.max(price) * xp.max(xp.abs(forward)) + xp.max(xp.abs(steps.money))
-    charge = arrays.fixed(MISSED * unit)
+    charge = fixed(MISSED * unit)
     if steps.promises.missed is not None:
         missed = steps.promises.missed * charge
         return steps._replace(promises=steps.promises._replace(missed=missed))

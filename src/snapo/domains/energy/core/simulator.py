@@ -19,7 +19,6 @@ from jaxtyping import Array, Float
 from snapo.problem.actions import Box
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
-from snapo.problem.record.arrays import TRACED
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
@@ -114,7 +113,7 @@ class EnergySimulator(PricedSimulator):
 
     def _terms(self, inputs: dict[str, Any]):
         rates, at = use(inputs, self.rate), partial(use, inputs)
-        return self.contract.terms(at, self.paid(rates), self.settled(rates), TRACED)
+        return self.contract.terms(at, self.paid(rates), self.settled(rates))
 
     def on_paths(self):
         names = (

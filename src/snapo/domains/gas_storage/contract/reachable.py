@@ -6,12 +6,13 @@ feasible ones are an interval there; neighbouring intervals are joined and the l
 That is the complete reachable set where I - withdrawal(I) and I + injection(I) do not decrease;
 where step ratchets break that, it is the largest interval in which every point is feasible.
 
-The formulas are those of `ArrayLibrary`: of JAX in a simulator, of NumPy where a case is checked.
+JAX evaluates the formulas in a simulator, NumPy where a case is checked.
 """
 
 from typing import Any, NamedTuple
 
-from snapo.problem.record.arrays import NUMPY, Array, ArrayLibrary, Float
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import backwards, running_maximum, xp
 
 TOLERANCE = 1e-9  # of the largest limit: rounding must not turn a contract met exactly into none
 
@@ -34,34 +35,30 @@ def reachable(
     end_low: Any,
     end_high: Any,
     interpolation: str,
-    arrays: ArrayLibrary = NUMPY,
 ) -> tuple[Float[Array, " T+1"], Float[Array, " T+1"]]:
     """Least and greatest inventory at the start of every day, and on the end date.
 
     A day without a feasible continuation has least > greatest (and so have all days before it).
     """
-    xp = arrays.xp
     tolerance = TOLERANCE * xp.max(xp.abs(limits.maximum), initial=1.0)
 
     def back(successor, day):
-        return _going_on(day, successor, interpolation, tolerance, arrays)
+        return _going_on(day, successor, interpolation, tolerance)
 
-    low, high = arrays.backwards(back, (end_low, end_high), limits)
+    low, high = backwards(back, (end_low, end_high), limits, len(limits.minimum))
     return xp.append(low, end_low), xp.append(high, end_high)
 
 
-def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance, arrays: ArrayLibrary):
+def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
     """The longest interval of one day from which that of the next day can be reached."""
-    xp, (next_low, next_high) = arrays.xp, successor
+    next_low, next_high = successor
     # A row at a limit is the limit: with clip each would take half of the derivative.
     inner = xp.where(day.levels <= day.minimum, day.minimum, day.levels)
     inner = xp.where(inner >= day.maximum, day.maximum, inner)
     left = xp.concatenate([day.minimum[None], inner])
     right = xp.concatenate([inner, day.maximum[None]])
-    starts = _conditions(day, left, next_low, next_high, _rates(day, left, interpolation, xp), xp)
-    endpoints = _conditions(
-        day, right, next_low, next_high, _rates(day, right, interpolation, xp), xp
-    )
+    starts = _conditions(day, left, next_low, next_high, _rates(day, left, interpolation))
+    endpoints = _conditions(day, right, next_low, next_high, _rates(day, right, interpolation))
     starts, endpoints = (xp.where(xp.abs(x) < tolerance, 0.0, x) for x in (starts, endpoints))
     crossing = xp.where(starts != endpoints, starts - endpoints, 1.0)
     zero = xp.clip(starts / crossing, 0.0, 1.0)  # where a condition changes sign, 0 to 1
@@ -80,10 +77,10 @@ def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance, ar
         stops = touches[1][:-1] & ~goes_on & (day.levels <= day.maximum)
         spare = xp.where(high[:-1] - low[:-1] > tolerance, tolerance, 0.0)
         high = high - xp.append(xp.where(stops, spare, 0.0), 0.0)
-    return _longest(low, high, some, touches, arrays)
+    return _longest(low, high, some, touches)
 
 
-def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates, xp):
+def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates):
     """Four numbers [4, pieces] that must not be negative for an inventory to be feasible."""
     withdrawal, injection = rates
     selected = inventory * (1 - day.inventory_loss)
@@ -99,18 +96,16 @@ def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates, xp)
     )
 
 
-def _rates(day: InventoryLimits, inventory, interpolation: str, xp):
+def _rates(day: InventoryLimits, inventory, interpolation: str):
     """Withdrawal and injection at these inventories; step rates are those of the piece."""
     if interpolation == "linear":
-        return _between(
-            inventory, day.levels, xp.stack([day.withdrawal_rate, day.injection_rate]), xp
-        )
+        return _between(inventory, day.levels, xp.stack([day.withdrawal_rate, day.injection_rate]))
     # Piece j lies between rows j - 1 and j; below the first row that row holds.
     rows = xp.maximum(xp.arange(inventory.shape[0]) - 1, 0)
     return day.withdrawal_rate[rows], day.injection_rate[rows]
 
 
-def _between(inventory, levels, rates, xp):
+def _between(inventory, levels, rates):
     """Rates [2, n] at inventories [n], linear between the rows and constant beyond them.
 
     As `interp` of each, in a third of the operations: `prepare` is soon compiled.
@@ -126,12 +121,12 @@ def _between(inventory, levels, rates, xp):
     return low[1:] + share * (high[1:] - low[1:])
 
 
-def _longest(low, high, some, touches, arrays: ArrayLibrary):
+def _longest(low, high, some, touches):
     """Joins neighbouring pieces that touch, and keeps the longest run."""
-    xp, (enters, leaves) = arrays.xp, touches
+    enters, leaves = touches
     joined = xp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])
     # A run begins at its last piece that is not joined to the one before.
-    first = arrays.running_maximum(xp.where(joined, 0, xp.arange(low.shape[0])))
+    first = running_maximum(xp.where(joined, 0, xp.arange(low.shape[0])))
     start = low[first]
     selected = xp.argmax(xp.where(some, high - start, -1.0))
     result = xp.any(some)

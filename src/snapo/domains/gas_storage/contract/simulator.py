@@ -22,7 +22,6 @@ from jaxtyping import Array, Float, Int
 from snapo.problem.actions import Box
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
-from snapo.problem.record.arrays import TRACED
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
@@ -150,7 +149,7 @@ class StorageSimulator(PricedSimulator):
         at = partial(use, inputs)
         forward, limits = at(self.curve)[: self.horizon], inventory_limits(contract, at)
         interval = end_interval(contract, at)
-        low, high = reachable(limits, *interval, self.interpolation, TRACED)
+        low, high = reachable(limits, *interval, self.interpolation)
         return Day(
             day=jnp.asarray(self.day, float),
             forward=forward,

@@ -10,6 +10,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.problem.record.arrays import NumbersOf
+from snapo.problem.record.either import with_numpy
 
 from .reachable import InventoryLimits, reachable
 from .records import Contract, GasMarket, StorageCase
@@ -143,6 +144,7 @@ def fixed_costs_value(case: StorageCase) -> float:
     return float(np.sum(amounts * discount(case.market, case.contract.fixed_cost_day)))
 
 
+@with_numpy
 def known_schedule(case: StorageCase) -> KnownSchedule:
     """The schedule of a case at its forward prices, in NumPy, without those of the price process.
 

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from snapo.problem.record.either import xp
+
 from .records import InventoryCase
 
 
@@ -33,9 +35,9 @@ def safety_factor(case: InventoryCase, quantile: Callable[[float], float] | None
     return float(np.clip((quantile or _quantile)(ratio), -1.0, 4.0))
 
 
-def base_stock(mean: Any, deviation: Any, safety: Any, xp: Any) -> Any:
+def base_stock(mean: Any, deviation: Any, safety: Any) -> Any:
     """[T] the levels to start from: `safety` standard deviations above the mean of the demand of
-    L + 1 periods; `mean`, `deviation` [T, L + 1] of each, in the arrays of the library `xp`."""
+    L + 1 periods; `mean`, `deviation` [T, L + 1]: of the demand of each."""
     return xp.sum(mean, 1) + safety * xp.sqrt(xp.sum(deviation**2, 1))
 
 

@@ -108,7 +108,7 @@ class InventorySimulator(Simulator):
         season = season_ahead(factors, self.horizon, self.lead_time)
         mean, deviation = inputs[MEAN] * season, self.demand.deviation(inputs, season)
         usual = deviation[: len(factors), 0].mean()
-        level = base_stock(mean, deviation, self.safety_factor, jnp)
+        level = base_stock(mean, deviation, self.safety_factor)
         steps = {
             "demand": self.demand.prepare(inputs, season[:, 0]),
             "weight": jnp.asarray(self.weights),
