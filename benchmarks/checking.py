@@ -4,7 +4,8 @@
 
 Each command runs in a process of its own, in turns with one that only imports JAX and Equinox; the
 least of a few rounds is printed, and the ratio of the two beside the one that is required. A case
-of kind "own" has none: its check compiles the user's simulator and examines it.
+of kind "own" has none: its check compiles the user's simulator and examines it. Both run from
+bytecode, as installed packages do: the first round writes it, whatever the environment says.
 """
 
 import os
@@ -22,9 +23,10 @@ IMPORTS = ("-c", "import equinox")
 NEEDED = 0.8
 
 
-def seconds(arguments: Sequence[str]) -> float:
-    """Processor seconds of Python with these arguments."""
-    process = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL)
+def seconds(arguments: Sequence[str], bytecode: str) -> float:
+    """Processor seconds of Python with these arguments; `bytecode`: the folder for it."""
+    about = os.environ | {"PYTHONPYCACHEPREFIX": bytecode, "PYTHONDONTWRITEBYTECODE": ""}
+    process = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL, env=about)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
@@ -38,11 +40,13 @@ def table(kinds: Sequence[str] = ()) -> Iterator[str]:
     for kind in kinds or installed():
         example = getattr(find(kind, "here"), "example", None)
         with tempfile.TemporaryDirectory() as folder:
-            case = Path(folder) / "case"
+            case, bytecode = Path(folder) / "case", str(Path(folder) / "bytecode")
             new(kind, case)
             command = ["-m", "snapo", "check", str(case)]
             command += [] if example is None else ["--simulator", example]
-            rounds = [(seconds(command), seconds(IMPORTS)) for _ in range(ROUNDS)]
+            rounds = [
+                (seconds(command, bytecode), seconds(IMPORTS, bytecode)) for _ in range(ROUNDS)
+            ]
         own, imports = map(min, zip(*rounds))
         needed = "-" if example is not None else NEEDED
         yield f"{kind:<16}{own:12.2f}{imports:11.2f}{own / imports:7.2f}{needed:>8}"

@@ -20,23 +20,23 @@ from .arrays import jax, jnp
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_NUMPY: ContextVar[bool] = ContextVar("_NUMPY", default=False)
+_LIBRARY: ContextVar[Any] = ContextVar("_LIBRARY", default=jnp)
 STEP = 2.0**-100  # of a complex step: numbers do not change by its square
 
 
 def in_use() -> bool:
     """Whether equations are evaluated by NumPy now."""
-    return _NUMPY.get()
+    return _LIBRARY.get() is _NUMPY
 
 
 @contextmanager
 def _numpy() -> Iterator[None]:
-    before = _NUMPY.set(True)
+    before = _LIBRARY.set(_NUMPY)
     try:
         with np.errstate(all="ignore"):
             yield
     finally:
-        _NUMPY.reset(before)
+        _LIBRARY.reset(before)
 
 
 def with_numpy(function: Callable[P, Any]) -> Callable[P, Any]:
@@ -196,21 +196,26 @@ def _absolute(x: Any) -> Any:
     return np.where(np.real(x) < 0, -x, x) if np.iscomplexobj(x) else np.abs(x)
 
 
-_OWN = {
-    "abs": _absolute,
-    "linalg": SimpleNamespace(solve=_or_nan(np.linalg.solve), cholesky=_or_nan(np.linalg.cholesky)),
-}
+class _Numpy(SimpleNamespace):
+    """NumPy, but for functions that differ; names that were asked for are kept."""
+
+    abs = staticmethod(_absolute)
+    linalg = SimpleNamespace(solve=_or_nan(np.linalg.solve), cholesky=_or_nan(np.linalg.cholesky))
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(np, name)
+        setattr(self, name, value)
+        return value
+
+
+_NUMPY = _Numpy()
 
 if TYPE_CHECKING:
     import jax.numpy as xp
 else:
 
     class _Either(ModuleType):
-        def __getattr__(self, name: str):
-            if name.startswith("__"):
-                raise AttributeError(name)
-            if not in_use():
-                return getattr(jnp, name)
-            return _OWN[name] if name in _OWN else getattr(np, name)
+        def __getattribute__(self, name: str):
+            return getattr(_LIBRARY.get(), name)
 
     xp = _Either("xp")

@@ -60,7 +60,8 @@ def forward_prices(schedule, t: int) -> UnitPrices:
 def _end_line(schedule, low: float, high: float) -> PiecewiseLine:
     levels = schedule.constants.end_levels
     inside = levels[(levels > low) & (levels < high)]
-    at = np.unique(np.concatenate([[low], inside, [high]]))
+    # Without indices NumPy loads its masked arrays.
+    at = np.unique(np.concatenate([[low], inside, [high]]), return_index=True)[0]
     return PiecewiseLine(at, end_value(schedule, at, schedule.constants.end_forward))
 
 

@@ -124,15 +124,11 @@ def _breakpoints(schedule, day_rates: DayRates, t, targets, low, high, scale) ->
     reached = [keep, keep + most_in, keep - most_out]
     reached += [keep + forced_in] if forced_in > 0 else []
     reached += [keep - forced_out] if forced_out > 0 else []
-    results = [knots]
-    for endpoints in reached:
-        for i in range(len(knots) - 1):
-            rise = endpoints[i + 1] - endpoints[i]
-            if rise != 0:
-                share = (targets - endpoints[i]) / rise
-                share = share[(share > 0) & (share < 1)]
-                results.append(knots[i] + share * (knots[i + 1] - knots[i]))
-    points = np.unique(np.concatenate(results))
+    endpoints = np.stack(reached)[:, :, None]  # [moves, knots, targets]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (targets - endpoints[:, :-1]) / np.diff(endpoints, axis=1)
+        bends = knots[:-1, None] + share * np.diff(knots)[:, None]
+    points = np.sort(np.append(knots, bends[(share > 0) & (share < 1)]))
     points = points[np.append(True, np.diff(points) > SAME * scale)]
     points[-1] = max(high, points[-1])
     return points if len(points) > 1 else np.array([low, low])
@@ -154,21 +150,17 @@ def _upper_envelope(points: np.ndarray, start: np.ndarray, finish: np.ndarray) -
     best = start.argmax(axis=0)
     column = np.arange(start.shape[1])
     crossed = np.flatnonzero(finish[best, column] < finish.max(axis=0))
-    at, values = [points], [value]
     first, end = start[:, crossed], finish[:, crossed]
-    width = np.diff(points)[crossed]
-    for i in range(len(start) - 1):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            before, after = first[i] - first[i + 1 :], end[i] - end[i + 1 :]
-            share = before / (before - after)
-            inside = np.isfinite(share) & (before * after < 0)
-        other, k = np.nonzero(inside)
-        theta = share[other, k]
-        at.append(points[crossed[k]] + theta * width[k])
-        values.append(np.max(first[:, k] * (1 - theta) + end[:, k] * theta, axis=0))
-    at, values = np.concatenate(at), np.concatenate(values)
+    one, other = np.triu_indices(len(start), 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        before, after = first[one] - first[other], end[one] - end[other]
+        share = before / (before - after)
+        pair, k = np.nonzero(np.isfinite(share) & (before * after < 0))
+    theta, left = share[pair, k], crossed[k]
+    between = np.max(first[:, k] * (1 - theta) + end[:, k] * theta, axis=0)
+    at = np.append(points, points[left] + theta * np.diff(points)[left])
     at, order = np.unique(at, return_index=True)
-    return PiecewiseLine(at, values[order])
+    return PiecewiseLine(at, np.append(value, between)[order])
 
 
 def _without_collinear(line: PiecewiseLine) -> PiecewiseLine:
