@@ -13,8 +13,7 @@ from tests.domains.energy.explain.valued import valued
 from snapo.case.error import CaseError
 from snapo.domains.energy.core.policy import UnitValuePolicy, reordered
 from snapo.domains.energy.core.simulator import simulator_of
-from snapo.domains.energy.explain.parts import curves_of, explained_change
-from snapo.domains.energy.explain.plan import planned_steps, state_of
+from snapo.domains.energy.explain.parts import curves_of, explained_change, planned_steps, state_of
 from snapo.domains.energy.setup import bare_problem, rebuilt
 from snapo.domains.gas_storage.explain import CASH, DECISIONS, FIRST, POLICY, REST, SECOND, TIME
 
