@@ -76,7 +76,7 @@ class SuppliedPolicy:
         sizes = [array.shape for array in self.arrays], [leaf.shape for _, leaf in leaves]
         if len(sizes[0]) != len(sizes[1]):
             raise self._misfit("sizes", *map(_sizes, sizes))
-        moved = {path for path, _ in _flat(trainable(local)[0])}
+        moved = {path for path, _ in jax.tree_util.tree_flatten_with_path(trainable(local)[0])[0]}
         for (path, leaf), result in zip(leaves, self.arrays):
             if path in moved and leaf.shape != result.shape:
                 message = f"{jax.tree_util.keystr(path).strip('.')} of size"
@@ -148,10 +148,6 @@ def _parted(file: Path, header: Any) -> tuple[Mapping[str, str], list[Any]]:
         message = str(error).removeprefix(f"{file}: ").rstrip(".")
         raise CaseError(str(file), "", None, message) from None
     return content.described, content.leaves
-
-
-def _flat(tree: Any) -> list[tuple[Any, Any]]:
-    return jax.tree_util.tree_flatten_with_path(tree)[0]
 
 
 def _with(policy: Policy, names: set[Any], arrays: tuple[np.ndarray, ...]) -> Policy:
