@@ -1,5 +1,6 @@
 """Every class that a public function or method takes or returns is public itself."""
 
+import importlib
 import inspect
 import typing
 from collections import defaultdict
@@ -79,3 +80,10 @@ def test_every_class_that_a_user_receives_or_gives_is_public():
 @pytest.mark.parametrize("name", sorted(each for each in NAMES if inspect.isclass(NAMES[each])))
 def test_a_public_class_has_the_name_that_it_is_found_under(name):
     assert NAMES[name].__name__ == name and NAMES[name].__doc__
+
+
+@pytest.mark.parametrize("name", snapo.MODULES)
+def test_a_public_module_is_imported_by_its_public_name(name):
+    module = importlib.import_module(f"snapo.{name}")
+    assert module is getattr(snapo, name) and len(module.__all__) >= 2
+    assert all(inspect.isclass(getattr(module, member)) for member in module.__all__)
