@@ -104,13 +104,16 @@ def write(folder: Path, result: StoreBacktest) -> None:
         if result.estimates:
             write_csv(folder / ESTIMATES, ESTIMATE_COLUMNS, _estimate_rows(result.estimates))
         if result.hedges:
-            names = [item.name for item in fields(HedgedStore)]
-            write_csv(folder / HEDGES, names, map(astuple, result.hedges))
+            write_csv(folder / HEDGES, _names(HedgedStore), map(astuple, result.hedges))
             write_csv(folder / HEDGE_DAYS, HedgeDay._fields, result.hedge_days)
             write_csv(folder / POSITIONS, HedgePosition._fields, result.positions)
     except OSError as error:
         message = f"the folder cannot be written ({error.strerror})"
         raise CaseError(str(folder), "", None, message) from None
+
+
+def _names(record: type) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(record))
 
 
 def _estimate_rows(estimates: Sequence[DatedEstimate]) -> Iterator[tuple]:
