@@ -86,4 +86,4 @@ def test_a_public_class_has_the_name_that_it_is_found_under(name):
 def test_a_public_module_is_imported_by_its_public_name(name):
     module = importlib.import_module(f"snapo.{name}")
     assert module is getattr(snapo, name) and len(module.__all__) >= 2
-    assert all(inspect.isclass(getattr(module, member)) for member in module.__all__)
+    assert all(callable(getattr(module, member)) for member in module.__all__)
