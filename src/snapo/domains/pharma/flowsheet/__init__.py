@@ -1,5 +1,5 @@
 """Material from unit to unit: streams, the order of the flow, balances, the whole as a function.
 
-`process.Process` is that function, from the inputs of a `case.PharmaCase` to its quality
+`process.PharmaProcess` is that function, from the inputs of a `case.PharmaCase` to its quality
 attributes; `flow` goes through the units, and `recycle` closes their loops.
 """

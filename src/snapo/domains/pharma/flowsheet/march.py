@@ -164,7 +164,7 @@ class _Leg(NamedTuple):
 
 
 class Batches(Protocol):
-    """The interface of a process for marching: `flowsheet.process.Process`."""
+    """The interface of a process for marching: `flowsheet.process.PharmaProcess`."""
 
     @property
     def case(self) -> PharmaCase: ...
