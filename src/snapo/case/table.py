@@ -174,6 +174,7 @@ Formats = Mapping[str, type[CaseTable] | Sequence[type[CaseTable]]]
 Title = Annotated[str, Field(max_length=200)]
 Nonempty = Annotated[str, Field(min_length=1)]
 TITLE = "a text of at most 200 characters in quotation marks"
+Count = Annotated[int, Range(1)]
 Positive = Annotated[float, Range(0, endpoints="()")]
 NotNegative = Annotated[float, Range(0)]
 
