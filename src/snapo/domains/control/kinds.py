@@ -308,7 +308,7 @@ class QuadrotorKind(PlantKind):
     parameters: ClassVar = {
         "mass": PlantParameter(0.5, "kg", "mass"),
         "inertia": PlantParameter(0.002, "kg m2", "moment of inertia"),
-        "arm": PlantParameter(0.15, "m", "distance of a rotor to the middle"),
+        "arm": PlantParameter(0.15, "m", "distance of a rotor from the middle"),
         "gravity": PlantParameter(9.81, "m/s2", "gravity"),
         "thrust": PlantParameter(4.905, "N", "largest thrust of a rotor"),
         "step": PlantParameter(0.03, "s", "time step"),

@@ -14,6 +14,7 @@ from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
 from snapo.problem.smooth import Exact
+from snapo.report.quantity import counted
 from snapo.solver.relaxations.stop import UNKNOWN, Relaxable, bounded, relaxation_of
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
@@ -91,7 +92,7 @@ def summary(case: OwnCase) -> list[str]:
 def lines(case: OwnCase) -> list[str]:
     """The case in a few lines."""
     return [
-        f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.location)}",
+        f"{case.title}: {counted(case.simulator.horizon, case.step)}, {':'.join(case.location)}",
         inputs_line([entry.value.size for entry in case.inputs.values()]),
         f"the {case.objective_words} is maximised",
     ]

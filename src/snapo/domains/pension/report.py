@@ -6,7 +6,7 @@ from snapo.problem.objective import CRRA
 from snapo.report import evidence
 from snapo.report.missing import unless_left_out
 from snapo.report.page import Facts, Headline, Missing, Section, Text
-from snapo.report.quantity import PLUS_MINUS, finite, long_date, number, plus_minus
+from snapo.report.quantity import PLUS_MINUS, counted, finite, long_date, number, plus_minus
 from snapo.study.chapters.bound import BOUND, value_bounds
 from snapo.study.chapters.certificate import checks as certified
 from snapo.study.domain import Report
@@ -170,8 +170,8 @@ def about(run: PensionRun) -> list[tuple[str, str]]:
     """The lines under the title."""
     lines = [("Valuation date", long_date(run.get("valuation_date")))]
     if run.years:
-        steps = f"{number(run.get('steps'), 0)} decisions"
-        lines.append(("Horizon", f"{number(run.years, 0)} years, {steps}"))
+        steps = counted(run.get("steps") or 0, "decision")
+        lines.append(("Horizon", f"{counted(run.years, 'year')}, {steps}"))
     lines.append(("Scenarios", MEASURES.get(run.measure, run.measure)))
     return [*lines, ("Currency", run.currency)]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from snapo.report.folder import RunFiles
-from snapo.report.quantity import NONE, SPACE, decimals, finite, money, number, percent
+from snapo.report.quantity import NONE, SPACE, counted, decimals, finite, money, number, percent
 
 from .records.case import OF_RIGHTS
 
@@ -57,7 +57,7 @@ class PensionRun(RunFiles):
     @property
     def horizon(self) -> str:
         """The horizon as text, "after 10 years"."""
-        return f"after {number(self.years, 0)} years"
+        return f"after {counted(self.years, 'year')}"
 
     @property
     def years(self) -> float | None:

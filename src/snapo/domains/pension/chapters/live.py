@@ -10,7 +10,7 @@ import numpy as np
 from snapo.problem.policies.memory import first_decision
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
-from snapo.report.quantity import SPACE, number
+from snapo.report.quantity import SPACE, counted, number
 from snapo.solver.evaluate import estimate
 from snapo.study.study import DisplayedValue, LiveTable, PathTotals, Setup, Today
 
@@ -96,6 +96,5 @@ def outcome(paths: PathTotals) -> list[LiveTable]:
         error = 100 * certain.slope * worth.standard_error
         rows.insert(0, ("Certainty equivalent of the value, %", 100 * certain.ratio, error))
     columns = (("", ""), ("at the end", ""), ("±", ""))
-    years = number(case.steps * case.step, 0)
-    text = f"Ratios at the end, after {years} years."
+    text = f"Ratios at the end, after {counted(case.steps * case.step, 'year')}."
     return [LiveTable("Outcome", columns, rows, text)]

@@ -229,8 +229,8 @@ def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
 
 def _columns(unit: str) -> list[tuple[str, str]]:
     """Heads of the columns of one effect."""
-    return [("Effect", unit), ("95 % half-width", unit), ("of it policy", unit), ("Derivative", ""),
-            ("Policy reacting", unit)]  # fmt: skip
+    return [("Effect", unit), ("95 % half-width", unit), ("Part due to the policy", unit),
+            ("Derivative", ""), ("Effect with the policy reacting", unit)]  # fmt: skip
 
 
 def _nodes(
