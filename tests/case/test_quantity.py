@@ -105,7 +105,7 @@ def test_anything_else_is_refused_in_the_words_of_the_range(value):
     with pytest.raises(CaseError) as refused:
         read({"share": value})
     error = refused.value
-    assert error.where == "table.share" and "a number from 0 " in error.allowed
+    assert error.where == "table.share" and "a number of at least 0 and below 1" in error.allowed
 
 
 def test_every_mistake_of_a_table_is_named_at_once():

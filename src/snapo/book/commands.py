@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.csv import Row
-from snapo.case.error import CaseError
+from snapo.case.error import CaseError, counted
 from snapo.case.load import load
 from snapo.case.table import parse
-from snapo.report.quantity import counted
 from snapo.solver.statistics import plus_minus
 from snapo.solver.tables import write_text
 from snapo.study.assign import OPTION, assigned

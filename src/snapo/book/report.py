@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.report import charts, quantity
 from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Missing, Page, Section, Table, Text
-from snapo.report.quantity import counted, decimals, measured, number, readable, seconds, with_unit
+from snapo.report.quantity import decimals, measured, number, readable, seconds, with_unit
 from snapo.report.record import LibraryVersions, entries_of
 from snapo.report.rows import Column, WithError, table
 

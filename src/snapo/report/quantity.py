@@ -44,23 +44,6 @@ def decimals(values: Iterable[Any], significant: int = 5) -> int:
     return max(0, significant - 1 - math.floor(math.log10(largest)))
 
 
-def plural(noun: str) -> str:
-    """The plural of a noun of a case, "weeks" or "boxes"; symbols such as "kg" have none."""
-    if not (noun.isalpha() and noun.islower() and len(noun) > 2):
-        return noun
-    if noun.endswith(("s", "x", "z", "ch", "sh")):
-        return f"{noun}es"
-    if noun.endswith("y") and noun[-2] not in "aeiou":
-        return f"{noun[:-1]}ies"
-    return f"{noun}s"
-
-
-def counted(count: float, noun: str) -> str:
-    """A number with its noun, "1 week" or "2 weeks"."""
-    text = f"{int(count):,}" if count == int(count) else f"{count:,.4g}"
-    return f"{text} {noun if count == 1 else plural(noun)}"
-
-
 def number(value: Any, digits: int | None = None, sign: bool = False) -> str:
     """`-1234.5` as "−1,234.5"; `digits` decimals, or as many as four significant digits need.
 

@@ -79,7 +79,7 @@ class Solution:
     - `maximised`: the objective as text, "mean of cash"; empty in a solution saved without it.
     - `dropped`: {train, evaluate, sensitivities}: the number of non-finite paths, which are left
       out; `notes`: remarks on the value.
-    - `folder`: from which it was loaded.
+    - `folder`: the folder from which it was loaded.
     """
 
     value: float

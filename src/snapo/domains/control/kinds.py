@@ -118,7 +118,7 @@ class MountainCarKind(PlantKind):
         "max_speed": PlantParameter(0.07, "1/step", "largest speed"),
         "left": PlantParameter(-1.2, "1", "position of the left wall", False),
         "right": PlantParameter(0.6, "1", "position of the right wall", False),
-        "goal": PlantParameter(0.45, "1", "place of the goal", False),
+        "goal": PlantParameter(0.45, "1", "position of the goal", False),
     }
     weights: ClassVar = {
         "prize": PlantParameter(100.0, "1", "prize at the goal", False),
@@ -321,7 +321,7 @@ class QuadrotorKind(PlantKind):
         "thrust": PlantParameter(0.1, "1", "weight of the squared distance to hovering", False),
     }
     states: ClassVar = {
-        "x": Variable("m", "place to the right", {"mean": 0.0, "deviation": 1.0}),
+        "x": Variable("m", "position to the right", {"mean": 0.0, "deviation": 1.0}),
         "z": Variable("m", "height", {"mean": 0.0, "deviation": 1.0}),
         "tilt": Variable("rad", "tilt to the left", {"mean": 0.0, "deviation": 0.3}),
         "vx": Variable("m/s", "speed to the right", {"mean": 0.0, "deviation": 0.3}),

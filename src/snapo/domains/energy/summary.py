@@ -2,10 +2,10 @@
 
 from typing import Any
 
+from snapo.case.error import counted
 from snapo.case.given import CaseInput
 from snapo.problem.record import Schedule
 from snapo.problem.record.arrays import NUMPY
-from snapo.report.quantity import counted
 from snapo.study.kind import inputs_line
 
 from ..gas_storage.contract.terms import discount

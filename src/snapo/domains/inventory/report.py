@@ -1,9 +1,10 @@
 """The report of an inventory run."""
 
+from snapo.case.error import counted
 from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
 from snapo.report.page import Section
-from snapo.report.quantity import counted, number
+from snapo.report.quantity import number
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.profile import BandSeries, profile

@@ -4,7 +4,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from snapo.report.quantity import counted, plural
+from snapo.case.error import counted, plural
 from snapo.study.kind import inputs_line
 
 from .demand.base import MEAN

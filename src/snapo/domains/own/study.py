@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 
-from snapo.case.error import CaseError, Unquoted, nearest
+from snapo.case.error import CaseError, Unquoted, counted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
 from snapo.checker.shapes import unknown_outputs
@@ -14,7 +14,6 @@ from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
 from snapo.problem.smooth import Exact
-from snapo.report.quantity import counted
 from snapo.solver.relaxations.stop import UNKNOWN, Relaxable, bounded, relaxation_of
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.problem.objective import CRRA
 from snapo.report import evidence
 from snapo.report.missing import unless_left_out
 from snapo.report.page import Facts, Headline, Missing, Section, Text
-from snapo.report.quantity import PLUS_MINUS, counted, finite, long_date, number, plus_minus
+from snapo.report.quantity import PLUS_MINUS, finite, long_date, number, plus_minus
 from snapo.study.chapters.bound import BOUND, value_bounds
 from snapo.study.chapters.certificate import checks as certified
 from snapo.study.domain import Report

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.report.folder import RunFiles
-from snapo.report.quantity import NONE, SPACE, counted, decimals, finite, money, number, percent
+from snapo.report.quantity import NONE, SPACE, decimals, finite, money, number, percent
 
 from .records.case import OF_RIGHTS
 
@@ -57,7 +58,7 @@ class PensionRun(RunFiles):
     @property
     def horizon(self) -> str:
         """The horizon as text, "after 10 years"."""
-        return f"after {counted(self.years, 'year')}"
+        return f"after {counted(self.years or 0, 'year')}"
 
     @property
     def years(self) -> float | None:

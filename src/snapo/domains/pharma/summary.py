@@ -1,6 +1,6 @@
 """The text that `snapo check` prints for a process; nothing is computed."""
 
-from snapo.report.quantity import counted
+from snapo.case.error import counted
 from snapo.study.kind import inputs_line
 
 from .flowsheet.case import PharmaCase

@@ -31,8 +31,8 @@ class Markov(Noise):
 
     **Arguments:**
 
-    - `transition` [k, k]: from the row's regime to the column's. Rows are divided by their sums,
-      and derivatives are those of the resulting probabilities.
+    - `transition` [k, k]: probabilities to go from the row's regime to the column's. Rows are
+      divided by their sums, and derivatives are those of the resulting probabilities.
     """
 
     separate = True

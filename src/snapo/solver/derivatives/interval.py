@@ -200,7 +200,7 @@ class Verdict(NamedTuple):
     """One input bumped by one percent: the change of the value, and the derivatives along it.
 
     - `source`: of the reported derivative, see `Reported`.
-    - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump less held, paired.
+    - `held`, `bump`, `reaction`: (change, standard error); `reaction`: `bump` minus `held`, paired.
     - `up`, `down`: the change of the value for an increase and a decrease of the input;
       `side_error` of their difference.
     - `probability`: the p-value of the reaction; `tested`: whether there is one.

@@ -7,13 +7,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
 from snapo.report.bands import quantile_fan
 from snapo.report.drawing import date_numbers, draw, times_of
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Text
-from snapo.report.quantity import counted, number, quantity, with_unit
+from snapo.report.quantity import number, quantity, with_unit
 
 from ..chapter import Chapter, Floats, Number, floats
 from ..study import Setup, StudyRun

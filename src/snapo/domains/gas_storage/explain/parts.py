@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.error import CaseError
-from snapo.report.quantity import counted
+from snapo.case.error import CaseError, counted
 from snapo.solver import statistics
 from snapo.study.study import ProgressCallback
 

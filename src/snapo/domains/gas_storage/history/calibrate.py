@@ -7,10 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.error import CaseError
+from snapo.case.error import CaseError, counted
 from snapo.case.toml import one_value
 from snapo.report.folder import RunFiles
-from snapo.report.quantity import counted
 from snapo.solver.statistics import half_width
 from snapo.solver.tables import write_csv, write_text
 from snapo.study.run_folder import read as read_run

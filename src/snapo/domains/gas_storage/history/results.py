@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.error import CaseError
-from snapo.report.quantity import counted
+from snapo.case.error import CaseError, counted
 from snapo.solver.statistics import plus_minus
 from snapo.solver.tables import write_csv
 

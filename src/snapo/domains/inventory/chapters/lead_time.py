@@ -3,9 +3,10 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from snapo.case.error import counted
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Section, Text
-from snapo.report.quantity import counted, decimals
+from snapo.report.quantity import decimals
 from snapo.report.rows import Column, WithError, table
 from snapo.solver import statistics
 from snapo.solver.evaluate import value_of_groups

@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.case.error import counted, plural
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 from snapo.report.drawing import LIGHT, draw, legend_above, number_axis, unit_above
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Chart, Table, Text
-from snapo.report.quantity import counted, number, plural
+from snapo.report.quantity import number
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import Setup, StudyRun, Today
 

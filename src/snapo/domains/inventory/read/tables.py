@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from snapo.case.error import counted
 from snapo.case.given import CaseInput, positions
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, KeyContext, Quantity, Range, custom
 from snapo.case.report import ReportTable
 from snapo.case.table import TITLE, CaseTable, Title
-from snapo.report.quantity import counted
 
 ItemName = Annotated[str, Field(min_length=1, max_length=40)]
 

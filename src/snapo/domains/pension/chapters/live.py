@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.problem.policies.memory import first_decision
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
-from snapo.report.quantity import SPACE, counted, number
+from snapo.report.quantity import SPACE, number
 from snapo.solver.evaluate import estimate
 from snapo.study.study import DisplayedValue, LiveTable, PathTotals, Setup, Today
 

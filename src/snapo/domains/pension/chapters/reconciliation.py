@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.report.bands import Layer, stack
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Mark, Table, Text
-from snapo.report.quantity import counted, number, percent, power
+from snapo.report.quantity import number, percent, power
 from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
@@ -35,8 +36,9 @@ RISKS = (
     ("active", "S10 active management"),
 )
 CAVEAT = (
-    "The standard model with the present mix, on invested assets equal to the liability plus the"
-    " required own funds; bonds that are not of kind credit bear no spread risk. S6 and S10 are "
+    "The standard model is applied to the present mix, with invested assets equal to the liability"
+    " plus the required own funds; bonds that are not of kind credit bear no spread risk. S6 and "
+    "S10 are "
     "shares specified in the case."
 )
 RECOVERY = (

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from snapo.report.quantity import counted, measured
+from snapo.case.error import counted
+from snapo.report.quantity import measured
 from snapo.solver.provenance import versions
 from snapo.study import training
 from snapo.study.domain import Options

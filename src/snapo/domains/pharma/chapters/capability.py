@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Table, Text
-from snapo.report.quantity import counted, finite, number, percent, plus_minus, with_unit
+from snapo.report.quantity import finite, number, percent, plus_minus, with_unit
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.error import CaseError
-from snapo.report.quantity import counted
+from snapo.case.error import CaseError, counted
 from snapo.study.kind import inputs_line
 
 from ...records.case import PensionCase
