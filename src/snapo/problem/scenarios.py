@@ -333,7 +333,7 @@ class Sources:
             "training": f"{self.training.batch_words(training)}; new ones at every step",
             "validation": f"{self.validation.describe(validation)}; the same at every validation",
             "evaluation": f"{self.evaluation.describe(evaluation)}; used for the results only",
-            "sensitivities": f"{self.evaluation.available(sensitivities):,} of the evaluation's",
+            "sensitivities": f"{self.evaluation.available(sensitivities):,} of the evaluation paths",
         }
 
     @classmethod

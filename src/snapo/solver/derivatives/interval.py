@@ -18,6 +18,13 @@ from snapo.problem.record import Input
 from ..statistics import LEVEL, SHOWN, Estimate, critical
 
 HELD, THROUGH, RANGE, UNKNOWN = "held", "through the policy", "range", "not known"
+
+
+def source_text(source: str | None) -> str:
+    """The source of a derivative as text in the table of a report."""
+    return "decisions held fixed" if source == HELD else source or ""
+
+
 MOVE = 0.01  # of every number of an input
 AGREE = 3.0  # standard errors between the smooth derivative and the bump
 SHARE_UNSEEN = 0.5  # of the standard error of a reaction that the estimate leaves out

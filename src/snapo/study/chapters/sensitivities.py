@@ -24,7 +24,7 @@ from snapo.report.quantity import (
     rough,
     unit_words,
 )
-from snapo.solver.derivatives.interval import Verdict, one_percent
+from snapo.solver.derivatives.interval import Verdict, one_percent, source_text
 from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.statistics import Estimate
 
@@ -241,7 +241,7 @@ def _moves(run: RunFiles, moves: Sequence[InputMove]) -> Table:
             move.size,
             *(number(x, digits) for x in (move.effect, move.low, move.high)),
             *(rough(x) for x in (move.sampling, move.policy)),
-            move.source or "",
+            source_text(move.source),
             *_at_bump(move, digits),
         )
         for move in moves
@@ -278,7 +278,7 @@ def _line(row: Sensitivity, value_unit: str) -> tuple[str, ...]:
     return (
         readable(row.input), row.label,
         *(number(x, digits) for x in (row.value, row.low, row.high)),
-        unit_words(derivative_unit(value_unit, row.unit)), row.source,
+        unit_words(derivative_unit(value_unit, row.unit)), source_text(row.source),
         *measured(row.held, row.held_error, digits),
         *measured(row.smooth, row.smooth_error, digits),
         rough(row.moved), plus_minus(row.moved_error, digits),

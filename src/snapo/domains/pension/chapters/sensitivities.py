@@ -12,6 +12,7 @@ from snapo.report.drawing import draw
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import SPACE, decimals, number, plus_minus_half, rough
+from snapo.solver.derivatives.interval import source_text
 from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter
@@ -222,7 +223,7 @@ def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
         number(None if effect is None else scale * effect, digits, True),
         plus_minus_half(None if effect is None else half, digits),
         rough(scale * (move.policy or 0.0)),
-        move.source or "",
+        source_text(move.source),
         number(None if move.reacting is None else scale * move.reacting, digits, True),
     )
 
