@@ -62,10 +62,7 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
         ("Paths", f"{record['tasks']['paths']:,}"),
     ]
     version = entries_of(LibraryVersions, typed.versions).snapo
-    footer = (
-        f"Made by snapo {version} from the files of a book; the page neither loads nor sends "
-        "anything."
-    )
+    footer = f"Made by snapo {version} from the files of a book; the page uses no network."
     return Page(str(result["title"]), about, sections, footer)
 
 
@@ -397,10 +394,6 @@ def _cost(result: Mapping[str, Any]) -> Section:
         ("jobs computed", number(jobs["computed"], 0), f"{jobs['reused']:,} others reused"),
         ("wall time", seconds(result["seconds"]["total"]), counted(result["workers"], "worker")),
         ("processor time", seconds(result["cpu_seconds"]), "of all jobs, whenever computed"),
-        (
-            "largest memory of a worker",
-            f"{result['peak_mb']:,.0f} MB",
-            counted(result["shapes"], "shape"),
-        ),
+        ("largest worker", f"{result['peak_mb']:,.0f} MB", counted(result["shapes"], "shape")),
     ]
     return Section("cost", "Cost", "Cost", [Facts(facts)])

@@ -60,8 +60,8 @@ class Training:
       horizon and the size of the policy.
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
-    - `decay`: the decay of weights, per step and times the rate (AdamW). "auto": 0, or if the steps
-      are "auto" too, above 0 for more than eight decisions in one step.
+    - `decay`: the decay of weights, per step, times the learning rate (AdamW). "auto": 0, or if the
+      steps are "auto" too, above 0 for more than eight decisions in one step.
     - `temperature_start`, `temperature_end`: the temperature of the smooth constraints falls
       geometrically from one to the other.
     - `average`: the policy is averaged over about this share of the steps.
