@@ -80,7 +80,7 @@ def _logo(folder: Path, name: str | None) -> str:
 def _footer(version: str | None) -> str:
     available = version and version[:1].isdigit()  # else a text: it is not installed
     made = f"Made by snapo {version}" if available else "Made by snapo"
-    return f"{made} from the files of one run folder; the page neither loads nor sends anything."
+    return f"{made} from the files of one run folder; the page uses no network."
 
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)

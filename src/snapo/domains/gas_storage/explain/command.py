@@ -171,10 +171,7 @@ def page(change: ExplainedChange) -> str:
     sections = [_parts(change), _curve_section(change)]
     if change.flows:
         sections.append(_flows(change))
-    footer = (
-        f"Made by snapo {__version__} from two run folders; the page neither loads nor sends "
-        "anything."
-    )
+    footer = f"Made by snapo {__version__} from two run folders; the page uses no network."
     title = f"Explained change: {change.title}"
     menu = [(section.name, section.short) for section in sections]
     return render(Page(title, about, sections, footer, menu=menu))
