@@ -98,7 +98,7 @@ def position(
     for job in () if base is None or result is None else plan.further(base, result):
         take(job)
     for name in waiting:
-        point = BookPoint.without_value("missing", "its base has not been computed")
+        point = BookPoint.without_value("missing", "its unstressed point has not been computed")
         if result is not None:
             point = BookPoint.without_value(
                 result.points[0].status, f"its base: {result.points[0].note}"
