@@ -107,7 +107,7 @@ def test_days_that_count_as_the_same_have_the_same_regression():
     assert np.all(same <= np.arange(dates)) and np.all(same[same] == same)
     assert len(np.unique(same)) < 400 and same[-1] == dates - 1
     shared, alone = Regression(basis), Regression(basis)
-    alone._same = np.arange(dates)
+    alone._same = alone._different = np.arange(dates)
     for t in (0, 1, 2, 50, 500, dates - 2, dates - 1):
         for one, other in zip(shared.day(t), alone.day(t)):
             np.testing.assert_allclose(

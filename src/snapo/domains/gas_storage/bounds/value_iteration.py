@@ -20,7 +20,7 @@ from ..references.day_terms import Interpolation, end_value, rates, unit_prices,
 from ..references.lattice_day import inventory_nodes
 from ..references.marginal import slope_table
 from ..references.piecewise import visited
-from .day_grid import DayGrid, best_value, day_grids, largest_rate, one_day, spacing_of
+from .day_grid import DayGrid, best_value, day_grids, days_between, largest_rate, spacing_of
 from .regression import AnyBasis, Recent, basis_of, regression_of
 
 # All that the grids follow from. A name that is missing here would leave old grids in use.
@@ -49,10 +49,7 @@ def _made(schedule, interpolation: Interpolation, inventories: int) -> list[DayG
     day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
     levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
     nodes = [inventory_nodes(*level[:2], spacing, level[2]) for level in zip(low, high, levels)]
-    return [
-        one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends=False)
-        for t in range(horizon)
-    ]
+    return days_between(schedule, day_rates, nodes, bends=False)
 
 
 def _numbers(schedule) -> list[bytes]:
