@@ -133,7 +133,7 @@ class PolynomialBasis:
         hinges = np.moveaxis(_hinge_means(self.hinges, mean, deviation[:, None]), 0, 1)
         return np.concatenate([plain, hinges * self._moving[after, :1, None]], axis=1)
 
-    def _whitened(self, states: np.ndarray, days: slice) -> np.ndarray:
+    def _whitened(self, states: np.ndarray, days: np.ndarray) -> np.ndarray:
         return np.einsum("tij,tjp->tip", self._whiten[days], states[:, self.selected])
 
     def polynomials(self, y: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 Nodes, functions and normal equations follow from the price factors only; the latest are cached.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from functools import cached_property
 from typing import Generic, NamedTuple, TypeVar
 
@@ -260,15 +260,13 @@ def scaled(
     return np.concatenate([scale * result, one], axis=1)
 
 
-def _products(left: Sequence[np.ndarray], right: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """left [k, Q] @ right [m, Q].T of every day."""
-    return [product(a, b.T) for a, b in zip(left, right, strict=True)]
+def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """[days, k, m] of left [days, k, Q] and right [days, m, Q] transposed."""
+    return np.array([product(a, b.T) for a, b in zip(left, right, strict=True)])
 
 
-def _solved(normal: Sequence[np.ndarray], right: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
-    """[K, …] of every day's weighted least squares with these normal equations; small where
+def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """[days, K, …] of weighted least squares with these normal equations; small where
     undetermined."""
-    matrices = np.array(normal)
-    ridge = RIDGE * np.trace(matrices, axis1=1, axis2=2)
-    matrices += ridge[:, None, None] * np.eye(matrices.shape[-1])
-    return np.linalg.solve(matrices, np.array(right))
+    ridge = RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    return np.linalg.solve(normal + ridge * np.eye(normal.shape[-1]), right)
