@@ -2,10 +2,12 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.lanes.machine.threads import in_thread
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
 from snapo.report.record import RunRecord, entries_of
@@ -31,12 +33,13 @@ def train(run: StudyRun) -> dict[str, Any]:
 
     **Raises:** `Interrupted` with the tables of the best policy so far, after Ctrl-C.
     """
-    setup = run.setup
+    setup, beside = run.setup, run.study.beside
     try:
-        solution = setup.solve(
-            callbacks=[lambda state: _keep(run, state, setup.training)],
-            progress=_resumed(run, setup),
-        )
+        with in_thread(beside) if beside else nullcontext():
+            solution = setup.solve(
+                callbacks=[lambda state: _keep(run, state, setup.training)],
+                progress=_resumed(run, setup),
+            )
     except Interrupted as stop:
         raise Interrupted(saved(run, stop.result)) from None
     return saved(run, solution)

@@ -66,7 +66,7 @@ POINTS = 1024
 LEVELS = 2  # nodes of the factor in the exponential
 RIDGE = 1e-11  # of the regression, against the sum of squares of the functions
 MAX_KEPT = 128 << 20  # bytes; of longer contracts the last day is kept
-LAST = 3  # factors: those of the case, and others that sensitivities move to
+LAST = 2  # factors: those of the case, and others that a sensitivity moves to
 
 
 class RegressionDay(NamedTuple):
