@@ -95,7 +95,7 @@ def test_a_number_has_the_unit_of_the_case():
         ({"sobol": 4}, "first and last number"),
         ({"sobol": 4, "range": "35:5"}, "first and last number"),
         ({"sobol": 4, "range": "5:35:7"}, "first and last number"),
-        ({"range": "5:35"}, "write sobol = 64 as well"),
+        ({"range": "5:35"}, "also write sobol = 64"),
         ({"sobol": 4, "values": [1.0], "range": "5:35"}, "either values or these"),
         ({"sobol": 0, "range": "5:35"}, "1 or more"),
     ],
@@ -116,7 +116,7 @@ def test_axes_of_sobol_points_have_one_number_of_them():
     ("setting", "message"),
     [
         (f"{COST}=1:10:1", "injection_cost: got '1:10:1'.*in steps of 1 it is 1:10:10"),
-        (f"{COST}=5", "no key is swept"),
+        (f"{COST}=5", "no key has several values"),
         ("contract.injektion_cost=0:1:3", "nearest known key is injection_cost"),
         (f"{LEVEL}=-40:20:3", "of at least 0"),
     ],

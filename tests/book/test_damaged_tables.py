@@ -82,7 +82,7 @@ PRICES = {
             "20250-02": "a product is", "2025-Q5": "a product is", "2025-13": DATE,
             "2025-02-30": DATE, "0000-02": DATE, "9999-12": DATE, "9999-12-31": "1900 to 2199",
             "2025-02-10/2025-02-01": "the last day is before the first", "2025-01": "line 2 has",
-            "weekend 2025-01-01": "no Saturday",
+            "weekend 2025-01-01": "not a Saturday",
         }.items()
     },
     "too many days": (with_text("2025-02", "1950-01-01/2025-02-28"),

@@ -74,7 +74,7 @@ def test_the_words_of_a_range_name_both_ends_and_differ_by_kind(low, width, kind
         (ANY, "a number", {}),
         (NOT_NEGATIVE, "a number of at least 0", {"minimum": 0.0}),
         (POSITIVE, "a number above 0", {"exclusiveMinimum": 0.0}),
-        (BELOW_ONE, "a number from 0 up to but not 1", {"minimum": 0.0, "exclusiveMaximum": 1.0}),
+        (BELOW_ONE, "a number of at least 0 and below 1", {"minimum": 0.0, "exclusiveMaximum": 1.0}),
         (Range(high=5.0), "a number of at most 5", {"maximum": 5.0}),
         (Range(high=5.0, endpoints="[)"), "a number below 5", {"exclusiveMaximum": 5.0}),
         (Range(0.0, 9.0, noun="jumps a year"), "jumps a year from 0 to 9",
@@ -105,7 +105,7 @@ def test_anything_else_is_refused_in_the_words_of_the_range(value):
     with pytest.raises(CaseError) as refused:
         read({"share": value})
     error = refused.value
-    assert error.where == "table.share" and "a number from 0 " in error.allowed
+    assert error.where == "table.share" and "a number of at least 0 and below 1" in error.allowed
 
 
 def test_every_mistake_of_a_table_is_named_at_once():
@@ -174,7 +174,7 @@ def replace_index(numbers: CaseInput) -> CaseInput:
 def test_a_table_of_declarations_has_a_schema_and_a_documentation():
     schema = Example.model_json_schema()["properties"]
     assert schema["share"] | {"type": "number", "minimum": 0.0} == schema["share"]
-    assert schema["share"]["description"] == "a number from 0 up to but not 1"
+    assert schema["share"]["description"] == "a number of at least 0 and below 1"
     fields = Example.model_fields
     assert quantity_of(fields["cost"]) is not None and quantity_of(fields["rule"]) is None
     assert fields["cost"].description == (
@@ -247,7 +247,7 @@ def test_numbers_that_may_be_left_out_keep_their_range():
     assert Chosen(paths=7).paths == 7 and Settings().paths == 2
     fields = Chosen.model_fields
     assert fields["paths"].description == DESCRIPTIONS["paths"] + LEFT_OUT
-    assert fields["level"].description == "a number from 0 up to but not 1" + LEFT_OUT
+    assert fields["level"].description == "a number of at least 0 and below 1" + LEFT_OUT
     assert fields["starts"].description == DESCRIPTIONS["starts"]
     with pytest.raises(CaseError, match="2 to 10,000: more do not fit, or left out: 5"):
         parse(Chosen, {"paths": 1}, "case.toml", "settings")

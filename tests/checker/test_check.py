@@ -214,7 +214,7 @@ class SellsOnce(Sells):
 @pytest.mark.parametrize("rights", [1, 2])
 def test_a_stop_that_is_not_used_up_is_told(rights):
     found = check(Sells(action=Stop(rights)), inputs())
-    assert any("more often than its rights" in each.subject for each in found), str(found)
+    assert any("more often than it has rights" in each.subject for each in found), str(found)
     once = check(SellsOnce(action=Stop(rights)), inputs())
     assert not any("more often" in each.subject for each in once), str(once)
 

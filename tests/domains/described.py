@@ -169,9 +169,9 @@ def _beyond(words: str) -> set[float]:
         found |= {float(low), float(low) - 1}
     for low, high in re.findall(r"between (-?[\d.]+\d|\d) and (-?[\d.]+\d|\d)", words):
         found |= {float(low) - 1, float(low), float(high), float(high) + 1}
-    for _, high in re.findall(r"from (-?[\d.]+\d|\d) (?:to|up to but not) (-?[\d.]+\d|\d)", words):
+    for _, high in re.findall(r"from (-?[\d.]+\d|\d) to (-?[\d.]+\d|\d)", words):
         found.add(float(high) + 1)
-    for high in re.findall(r"at most (-?[\d.]+\d|\d)", words):
+    for high in re.findall(r"(?:at most|and below) (-?[\d.]+\d|\d)", words):
         found.add(float(high) + 1)
     return {int(each) if each == int(each) else each for each in found}
 

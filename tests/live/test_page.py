@@ -123,7 +123,7 @@ def test_after_a_refusal_every_number_is_dimmed_and_buttons_say_why(page):
     page.locator("#status", has_text="refused").wait_for()
     assert page.inner_text("#figure") == "–"
     assert dimmed(page) == {*CARDS, "Service"}
-    assert "these are refused" in page.inner_text("#deltas .reason")
+    assert "the present ones are refused" in page.inner_text("#deltas .reason")
     for name in ("#train", "#bound", "#keep-now"):
         assert page.locator(name).is_disabled()
     assert "refused" in page.inner_text("#again-why") and "refused" in page.inner_text("#keep-why")

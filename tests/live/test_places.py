@@ -180,7 +180,7 @@ def test_numbers_of_all_kinds_come_back_to_the_bits(storage):
         ("inventory", 9000.0, "limits allow 0 to 7000"),
         ("inventory", -1.0, "a number of at least 0"),
         ("max_inventory", 8000.0, "last row of this block must reach"),
-        ("injection_fuel", 1.5, "from 0 up to but not 1"),
+        ("injection_fuel", 1.5, "of at least 0 and below 1"),
     ],
 )
 def test_the_limits_are_those_of_the_case_format(storage, name, value, words):

@@ -215,7 +215,7 @@ def test_every_role_says_which_paths_it_has():
         "training": "64 drawn from the supplied paths 1 to 600; new ones at every step",
         "validation": "200 of the supplied paths 601 to 800; the same at every validation",
         "evaluation": "200 of the supplied paths 801 to 1,000; used for the results only",
-        "sensitivities": "200 of the evaluation's",
+        "sensitivities": "200 of the evaluation paths",
     }
     roles = Sources.of(Sobol(1)).roles(65, 128, 256, 128)
     assert roles["training"].startswith("66 pseudo-random paths, in antithetic pairs; new")

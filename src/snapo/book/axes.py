@@ -157,7 +157,7 @@ def _range_of(file: str, where: str, table: AxisTable) -> _Range | None:
     """The range of an axis of Sobol points; None for an axis of values."""
     if table.sobol is None:
         if table.range:
-            message = "a range is that of Sobol points: write sobol = 64 as well, or values"
+            message = "a range is for Sobol points: also write sobol = 64, or write values instead"
             raise CaseError(file, f"{where}.range", table.range, message)
         return None
     if table.values:

@@ -98,7 +98,7 @@ def position(
     for job in () if base is None or answer is None else plan.further(base, answer):
         take(job)
     for name in waiting:
-        point = BookPoint.without_value("missing", "its base has not been computed")
+        point = BookPoint.without_value("missing", "its unstressed point has not been computed")
         if answer is not None:
             point = BookPoint.without_value(
                 answer.points[0].status, f"its base: {answer.points[0].note}"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.csv import Row
-from snapo.case.error import CaseError
+from snapo.case.error import CaseError, counted
 from snapo.case.load import load
 from snapo.case.table import parse
 from snapo.solver.statistics import plus_minus
@@ -174,7 +174,9 @@ def _axes(assignments: Sequence[str], sobol: int | None) -> tuple[list[dict[str,
         else:
             fixed.append(text)
     if not entries:
-        message = "no key is swept; write a range (KEY=0:2000:5) or several values (KEY=1,2,5)"
+        message = (
+            "no key has several values; write a range (KEY=0:2000:5) or several values (KEY=1,2,5)"
+        )
         raise CaseError(OPTION, "", fixed[0] if fixed else None, message)
     if sobol is not None and not any("sobol" in entry for entry in entries):
         message = "Sobol points need a range without a number of values: --set KEY=0:2000"
@@ -215,14 +217,17 @@ def check(path: Path) -> list[str]:
         - len(plan.adopting) * OF_A_TRAINING
     )
     repeated = len(book.contracts) - distinct
-    same = f", {repeated:,} of them with the case of another one" if repeated else ""
+    same = f", of which {repeated:,} repeat the case of another one" if repeated else ""
     markets = sorted({contract.market for contract in book.contracts} - {""})
     return [
-        f"{book.title}: {len(book.contracts):,} contracts{same}, {stresses:,} stresses",
+        f"{book.title}: {counted(len(book.contracts), 'contract')}{same}, "
+        f"{counted(stresses, 'stress')}",
         *([f"markets: {', '.join(markets)}"] if markets else []),
-        f"{plan.size:,} jobs of {1 + stresses:,} points for each contract",
-        f"shapes: about {shapes:,}; derivatives of {judged:,} contracts are tested by bumps",
-        f"expected: {_duration(seconds)} of processor time on gas stores of a year",
+        f"{counted(plan.size, 'job')} of {counted(1 + stresses, 'point')} for each contract",
+        f"shapes of contracts: about {shapes:,}; contracts whose derivatives are tested by "
+        f"bumps: {judged:,}",
+        f"expected: {_duration(seconds)} of processor time, if the contracts are gas stores of a "
+        "year",
     ]
 
 
@@ -308,7 +313,7 @@ def report(path: Path) -> Path:
 def summary(result: Mapping[str, Any]) -> str:
     """The result for a reader."""
     jobs = result["orders"]
-    counts = f"{jobs['computed']:,} jobs computed, {jobs['reused']:,} used again"
+    counts = f"{counted(jobs['computed'], 'job')} computed, {jobs['reused']:,} reused"
     lines = [f"book: {result['status']}; ± is half of a 95 % interval, simulation error only"]
     if result.get("points"):
         lines += _table_of_points(result)

@@ -105,7 +105,10 @@ def _ray(address: str, trust_network: bool) -> WorkerPool:
     token = os.environ.get("RAY_AUTH_MODE") == "token"
     near = address in ("auto", "local") or _loopback(parts.hostname)
     if not near and not token and not trust_network:
-        message = "this cluster has no token (RAY_AUTH_MODE=token): whoever reaches it runs code"
+        message = (
+            "this cluster has no token (RAY_AUTH_MODE=token): anyone who can reach it can run "
+            "code there"
+        )
         raise _open(f"ray:{address}", message)
     try:
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)

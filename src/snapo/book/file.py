@@ -52,7 +52,7 @@ class CasesTable(CaseTable):
     template: str = Field("", description='the folder of a case, relative to the book: "store"')
     files: str = Field("", description='cases by a pattern, "contracts/*/case.toml"')
     table: str = Field("", description='the CSV of the contracts, "contracts.csv"')
-    by: list[str] = Field([], description="columns of the table to sum by")
+    by: list[str] = Field([], description="columns of the table by which values are summed")
 
 
 class BookMarketTable(CaseTable):

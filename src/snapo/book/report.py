@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.report import charts, quantity
 from snapo.report.drawing import days as date_numbers
 from snapo.report.drawing import draw
@@ -61,7 +62,7 @@ def page(result: Mapping[str, Any], record: Mapping[str, Any]) -> Page:
         ("Paths", f"{record['tasks']['paths']:,}"),
     ]
     version = entries_of(LibraryVersions, typed.versions).snapo
-    footer = f"Made by snapo {version} from the files of a book; the page loads and sends nothing."
+    footer = f"Made by snapo {version} from the files of a book; the page uses no network."
     return Page(str(result["title"]), about, sections, footer)
 
 
@@ -75,7 +76,7 @@ def _policy(tasks: Mapping[str, Any]) -> str:
 
 def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
     cases, failed = result["cases"]["ok"], result["cases"]["failed"]
-    valued = f"{cases:,} of {cases + failed:,} contracts have a value at every point"
+    valued = f"{cases:,} of {counted(cases + failed, 'contract')} have a value at every point"
     if base["value"] is None:
         blocks: list[Block] = [Missing(f"The book has no value: {valued}; see the failures below.")]
         return Section("value", "Value of the book", "Value", blocks)
@@ -362,7 +363,7 @@ def _shared(policies: Sequence[Mapping[str, Any]]) -> Section:
     rows, texts = list[LossRow](), list[str]()
     for shared in policies:
         leader, verb = shared["leader"], "take" if shared["is_shared"] else "do not take"
-        count = f"{shared['contracts']:,} with it"
+        count = f"{shared['contracts']:,} in all"
         texts.append(f"The contracts similar to {leader} ({count}) {verb} its trained policy.")
         for x in shared["losses"]:
             loss = WithError(x["loss"], x["loss_error"])
@@ -390,9 +391,9 @@ def _failures(result: Mapping[str, Any]) -> Section:
 def _cost(result: Mapping[str, Any]) -> Section:
     jobs = result["orders"]
     facts = [
-        ("jobs computed", number(jobs["computed"], 0), f"{jobs['reused']:,} used again"),
-        ("wall time", seconds(result["seconds"]["total"]), f"{result['workers']:,} workers"),
+        ("jobs computed", number(jobs["computed"], 0), f"{jobs['reused']:,} others reused"),
+        ("wall time", seconds(result["seconds"]["total"]), counted(result["workers"], "worker")),
         ("processor time", seconds(result["cpu_seconds"]), "of all jobs, whenever computed"),
-        ("largest worker", f"{result['peak_mb']:,.0f} MB", f"{result['shapes']:,} shapes"),
+        ("largest worker", f"{result['peak_mb']:,.0f} MB", counted(result["shapes"], "shape")),
     ]
     return Section("cost", "Cost", "Cost", [Facts(facts)])

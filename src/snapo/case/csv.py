@@ -267,7 +267,8 @@ def read_rows(
         if len(cells) != len(names):
             got = Unquoted(f"{len(cells)} cells")
             message = (
-                f"the header has {len(names)} columns ({','.join(names)}); decimals have a point"
+                f"the header has {len(names)} columns ({','.join(names)}); write decimals with a "
+                "point"
             )
             raise CaseError(name, f"line {line}", got, message)
         numbers = map(written.number, cells)
@@ -285,7 +286,7 @@ def _text(path: Path, name: str) -> str:
     except OSError as error:
         raise CaseError(name, "", None, f"the file cannot be read ({error.strerror})") from None
     if "\0" in text:
-        message = "the file holds zero bytes, as UTF-16 does; save it as CSV in UTF-8"
+        message = "the file contains zero bytes, as UTF-16 does; save it as CSV in UTF-8"
         raise CaseError(name, "", None, message)
     return text
 

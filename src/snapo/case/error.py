@@ -57,3 +57,20 @@ def nearest(key: str, available, word: str = "key") -> str:
     if close:
         return f"the nearest known {word} is {close[0]}"
     return f"the known {word}s are {', '.join(available)}"
+
+
+def plural(noun: str) -> str:
+    """The plural of a noun of a case, "weeks" or "boxes"; symbols such as "kg" have none."""
+    if not (noun.isalpha() and noun.islower() and len(noun) > 2):
+        return noun
+    if noun.endswith(("s", "x", "z", "ch", "sh")):
+        return f"{noun}es"
+    if noun.endswith("y") and noun[-2] not in "aeiou":
+        return f"{noun[:-1]}ies"
+    return f"{noun}s"
+
+
+def counted(count: float, noun: str) -> str:
+    """A number with its noun, "1 week" or "2 weeks"."""
+    text = f"{int(count):,}" if count == int(count) else f"{count:,.4g}"
+    return f"{text} {noun if count == 1 else plural(noun)}"

@@ -10,10 +10,10 @@ from .table import CaseTable, Positive, Range, optional, parse
 
 MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
 MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
-IN_MEMORY = Range(1, MAX_PATHS, note=": more do not fit in memory")
+IN_MEMORY = Range(1, MAX_PATHS, note="; more do not fit in memory")
 STEPS = Range(1, noun="a number of steps")
 EVERY = STEPS._replace(
-    note="; by default 50, a quarter of the steps if they are few, 10 for a fitted rule"
+    note="; by default 50, 10 for a fitted rule, or a quarter of the steps if they are few"
 )
 UP_TO_ONE = Range(0, 1, "(]")
 PathCount = Annotated[int, IN_MEMORY._replace(low=64)]
@@ -56,10 +56,11 @@ class FollowingTable(TrainingTable):
     """
 
 
+@optional("steps", note="; by default 20 if a mean is optimised from a fitted rule, else 240")
 @optional(
-    "steps", "learning_rate",
-    note="; by default 20 and 0.001 if a mean is optimised from a fitted rule, else 240 and 0.01",
-)  # fmt: skip
+    "learning_rate",
+    note="; by default 0.001 if a mean is optimised from a fitted rule, else 0.01",
+)
 class FittedTable(TrainingTable):
     """`[training]` of an energy contract, whose policy begins from a fitted value.
 

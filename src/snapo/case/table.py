@@ -56,7 +56,8 @@ class Range(NamedTuple):
 
     def __str__(self) -> str:
         noun = self.noun or "a number"
-        low, high = f"{self.low:,.10g}", f"{self.high:,.10g}"
+        digits = ".10g" if "calendar year" in self.noun else ",.10g"
+        low, high = format(self.low, digits), format(self.high, digits)
         if self.low == -math.inf and self.high == math.inf:
             text = noun
         elif self.low == -math.inf:
@@ -66,7 +67,7 @@ class Range(NamedTuple):
         elif self.endpoints == "()":
             text = f"{noun} between {low} and {high}"
         elif self.endpoints == "[)":
-            text = f"{noun} from {low} up to but not {high}"
+            text = f"{noun} of at least {low} and below {high}"
         elif self.endpoints == "(]":
             text = f"{noun} above {low}, at most {high}"
         else:

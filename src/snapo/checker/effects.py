@@ -125,7 +125,7 @@ def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> Non
     if all(counts(part) for part in np.array_split(np.arange(len(always)), action.rights + 1)):
         notes.warning(
             f"{notes.method('step')}: action",
-            f"It can stop more often than its rights ({action.rights}): if all steps stop, more "
+            f"It can stop more often than it has rights ({action.rights}): if all steps stop, more "
             "of them change an output.",
             'Keep the right in the state, right, used = self.action.use(state["right"], action), '
             "and pay on the quantity that is used.",

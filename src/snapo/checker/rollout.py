@@ -107,7 +107,9 @@ def rollouts(
     else:
         draws = scenarios.draws(np.arange(paths), simulator)
         if not isinstance(draws, Stored):
-            notes.error("scenarios", "They are drawn.", "Give Supplied or Sobol, or leave it out.")
+            notes.error(
+                "scenarios", "They are drawn.", "Pass Supplied or Sobol scenarios, or none."
+            )
             raise StopCheck
     features = observation.shape[0]
     gain = rng.normal(size=(size, features)) / np.sqrt(max(features, 1))

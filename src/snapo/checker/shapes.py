@@ -25,7 +25,7 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
     """The declared sizes, action set and inputs."""
     if isinstance(simulator, type):
         name = simulator.__name__
-        notes.error("simulator", f"{name} is a class.", f"Give its object: {name}().")
+        notes.error("simulator", f"{name} is a class.", f"Pass an object: {name}().")
         raise StopCheck
     for name, minimum in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
         value = getattr(simulator, name, None)
@@ -184,7 +184,7 @@ def _declared_outputs(notes: Notes, simulator: Simulator, names: frozenset[str])
     for name, kind in simulator.totals().items():
         if kind not in ("sum", "max", "last"):
             notes.error(
-                "totals", f"{name!r} is totalled by {kind!r}.", 'Say "sum", "max" or "last".'
+                "totals", f"{name!r} is totalled by {kind!r}.", 'Write "sum", "max" or "last".'
             )
     for method, declared in (
         ("totals", simulator.totals()),

@@ -58,7 +58,9 @@ def seed(text: str) -> int:
 def simulator_class(text: str) -> tuple[str, str]:
     module, colon, name = text.partition(":")
     if not (colon and name.isidentifier() and all(map(str.isidentifier, module.split(".")))):
-        raise argparse.ArgumentTypeError(f"{text!r} is not like my_module:MySimulator")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not MODULE:CLASS, such as my_module:MySimulator"
+        )
     return module, name
 
 
@@ -95,7 +97,7 @@ def add_past(commands) -> None:
     )
     backtest = commands.add_parser(
         "backtest",
-        help="operate a gas store on past prices, with those up to each day",
+        help="operate a gas store on past prices, using on each day only those up to that day",
         epilog="snapo backtest mystore --history prices",
     )
     backtest.add_argument(
@@ -160,7 +162,8 @@ def add_explain(commands) -> None:
         "--cash",
         metavar="AMOUNT",
         type=float,
-        help="for other contracts: cash flow of the days between (default: as planned)",
+        help="for other contracts: cash flow on the days between the two valuation dates "
+        "(default: as planned)",
     )
     explain.add_argument(
         "--out",

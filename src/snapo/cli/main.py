@@ -22,7 +22,7 @@ from .arguments import (
 
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
-ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto takes native if it can"
+ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto uses native where it can"
 SHELLS = ("bash", "zsh", "fish")
 RUN = "a run folder, or a case, which means its latest run"
 EXTRAS = {  # and the packages that they bring
@@ -99,16 +99,20 @@ def _add_new(commands) -> None:
         help="write a commented case that runs",
         epilog="snapo new, without KIND, lists the kinds that are installed",
     )
-    new.add_argument("kind", metavar="KIND", nargs="?", help="such as gas-storage")
+    new.add_argument("kind", metavar="KIND", nargs="?", help="kind of case, such as gas-storage")
     new.add_argument(
         "folder",
         metavar="DIR",
         type=Path,
         nargs="?",
-        help="created if it does not exist; never overwrites files",
+        help="folder of the case, created if it does not exist; no file is overwritten",
     )
     new.add_argument("--size", metavar="SIZE", help="size of the example, if the kind has several")
-    new.add_argument("--xlsx", action="store_true", help="write a workbook, case.xlsx, instead")
+    new.add_argument(
+        "--xlsx",
+        action="store_true",
+        help="write a workbook, case.xlsx, instead of TOML and CSV files",
+    )
 
 
 def _add_check(commands) -> None:
@@ -130,7 +134,9 @@ def _add_solve(commands) -> None:
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     solve.add_argument(
-        "--reference", action="store_true", help="compute the exact references as well"
+        "--reference",
+        action="store_true",
+        help="also compute exact values, for comparison, where a method is known",
     )
     solve.add_argument(
         "--ladder",
@@ -160,7 +166,9 @@ def _add_solve(commands) -> None:
         type=seeds,
         help="train with N consecutive seeds, or those of a list (0,3,7); keep the best run",
     )
-    _add_workers(solve, "processes on this machine that share the paths of a large problem")
+    _add_workers(
+        solve, "number of processes on this machine that share the paths of a large problem"
+    )
 
 
 def _add_book(commands) -> None:
@@ -169,9 +177,12 @@ def _add_book(commands) -> None:
         "book", metavar="BOOK", type=Path, help="a TOML file; with --sql, the folder of its results"
     )
     book.add_argument(
-        "--out", metavar="DIR", type=Path, help="folder of the results (default: run, next to it)"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder of the results (default: run, next to the file of the book)",
     )
-    _add_workers(book, "processes on this machine (default: one per core)")
+    _add_workers(book, "number of processes on this machine (default: one per core)")
     book.add_argument(
         "--shard",
         metavar="K/N",
@@ -181,7 +192,9 @@ def _add_book(commands) -> None:
     book.add_argument(
         "--resume", action="store_true", help="reuse the results of an earlier run in this folder"
     )
-    book.add_argument("--sql", metavar="QUERY", help="query the tables values, deltas and shares")
+    book.add_argument(
+        "--sql", metavar="QUERY", help="run an SQL query on the tables values, deltas and shares"
+    )
 
 
 def _add_workers(parser: argparse.ArgumentParser, processes: str) -> None:
@@ -239,7 +252,7 @@ def _add_sweep(commands) -> None:
         "--workers",
         metavar="N",
         type=whole_number,
-        help="processes on this machine (default: one per core)",
+        help="number of processes on this machine (default: one per core)",
     )
     sweep.add_argument(
         "--resume", action="store_true", help="reuse the results of an earlier run in this folder"
@@ -275,7 +288,9 @@ def _add_report(commands) -> None:
         help="also write report.pdf, with an installed Chrome, Chromium or Edge",
     )
     report.add_argument(
-        "--xlsx", action="store_true", help="also write its tables as a workbook, tables.xlsx"
+        "--xlsx",
+        action="store_true",
+        help="also write the tables of the run as a workbook, tables.xlsx",
     )
 
 
@@ -286,12 +301,14 @@ def _add_export(commands) -> None:
         epilog="snapo export mine/run --onnx --table",
     )
     export.add_argument("run", metavar="RUN", type=Path, help=RUN)
-    export.add_argument("--onnx", action="store_true", help="as an ONNX graph, policy.onnx")
+    export.add_argument("--onnx", action="store_true", help="write an ONNX graph, policy.onnx")
     export.add_argument(
-        "--table", action="store_true", help="as a table of observations and decisions, policy.csv"
+        "--table",
+        action="store_true",
+        help="write a table of observations and decisions, policy.csv",
     )
     export.add_argument(
-        "--python", action="store_true", help="as a Python file that needs NumPy only, policy.py"
+        "--python", action="store_true", help="write a Python file that needs NumPy only, policy.py"
     )
     _add_simulator(export)
 
@@ -318,13 +335,15 @@ def _add_open(commands) -> None:
 
 
 def _add_compare(commands) -> None:
-    compare = commands.add_parser("compare", help="compare runs with the first of them")
+    compare = commands.add_parser("compare", help="compare runs with the first one")
     compare.add_argument("runs", metavar="RUN", type=Path, nargs="+", help=RUN)
 
 
 def _add_runs(commands) -> None:
     runs = commands.add_parser("runs", help="list the runs of a case, or remove old ones")
-    runs.add_argument("case", metavar="CASE", type=Path, help="its folder, or its file")
+    runs.add_argument(
+        "case", metavar="CASE", type=Path, help="a case: its folder, or its TOML file"
+    )
     runs.add_argument(
         "--remove",
         metavar="RUN",
@@ -333,13 +352,15 @@ def _add_runs(commands) -> None:
         help="runs to remove: their names, or the last four characters of these",
     )
     runs.add_argument(
-        "--keep", metavar="N", type=whole_number, help="remove all but the last N; the latest stays"
+        "--keep", metavar="N", type=whole_number, help="remove all runs but the last N"
     )
 
 
 def _add_bench(commands) -> None:
     bench = commands.add_parser("bench", help="time values and gradients on this machine")
-    bench.add_argument("kind", metavar="KIND", nargs="?", help="default: all that are installed")
+    bench.add_argument(
+        "kind", metavar="KIND", nargs="?", help="kind of case (default: all that are installed)"
+    )
     bench.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
 
 
@@ -349,14 +370,14 @@ def _add_schema(commands) -> None:
         help="print the JSON schema of a kind of case, for editors",
         epilog="snapo schema gas-storage > gas-storage.schema.json",
     )
-    schema.add_argument("kind", metavar="KIND", help="such as gas-storage")
+    schema.add_argument("kind", metavar="KIND", help="kind of case, such as gas-storage")
 
 
 def _add_cache(commands) -> None:
     cache = commands.add_parser(
         "cache", help="show the compiled code stored for later runs, or remove it"
     )
-    cache.add_argument("--empty", action="store_true", help="remove all of it")
+    cache.add_argument("--empty", action="store_true", help="remove all of the stored code")
 
 
 def _add_completion(commands) -> None:

@@ -161,7 +161,7 @@ class Environment(gymnasium.Env):
     """The exact simulator of a problem as an environment for training with any library.
 
     - An observation is that of snapo's policies; a reward is a step's part of the objective,
-      which must be a mean of sums. `info` holds all outputs of the step by name, numbers; those
+      which must be a mean of sums. `info` holds all outputs of the step by name, as numbers; those
       of the terminal state are in the step that ends the problem.
     - Noise comes from the environment's generator: `reset(seed=…)` gives the same episode again.
     - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem

@@ -122,7 +122,8 @@ def _option(decided: np.ndarray, options: int) -> np.ndarray:
         return np.round(decided[:, 0]).astype(np.int64)
     if size != options:
         raise ValueError(
-            f"Agent: the policy decides {size} numbers, but there are {options} options."
+            f"Agent: the number of decisions of the policy is {size}, but that of options is "
+            f"{options}."
         )
     return np.argmax(decided, -1)
 

@@ -79,7 +79,7 @@ class Process(TreeRecord):
         return ()
 
     def innovation(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
-        """Level minus forward: of expectation zero for a `martingale`."""
+        """The level minus the forward price; its expectation is zero for a `martingale`."""
         return self.level(constants, now, state) - self.forward(constants, now)
 
 

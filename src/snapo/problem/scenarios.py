@@ -329,11 +329,12 @@ class Sources:
         self, training: int, validation: int, evaluation: int, sensitivities: int
     ) -> dict[str, str]:
         """{role: description of its paths} for these numbers of paths."""
+        available = self.evaluation.available(sensitivities)
         return {
             "training": f"{self.training.batch_words(training)}; new ones at every step",
             "validation": f"{self.validation.describe(validation)}; the same at every validation",
             "evaluation": f"{self.evaluation.describe(evaluation)}; used for the results only",
-            "sensitivities": f"{self.evaluation.available(sensitivities):,} of the evaluation's",
+            "sensitivities": f"{available:,} of the evaluation paths",
         }
 
     @classmethod

@@ -86,10 +86,10 @@ class Simulator(eqx.Module):
         return self
 
     def on_step(self) -> "Simulator":
-        """This simulator as its methods for one path read it, in the native engine.
+        """This simulator with only the fields that the methods for one path read.
 
-        A simulator without the fields that depend on the number of steps or on their dates, its
-        `horizon` too, has code that serves every horizon. By default each has code of its own.
+        Without the fields that depend on the number of steps or on their dates, such as `horizon`,
+        the native engine has one code for all horizons. By default each horizon has its own.
         """
         return self
 

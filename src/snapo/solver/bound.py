@@ -99,7 +99,9 @@ class Bound:
             return ""
         summary = f"a gap of {rounded(gap, 3)} {plus_minus(error)}"
         share = f" ({gap / value:.2%} of the value)" if value else ""
-        few = ", most of it on a few paths that gain much by foresight" if self.few else ""
+        few = (
+            ", most of which comes from a few paths that gain much by foresight" if self.few else ""
+        )
         return f"says little: {summary}{share}{few}"
 
     def above(self, value: float, error: float, objective: Objective) -> "Bound":
@@ -150,7 +152,9 @@ class Bound:
             for name, item in self._named().items()
         ]
         if None not in self.sure:
-            lines.append("as sure totals  {:>16,.7g} to {:,.7g}".format(*self.sure))
+            lines.append(
+                "as certain totals of equal utility: {:,.7g} to {:,.7g}".format(*self.sure)
+            )
         if self.says_little:
             lines.append(f"this bound {self.says_little}")
         return "\n".join([*lines, f"{self.paths} paths; penalty: {self.words}"])

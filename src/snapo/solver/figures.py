@@ -116,7 +116,7 @@ class Figures:
         return f"the figures of a solution: {names}"
 
     def tornado(self, *, ax: Any = None, count: int = BARS) -> Any:
-        """The change of the value by each input's move, largest first, with 95 % whiskers.
+        """The change of the value that a move of an input causes, largest first, 95 % whiskers.
 
         All numbers of an input are moved by its `move`, by default 1 %. To first order, with the
         reported derivative.

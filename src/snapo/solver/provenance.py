@@ -89,7 +89,7 @@ class Clock:
 
 
 FEW = 8  # bad paths that are followed step by step
-ADVICE = "snapo.check(simulator, inputs) looks for the line."
+ADVICE = "snapo.check(simulator, inputs) searches for the line of code."
 LATER = (
     "If it finds none, training led the policy there: a smaller learning_rate than {rate:.3g} "
     "or narrower bounds of the decisions keep it away."

@@ -79,7 +79,7 @@ class Solution:
     - `maximised`: the objective as text, "mean of cash"; empty in a solution saved without it.
     - `dropped`: {train, evaluate, sensitivities}: the number of non-finite paths, which are left
       out; `notes`: remarks on the value.
-    - `folder`: from which it was loaded.
+    - `folder`: the folder from which it was loaded.
     """
 
     value: float
@@ -213,11 +213,12 @@ class Solution:
         status = ", ".join(filter(None, (self.status, self.convergence)))
         stages = [(name, value) for name, value in self.seconds.items() if name != "total"]
         seconds = ", ".join(f"{name} {value:.1f} s" for name, value in stages)
+        paths = ", ".join(f"{count:,} to {stage}" for stage, count in self.paths.items())
         return [
             f"value {self.value:,.6g} {plus_minus(self.standard_error, 3)} (95 %; {gap}), {status}",
             *([f"maximised: {self.maximised}"] if self.maximised else []),
             f"engine {self.engine}: {self.reason}",
-            f"paths {self.paths}, seed {self.seed}; {seconds}",
+            f"paths: {paths}; seed {self.seed}; time: {seconds}",
             *map(str, self.constraints),
             *self.notes,
         ]

@@ -80,7 +80,7 @@ def _logo(folder: Path, name: str | None) -> str:
 def _footer(version: str | None) -> str:
     available = version and version[:1].isdigit()  # else a text: it is not installed
     made = f"Made by snapo {version}" if available else "Made by snapo"
-    return f"{made} from the files of one run folder; the page loads and sends nothing."
+    return f"{made} from the files of one run folder; the page uses no network."
 
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
@@ -137,7 +137,9 @@ def _finish(writer: "_Writer") -> dict[str, Any]:
 
     def point() -> None:
         if home_of(run.folder) is not None and not point_to(run.folder):
-            run.progress(f"`run` stays with an earlier run; this one: {result['status']}")
+            run.progress(
+                f"`run` still points to an earlier run; the status of this one: {result['status']}"
+            )
 
     _guarded(run, point)
     return result

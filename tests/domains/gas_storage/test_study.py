@@ -194,7 +194,7 @@ def test_a_run_that_nothing_bounds_says_why(whole, folder, tmp_path):
     run_folder.save(out, record)
     with pytest.raises(CaseError, match=r'only a mean is bounded from above, .* "cvar"'):
         commands.certify(out, lambda text: None)
-    with pytest.raises(CaseError, match="this case has no run yet: snapo solve"):
+    with pytest.raises(CaseError, match="this case has no run yet; `snapo solve"):
         commands.certify(folder, lambda text: None)
 
 

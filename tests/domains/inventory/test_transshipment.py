@@ -62,7 +62,7 @@ def test_the_closed_form_has_the_newsvendors_at_both_ends():
     "pool, words",
     [
         ({"between": ["s0", "moon"], "cost": 1.0}, "the places with customers are s0, s1, s2"),
-        ({"between": ["s0", "s0"], "cost": 1.0}, "is listed once"),
+        ({"between": ["s0", "s0"], "cost": 1.0}, "be listed only once"),
         ({"between": ["s0"], "cost": 1.0}, "2 or more"),
         ({"cost": 1.0, "one_way": True}, "the first of which sends"),
         ({"cost": -1.0}, "at least 0"),

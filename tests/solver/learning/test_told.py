@@ -81,7 +81,7 @@ def ended(times, window=None, clip=None, keep=1.0):
     [({"clip": 12.3}, "bounded, at 12.3 in the end (Training(clip=None) turns this off)"),
      ({"window": 25}, "From step 20 of the training on, windows of 25 steps"),
      ({"clip": 2.0, "keep": 0.9}, "every backward step kept only a share of 0.9 of it"),
-     ({}, "Training did nothing about it")],
+     ({}, "Training did not respond to this")],
 )  # fmt: skip
 def test_large_growth_is_told_with_step_state_and_bound(how, said):
     (told,) = start_notes(ended(5000.0, **how))

@@ -44,7 +44,7 @@ def test_a_run_that_fails_leaves_run_where_it_is(case, capsys):
     one = solve(case)
     capsys.readouterr()
     two = solve(case, "--set", 'fails="first sum"')
-    assert "`run` stays with an earlier run" in capsys.readouterr().err
+    assert "`run` still points to an earlier run" in capsys.readouterr().err
     assert target(case / "run") == one and two != one
     assert main(["report", str(case)]) == 0
 

@@ -40,7 +40,9 @@ def make_inputs(
     for values in (starts, disturbed, noisy):
         if unknown := set(values) - set(plant.states):
             available = list(plant.states)
-            raise KeyError(f"{plant.type}: no state {sorted(unknown)}; there are {available}.")
+            raise KeyError(
+                f"{plant.type}: there is no state {sorted(unknown)}; the states are {available}."
+            )
     if defaulted := [name for name, item in starts.items() if not item]:
         raise KeyError(f"{plant.type}: give the start of {', '.join(defaulted)}.")
     return {
@@ -56,7 +58,10 @@ def _each(
     plant: str, parameters: Mapping[str, PlantParameter], inputs: Mapping[str, Any], group: str
 ):
     if unknown := set(inputs) - set(parameters):
-        raise KeyError(f"{plant}: no {sorted(unknown)}; there are {list(parameters)}.")
+        raise KeyError(
+            f"{plant}: there is no parameter {sorted(unknown)}; the parameters are "
+            f"{list(parameters)}."
+        )
     missing = [
         name for name, item in parameters.items() if item.value is None and name not in inputs
     ]

@@ -118,7 +118,7 @@ class MountainCarKind(PlantKind):
         "max_speed": PlantParameter(0.07, "1/step", "largest speed"),
         "left": PlantParameter(-1.2, "1", "position of the left wall", False),
         "right": PlantParameter(0.6, "1", "position of the right wall", False),
-        "goal": PlantParameter(0.45, "1", "place of the goal", False),
+        "goal": PlantParameter(0.45, "1", "position of the goal", False),
     }
     weights: ClassVar = {
         "prize": PlantParameter(100.0, "1", "prize at the goal", False),
@@ -308,7 +308,7 @@ class QuadrotorKind(PlantKind):
     parameters: ClassVar = {
         "mass": PlantParameter(0.5, "kg", "mass"),
         "inertia": PlantParameter(0.002, "kg m2", "moment of inertia"),
-        "arm": PlantParameter(0.15, "m", "distance of a rotor to the middle"),
+        "arm": PlantParameter(0.15, "m", "distance of a rotor from the middle"),
         "gravity": PlantParameter(9.81, "m/s2", "gravity"),
         "thrust": PlantParameter(4.905, "N", "largest thrust of a rotor"),
         "step": PlantParameter(0.03, "s", "time step"),
@@ -321,7 +321,7 @@ class QuadrotorKind(PlantKind):
         "thrust": PlantParameter(0.1, "1", "weight of the squared distance to hovering", False),
     }
     states: ClassVar = {
-        "x": Variable("m", "place to the right", {"mean": 0.0, "deviation": 1.0}),
+        "x": Variable("m", "position to the right", {"mean": 0.0, "deviation": 1.0}),
         "z": Variable("m", "height", {"mean": 0.0, "deviation": 1.0}),
         "tilt": Variable("rad", "tilt to the left", {"mean": 0.0, "deviation": 0.3}),
         "vx": Variable("m/s", "speed to the right", {"mean": 0.0, "deviation": 0.3}),

@@ -327,7 +327,7 @@ def _start(value: Any, name: str, where: str) -> dict[str, Any]:
         return numbers
     first, second = numbers.values()
     if first.shape != second.shape:
-        raise CaseError(name, where, dict(value), "both must have the same number of numbers")
+        raise CaseError(name, where, dict(value), "both lists must have the same length")
     if isinstance(read, UniformStart) and not read.low < read.high:
         raise CaseError(name, f"{where}.high", read.high, f"it must be a number above {read.low:g}")
     if isinstance(read, NormalStart) and np.any(numbers["deviation"] <= 0):

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from snapo.case.error import counted
 from snapo.case.given import CaseInput
 from snapo.problem.record import Schedule
 from snapo.problem.record.arrays import NUMPY
@@ -24,7 +25,7 @@ def lines(case: EnergyCase) -> list[str]:
     check_limits(case, schedule)
     check_nodes(case, schedule)
     return [
-        f"{case.title}: {len(case.days)} decisions, {case.days[0]} to {case.days[-1]}",
+        f"{case.title}: {counted(len(case.days), 'decision')}, {case.days[0]} to {case.days[-1]}",
         f"levels: {', '.join(x.name for x in layout.levels) or 'none'}; "
         f"flows: {', '.join(x.name for x in layout.flows)}",
         inputs_line([entry.value.size for entry in case.inputs().values()]),

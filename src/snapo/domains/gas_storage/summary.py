@@ -14,7 +14,8 @@ def lines(case: StorageCase) -> list[str]:
         return [f"{case.title}: no decision day is left; the value is {value:,.2f}"]
     plan = intrinsic(known_schedule(case), case.contract.ratchets.interpolation)
     return [
-        f"{case.title}: {len(case.days)} decision days, {case.days[0]} to {case.days[-1]}",
+        f"{case.title}: {len(case.days)} decision day{'s' * (len(case.days) > 1)}, "
+        f"{case.days[0]} to {case.days[-1]}",
         inputs_line([entry.values.size for entry in numbers_by_name(case).values()]),
         f"intrinsic value {plan.value:,.2f} {case.currency}",
         "the contract can be met",

@@ -1,5 +1,6 @@
 """The report of an inventory run."""
 
+from snapo.case.error import counted
 from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles
 from snapo.report.page import Section
@@ -50,9 +51,9 @@ MENU = {
 def about(run: RunFiles) -> list[tuple[str, str]]:
     """The lines under the title."""
     case = CaseSummary.of(run)
-    lead = "" if case.network else f"{number(case.lead_time, 0)} {case.step}s"
+    lead = "" if case.network else counted(case.lead_time or 0, case.step)
     unmet = "lost" if case.lost else "delivered later"
-    horizon = f"{number(case.counted, 0)} {case.step}s after {number(case.warm_up, 0)} of warm-up"
+    horizon = f"{counted(case.counted, case.step)} after {number(case.warm_up, 0)} of warm-up"
     return [("Demand", case.demand), ("Without stock", f"demand is {unmet}"),
             ("Lead time", lead), ("Horizon", horizon)]  # fmt: skip
 

@@ -4,6 +4,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from snapo.case.error import counted, plural
 from snapo.study.kind import inputs_line
 
 from .demand.base import MEAN
@@ -32,9 +33,9 @@ def _item_lines(case: InventoryCase) -> list[str]:
     return [
         f"{case.title}: {_periods(case)}",
         f"demand of a {case.period}: {case.demand.describe()}; without stock it is {unmet}",
-        f"an order arrives after {item.lead_time} {case.period}s; {integers} numbers of "
-        f"{case.unit}s",
-        f"base-stock level to start from: {level:,.4g} {case.unit}s",
+        f"an order arrives after {counted(item.lead_time, case.period)}; {integers} numbers of "
+        f"{plural(case.unit)}",
+        f"base-stock level to start from: {counted(level, case.unit)}",
     ]
 
 
@@ -44,11 +45,11 @@ def _network_lines(case: NetworkCase) -> list[str]:
     customers = dict(zip(case.network.sellers, zip(case.demands, case.seasons)))
     for i, site in enumerate(sites):
         supplier = "outside" if site.supplier is None else sites[site.supplier].name
-        row = f"{site.name}: from {supplier} in {site.lead_time} {case.period}s"
+        row = f"{site.name}: from {supplier} in {counted(site.lead_time, case.period)}"
         if i in customers:
             demand, season = customers[i]
             row += f"; demand {demand.describe()}"
-            row += f", a season of {len(season.values)} {case.period}s" if season else ""
+            row += f", a season of {counted(len(season.values), case.period)}" if season else ""
         rows.append(row)
     if (ordering := case.ordering) is not None:
         rows += [
@@ -62,10 +63,10 @@ def _network_lines(case: NetworkCase) -> list[str]:
         ]
     return [
         *rows,
-        f"orders are {'whole' if case.network.integer else 'any'} numbers of {case.unit}s",
+        f"orders are {'whole' if case.network.integer else 'any'} numbers of {plural(case.unit)}",
     ]
 
 
 def _periods(case: InventoryCase | NetworkCase) -> str:
     after = f", after {case.warm_up} that do not count" if case.warm_up else ""
-    return f"{case.periods} {case.period}s{after}"
+    return f"{counted(case.periods, case.period)}{after}"

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 
-from snapo.case.error import CaseError, Unquoted, nearest
+from snapo.case.error import CaseError, Unquoted, counted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
 from snapo.checker.shapes import unknown_outputs
@@ -91,7 +91,7 @@ def summary(case: OwnCase) -> list[str]:
 def lines(case: OwnCase) -> list[str]:
     """The case in a few lines."""
     return [
-        f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.location)}",
+        f"{case.title}: {counted(case.simulator.horizon, case.step)}, {':'.join(case.location)}",
         inputs_line([entry.value.size for entry in case.inputs.values()]),
         f"the {case.objective_words} is maximised",
     ]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.problem.objective import CRRA
 from snapo.report import evidence
 from snapo.report.missing import unless_left_out
@@ -170,8 +171,8 @@ def about(run: PensionRun) -> list[tuple[str, str]]:
     """The lines under the title."""
     lines = [("Valuation date", long_date(run.get("valuation_date")))]
     if run.years:
-        steps = f"{number(run.get('steps'), 0)} decisions"
-        lines.append(("Horizon", f"{number(run.years, 0)} years, {steps}"))
+        steps = counted(run.get("steps") or 0, "decision")
+        lines.append(("Horizon", f"{counted(run.years, 'year')}, {steps}"))
     lines.append(("Scenarios", MEASURES.get(run.measure, run.measure)))
     return [*lines, ("Currency", run.currency)]
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.report.folder import RunFiles
 from snapo.report.quantity import NONE, SPACE, decimals, finite, money, number, percent
 
@@ -57,7 +58,7 @@ class PensionRun(RunFiles):
     @property
     def horizon(self) -> str:
         """The horizon as text, "after 10 years"."""
-        return f"after {number(self.years, 0)} years"
+        return f"after {counted(self.years or 0, 'year')}"
 
     @property
     def years(self) -> float | None:

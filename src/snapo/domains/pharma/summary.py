@@ -1,5 +1,6 @@
 """The text that `snapo check` prints for a process; nothing is computed."""
 
+from snapo.case.error import counted
 from snapo.study.kind import inputs_line
 
 from .flowsheet.case import PharmaCase
@@ -11,7 +12,8 @@ def lines(case: PharmaCase) -> list[str]:
     inputs = pharma_inputs(case)
     rows = [
         f"{case.title}: {' -> '.join(unit.name for unit in case.units)}",
-        f"{len(case.network.reactions)} reactions among {len(case.network.species)} species, "
+        f"{counted(len(case.network.reactions), 'reaction')} among {len(case.network.species)} "
+        "species, "
         "each conserves mass",
         inputs_line([entry.value.size for entry in inputs.values()]),
         f"{len(case.parameters)} process parameters, {len(case.attributes)} quality attributes",

@@ -162,9 +162,9 @@ function table(input, moved) {
     moved(true);
   };
   all.addEventListener("keydown", (event) => event.key === "Enter" && shift());
-  const back = element("button", { type: "button", onclick: () => { input.now = [...input.values]; input.refuse(""); input.show(); moved(true); } }, "Back to the run's");
+  const back = element("button", { type: "button", onclick: () => { input.now = [...input.values]; input.refuse(""); input.show(); moved(true); } }, "Back to the run's numbers");
   const tools = element("div", { className: "tools" }, element("label", {}, "Shift all by ", all), element("span", {}, unit(input)), element("button", { type: "button", onclick: shift }, "Shift"), back);
-  const numbers = element("details", {}, element("summary", {}, "Numbers: type, or paste a column"), element("div", { className: "scroll tall" }, element("table", { className: "numbers" }, ...rows)));
+  const numbers = element("details", {}, element("summary", {}, "Type numbers, or paste a column"), element("div", { className: "scroll tall" }, element("table", { className: "numbers" }, ...rows)));
   input.show = () => {
     boxes.forEach((box) => box.refresh());
     back.disabled = !changed(input);

@@ -184,11 +184,11 @@ const isCompiled = () => !Object.keys(chosen()).length || compiled.has(JSON.stri
 
 // Why the numbers on the page are not of its inputs.
 function reason() {
-  if (refusal) return "for the previous inputs: these are refused";
-  if (!page.ready) return "for the previous inputs: the calculation is starting";
-  if (page.valued === page.n) return "for the previous inputs: these numbers are next";
+  if (refusal) return "for the previous inputs, as the present ones are refused";
+  if (!page.ready) return "for the previous inputs; the calculation is starting";
+  if (page.valued === page.n) return "for the previous inputs; the present ones are valued next";
   const time = seconds() >= LONG ? `, ${seconds()} s` : "";
-  return isCompiled() ? `for the previous inputs: being valued${time}` : `for the previous inputs: code for this choice is being compiled, once${time}`;
+  return isCompiled() ? `for the previous inputs; the present ones are being valued${time}` : `for the previous inputs; code for this choice is being compiled, once${time}`;
 }
 
 // Every stale number is dimmed; the value is shown to first order, where that is known.
@@ -342,7 +342,7 @@ const work = (id, order, words) => at(id).addEventListener("click", () => {
 });
 work("train", "train", "training starts");
 work("explain", "explain", "one input after another is valued");
-work("bound", "bound", "bounding; this takes some seconds");
+work("bound", "bound", "the bound is being computed, which takes some seconds");
 at("cancel").addEventListener("click", () => send({ do: "cancel" }));
 at("adopt").addEventListener("click", () => use(page.trained));
 at("run-policy").addEventListener("click", () => use(0));

@@ -331,5 +331,8 @@ class Integers(Actions):
         off = np.abs(action - np.round(action)) > ROUNDING * np.maximum(1.0, np.abs(action))
         if off.any():
             i = int(np.flatnonzero(off)[0])
-            return f"Action {i} is {action[i]:g}, no whole number.", "Round it: smooth.round(…)."
+            return (
+                f"Action {i} is {action[i]:g}, which is not a whole number.",
+                "Round it: smooth.round(…).",
+            )
         return self.box.fault(action)

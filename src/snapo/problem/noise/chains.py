@@ -31,8 +31,8 @@ class Markov(Noise):
 
     **Arguments:**
 
-    - `transition` [k, k]: from the row's regime to the column's. Rows are divided by their sums,
-      and derivatives are those of the resulting probabilities.
+    - `transition` [k, k]: probabilities to go from the row's regime to the column's. Rows are
+      divided by their sums, and derivatives are those of the resulting probabilities.
     """
 
     separate = True
@@ -110,7 +110,7 @@ class Correlated(Noise):
 
     `correlation` is that of the first normal of every noise (a Gaussian copula), as the strict
     lower triangle row by row, in the order of the tree; a dictionary has that of its sorted keys.
-    A draw is shaped like the tree.
+    A draw has the structure of the tree.
 
         snapo.noise.Correlated({"demand": Poisson(4.0), "price": LogNormal(0.0, 0.2)}, [0.6])
     """

@@ -240,7 +240,7 @@ class Student(Noise):
 
     - `df`: above 0.1; any number, whole or not. The variance of t is df / (df - 2).
     - `mean`, `scale`: numbers, or [K].
-    - `correlation`: as of `Normal`.
+    - `correlation`: as in `Normal`.
     """
 
     df: Any = parameter()

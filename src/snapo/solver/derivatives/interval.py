@@ -18,6 +18,13 @@ from snapo.problem.record import Input
 from ..statistics import LEVEL, SHOWN, Estimate, critical
 
 HELD, THROUGH, RANGE, UNKNOWN = "held", "through the policy", "range", "not known"
+
+
+def source_text(source: str | None) -> str:
+    """The source of a derivative as text in the table of a report."""
+    return "decisions held fixed" if source == HELD else source or ""
+
+
 MOVE = 0.01  # of every number of an input
 AGREE = 3.0  # standard errors between the smooth derivative and the bump
 SHARE_UNSEEN = 0.5  # of the standard error of a reaction that the estimate leaves out
@@ -200,7 +207,7 @@ class Verdict(NamedTuple):
     """One input bumped by one percent: the change of the value, and the derivatives along it.
 
     - `source`: of the reported derivative, see `Reported`.
-    - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump less held, paired.
+    - `held`, `bump`, `reaction`: (change, standard error); `reaction`: `bump` minus `held`, paired.
     - `up`, `down`: the change of the value for an increase and a decrease of the input;
       `side_error` of their difference.
     - `probability`: the p-value of the reaction; `tested`: whether there is one.

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from snapo.problem.problem import Problem
 
 HEAD = (
-    "input", "label", "derivative", "low", "high", "per", "source", "sampling", "policy", "held",
-    "smooth", "",
+    "input", "label", "derivative", "low", "high", "per", "source", "± sampling", "± policy",
+    "decisions held", "smooth rules", "",
 )  # fmt: skip
 SHOWN = 12  # numbers of one input that are printed
 LEFT = (0, 1, 5, 6)  # columns of text

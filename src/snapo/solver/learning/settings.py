@@ -60,8 +60,8 @@ class Training:
       horizon and the size of the policy.
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
-    - `decay`: the decay of weights, per step and times the rate (AdamW). "auto": 0, or if the steps
-      are "auto" too, above 0 for more than eight decisions in one step.
+    - `decay`: the decay of weights, per step, times the learning rate (AdamW). "auto": 0, or if the
+      steps are "auto" too, above 0 for more than eight decisions in one step.
     - `temperature_start`, `temperature_end`: the temperature of the smooth constraints falls
       geometrically from one to the other.
     - `average`: the policy is averaged over about this share of the steps.
@@ -77,7 +77,7 @@ class Training:
       unless adjoints grow and gradients jump (`learning.conditioning`); 1.0: always 1.
     - `spread`: factor on the normals of `initial`, in training only: wider initial states.
     - `exploration`: the share of a decision that is drawn at random in training; it falls to 0 with
-      the temperature. 0: none. "auto": as the decay, if the decisions have bounds.
+      the temperature. 0: none. "auto": chosen as `decay` is, if the decisions have bounds.
     - `starts`: the number of initial weights of the policy's networks from which training begins;
       after every tenth of the steps it continues with the better half (`solver.learning.starts`).
       "auto": four where `solve` draws them, `steps` is "auto" too and the action is a `Choice`,

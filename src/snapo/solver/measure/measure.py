@@ -335,7 +335,9 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
         f"The control variate {name!r} is not used: its mean is not zero." for name in value.refused
     ]
     if ruin:
-        notes.append(f"{ruin} paths end in ruin, with a utility of minus infinity.")
+        notes.append(
+            f"{ruin} {'path ends' if ruin == 1 else 'paths end'} in ruin: utility minus infinity."
+        )
     if any(dropped.values()):
         counts = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)
         notes.append(f"Paths left out since they are non-finite: {counts}.")

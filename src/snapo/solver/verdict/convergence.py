@@ -226,7 +226,7 @@ def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
     """The sentence on a constant decision that is as good as the trained rule, or better."""
     attempt = TRY_OTHERS
     if ends_for_good(problem):
-        attempt = f"write a decision of when to stop with snapo.Stop, or {attempt}"
+        attempt = f"write a decision when to stop as a snapo.Stop, or {attempt}"
     if gain.surely_below:
         return (
             f"A constant decision ({numbers_text(constant)}) does better, by "

@@ -241,7 +241,7 @@ def _percent(row: MethodRow) -> float | None:
 
 
 def _unmeasured(run: StudyRun) -> MethodLadder:
-    raise ValueError("a domain names its methods")
+    raise ValueError("this kind of case has no other methods")
 
 
 METHODS = Chapter(

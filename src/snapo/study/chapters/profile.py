@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
 from snapo.report.bands import quantile_fan
@@ -194,7 +195,7 @@ def show(
             _fan(run, f"fan-{kind}-{i}", x, step, paths) for i, x in enumerate(varying[:PICTURES])
         ]
         if len(varying) > PICTURES:
-            blocks.append(Text(f"{len(varying) - PICTURES} more of this kind are not drawn.", True))
+            blocks.append(Text(f"Not drawn: {len(varying) - PICTURES} more of this kind.", True))
         for x in of_kind:
             if (level := x.constant) is not None:
                 size = quantity(level, x.unit)
@@ -211,7 +212,10 @@ def _fan(run: RunFiles, anchor: str, series: BandSeries, step: str, paths: str) 
     if times.local_times and (times.step == "day" or times.step == "hour"):
         steps_a_day, dates = 24 if times.step == "hour" else 1, times.step
         when = date_numbers(times_of(times.local_times, steps_a_day, len(when)))
-    alt = f"{name} over {len(when)} {step}s: mean, median and bands of quantiles of {paths} paths."
+    alt = (
+        f"{name} over {counted(len(when), step)}: mean, median and bands of quantiles of {paths} "
+        "paths."
+    )
     label = with_unit(name, series.unit)
     svg = draw(
         anchor,

@@ -24,7 +24,7 @@ from snapo.report.quantity import (
     rough,
     unit_words,
 )
-from snapo.solver.derivatives.interval import Verdict, one_percent
+from snapo.solver.derivatives.interval import Verdict, one_percent, source_text
 from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.statistics import Estimate
 
@@ -35,14 +35,17 @@ SHARE = 0.01  # of every number of an input that does not specify its `move`
 LONGEST = 15  # bars of the tornado
 ROWS = 400  # derivatives in the table; sensitivities.csv has all of them
 CAVEAT = (
-    "To first order; of the value of the best policy. Held: from the exact simulator with the "
+    "These derivatives of the value of the best policy are to first order. Held: from the exact "
+    "simulator with the "
     "decisions held fixed; this is correct if decisions are optimal, depend on the full state and "
     "cause no jump. Through the policy: from a bump of the exact simulator by one percent, or by "
-    "the step of the input, with the policy reacting; it is reported if it refutes the held "
-    "derivative (at a level of 1 % for all inputs together). Range: at a kink, between the "
+    "the step of the input, with the policy reacting; it is reported if it refutes the "
+    "derivative with decisions held fixed (at a level of 1 % for all inputs together). Range: at "
+    "a kink, between the "
     "derivatives for a decrease and for an increase of the input. The 95 % interval adds the "
-    "sampling error of finitely many paths and the error of the policy, which is near the best "
-    "one. Drift: by how much the held derivative changed in the second half of training."
+    "sampling error of finitely many paths (± sampling) and the error of the policy, which is near "
+    "the best one (± policy). Late change: that of the derivative with decisions held fixed in the "
+    "second half of training."
 )
 
 
@@ -238,14 +241,14 @@ def _moves(run: RunFiles, moves: Sequence[InputMove]) -> Table:
             move.size,
             *(number(x, digits) for x in (move.effect, move.low, move.high)),
             *(rough(x) for x in (move.sampling, move.policy)),
-            move.source or "",
+            source_text(move.source),
             *_at_bump(move, digits),
         )
         for move in moves
     ]
     head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Change", run.unit),
-            ("95 % low", run.unit), ("high", run.unit), ("Half-width: sampling", run.unit),
-            ("policy", run.unit), ("Source", ""), ("Bump", run.unit), ("", "")]  # fmt: skip
+            ("95 % low", run.unit), ("95 % high", run.unit), ("± sampling", run.unit),
+            ("± policy", run.unit), ("Source", ""), ("At a bump", run.unit), ("", "")]  # fmt: skip
     return Table(head, rows, "Change of the value for a move of an input", frozenset({0, 1, 2, 8}))
 
 
@@ -259,9 +262,9 @@ def _at_bump(move: InputMove, digits: int) -> tuple[str, str]:
 
 def _derivatives(run: RunFiles) -> Table:
     rows = [_line(row, run.unit) for row in run.sensitivities[:ROWS]]
-    head = [("Input", ""), ("", ""), ("Derivative", ""), ("95 % low", ""), ("high", ""),
-            ("Unit", ""), ("Source", ""), ("Held", ""), ("", ""), ("Smooth", ""), ("", ""),
-            ("Drift", ""), ("", "")]  # fmt: skip
+    head = [("Input", ""), ("Number", ""), ("Derivative", ""), ("95 % low", ""), ("95 % high", ""),
+            ("Unit", ""), ("Source", ""), ("Decisions held fixed", ""), ("", ""),
+            ("Through the smooth rules", ""), ("", ""), ("Late change", ""), ("", "")]  # fmt: skip
     count = len(run.sensitivities)
     caption = "Derivative of the value with respect to every number, per one unit of it"
     if count > ROWS:
@@ -275,7 +278,7 @@ def _line(row: Sensitivity, value_unit: str) -> tuple[str, ...]:
     return (
         readable(row.input), row.label,
         *(number(x, digits) for x in (row.value, row.low, row.high)),
-        unit_words(derivative_unit(value_unit, row.unit)), row.source,
+        unit_words(derivative_unit(value_unit, row.unit)), source_text(row.source),
         *measured(row.held, row.held_error, digits),
         *measured(row.smooth, row.smooth_error, digits),
         rough(row.moved), plus_minus(row.moved_error, digits),

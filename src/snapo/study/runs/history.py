@@ -166,7 +166,9 @@ def _named(name: str, available: Mapping[str, Path]) -> Path:
     if len(matches) != 1:
         message = nearest(text, available, "run") if available else "this case has no runs"
         if matches:
-            message = f"several runs end with it: {', '.join(item.name for item in matches)}"
+            message = (
+                f"the names of several runs end with it: {', '.join(item.name for item in matches)}"
+            )
         raise CaseError("--remove", "", Unquoted(name), message)
     return matches[0]
 

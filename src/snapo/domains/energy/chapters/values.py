@@ -48,9 +48,9 @@ def measure(run: StudyRun) -> MethodValues:
         rule = evaluate(
             setup.problem, policy.value_rule, paths=paths, engine=setup.engines.evaluate
         )
-        note = "least squares, before training; other paths"
+        note = "least squares, before training, on other paths"
         rows.append(MethodValue("Fitted rule", rule.value, rule.standard_error, note))
-    note = "exact simulator, fresh paths"
+    note = "exact simulator, on fresh paths"
     rows.append(MethodValue("Trained policy", solution.value, solution.standard_error, note))
     reference = REFERENCE.of(run)
     if reference is not None and reference.dynamic_programming is not None:
@@ -58,7 +58,10 @@ def measure(run: StudyRun) -> MethodValues:
         note = f"lattice; finer grids move it by {moved:,.2g}"
         rows.append(MethodValue("Dynamic programming", reference.dynamic_programming, None, note))
     if reference is not None and (values := around(setup.problem)) is not None:
-        notes = "lattice; no schedule is left: a bound from below", "lattice; a bound from above"
+        notes = (
+            "lattice without intraday trades: a bound from below",
+            "lattice without a schedule to keep: a bound from above",
+        )
         names = "Auctions only", "Without auctions"
         rows += [MethodValue(*x[:2], None, x[2]) for x in zip(names, values, notes)]
     if (bounds := BOUND.of(run)) is not None:

@@ -49,22 +49,28 @@ CYCLES = Quantity("1", POSITIVE, GROUP, move=0.1)
 class ChargeTable(CaseTable):
     """{ power = 1.0, efficiency = 0.9 }: MW bought; the share of it that is stored."""
 
-    power: CaseInput = POWER("bought while it charges", name="charge_power")
-    efficiency: CaseInput = EFFICIENCY("of charging", 1.0, name="charge_efficiency")
+    power: CaseInput = POWER("power bought while the battery charges", name="charge_power")
+    efficiency: CaseInput = EFFICIENCY("efficiency of charging", 1.0, name="charge_efficiency")
 
 
 class DischargeTable(CaseTable):
     """{ power = 1.0, efficiency = 0.95 }: MW taken from the store; the share of it that is sold."""
 
-    power: CaseInput = POWER("taken from the store", name="discharge_power")
-    efficiency: CaseInput = EFFICIENCY("of discharging", 1.0, name="discharge_efficiency")
+    power: CaseInput = POWER("power taken from the store", name="discharge_power")
+    efficiency: CaseInput = EFFICIENCY(
+        "efficiency of discharging", 1.0, name="discharge_efficiency"
+    )
 
 
 class CyclesTable(CaseTable):
     """{ day = 1.5, term = 60.0 }: limits of each calendar day, and of the whole term."""
 
-    day: CaseInput | None = CYCLES("limit of a calendar day", None, name="cycles_day")
-    term: CaseInput | None = CYCLES("limit of the whole term", None, name="cycles_term")
+    day: CaseInput | None = CYCLES(
+        "largest number of cycles on a calendar day", None, name="cycles_day"
+    )
+    term: CaseInput | None = CYCLES(
+        "largest number of cycles in the whole term", None, name="cycles_term"
+    )
 
 
 class IntradayTable(CaseTable):
@@ -72,7 +78,7 @@ class IntradayTable(CaseTable):
     hour, plus the half spread where they are bought, and less it where they are sold."""
 
     half_spread: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
-        "for each MWh that differs from the schedule"
+        "price of each MWh that differs from the schedule"
     )
 
 
@@ -84,7 +90,7 @@ class BatteryTable(HourlyContractTable):
     charge: dict = Field(description="a table like { power = 1.0, efficiency = 0.9 }")
     discharge: dict = Field(description="a table like { power = 1.0, efficiency = 0.95 }")
     wear: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
-        "for each MWh taken from the store", 0.0
+        "cost of each MWh taken from the store", 0.0
     )
     cycles: dict | None = Field(None, description="a table like { day = 1.5 }")
     auction: dict | None = Field(None, description=AUCTION)
@@ -164,7 +170,9 @@ class BatteryContract(EnergyContract):
 
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         if mode == MODES[IN_RESERVE]:
-            raise ValueError("a block in reserve is not over, and no case begins within one")
+            raise ValueError(
+                "the valuation date lies within a block in reserve, and a case cannot begin there"
+            )
         keys = {"stored": levels["energy"]}
         if self.cycles_term is not None:
             used = levels["taken"] / float(self.energy.used())
@@ -223,7 +231,7 @@ def read_battery(where: TableContext, table: BatteryTable, hours: Hours) -> Batt
     reserve, others = None, [stored]
     if table.reserve is not None:
         if intraday is not None:
-            message = "it cannot be combined with `intraday`; leave out one of both"
+            message = "it cannot be combined with `intraday`; leave out one of the two"
             raise where.error("reserve", table.reserve, message)
         reserve = read_reserve(where, table.reserve, hours, energy, table.currency)
         others += reserve.stock.tolist()

@@ -67,7 +67,7 @@ class ParkAndLoanTable(CaseTable):
     max_park: CaseInput = LIMIT("largest volume parked at the end of a day", 0.0)
     max_loan: CaseInput = LIMIT("largest volume on loan at the end of a day", 0.0)
     max_deliver: CaseInput = RATE("largest volume delivered a day, to park or to repay")
-    max_take: CaseInput = RATE("largest volume taken a day, back or on loan")
+    max_take: CaseInput = RATE("largest volume taken a day, as a loan or from the park")
     deliver_window: dict | None = Field(
         None, description="a table like { first = 2026-07-01, last = 2026-07-31 }"
     )
@@ -75,14 +75,14 @@ class ParkAndLoanTable(CaseTable):
         None, description="a table like { first = 2026-12-01, last = 2026-12-31 }"
     )
     balance: CaseInput = Quantity(UNIT, ANY, GROUP, move=1.0)(
-        "at the start: parked, or below zero on loan", 0.0
+        "balance at the start: parked, or below zero on loan", 0.0
     )
-    park_fee: CaseInput = BALANCE_FEE("for each unit parked at the end of a day", 0.0)
-    loan_fee: CaseInput = BALANCE_FEE("for each unit on loan at the end of a day", 0.0)
-    initial_fee: CaseInput = FEE("for each unit that opens a park or a loan", 0.0)
-    completion_fee: CaseInput = FEE("for each unit taken back or repaid", 0.0)
-    cash_out_park: CaseInput | None = CASH_OUT("received for a unit parked at the end", None)
-    cash_out_loan: CaseInput | None = CASH_OUT("paid for a unit on loan at the end", None)
+    park_fee: CaseInput = BALANCE_FEE("fee for each unit parked at the end of a day", 0.0)
+    loan_fee: CaseInput = BALANCE_FEE("fee for each unit on loan at the end of a day", 0.0)
+    initial_fee: CaseInput = FEE("fee for each unit that opens a park or a loan", 0.0)
+    completion_fee: CaseInput = FEE("fee for each unit taken back or repaid", 0.0)
+    cash_out_park: CaseInput | None = CASH_OUT("price received for a unit parked at the end", None)
+    cash_out_loan: CaseInput | None = CASH_OUT("price paid for a unit on loan at the end", None)
     nomination: dict | None = Field(None, description="a table like { days = 1 }")
 
 

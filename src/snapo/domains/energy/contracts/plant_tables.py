@@ -31,8 +31,8 @@ class PowerTable(CaseTable):
     """{ market = "power", min = 50.0, max = 110.0, ramp = 60.0 }: MW in an hour on."""
 
     market: Literal["power"] = Field("power", description='"power"')
-    min: CaseInput = POWER("minimum power of an hour on", 0.0, name="power_min")
-    max: CaseInput = POWER("largest power of an hour on", range=POSITIVE, name="power_max")
+    min: CaseInput = POWER("minimum power in an hour on", 0.0, name="power_min")
+    max: CaseInput = POWER("largest power in an hour on", range=POSITIVE, name="power_max")
     ramp: CaseInput | None = POWER(
         "largest change of the power from an hour on to the next", None, range=POSITIVE, name="ramp"
     )
@@ -42,7 +42,7 @@ class FuelTable(CaseTable):
     """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: MWh of fuel burnt."""
 
     market: Literal["gas"] = Field("gas", description='"gas"')
-    idle: CaseInput = FUEL("burnt in each hour on", 0.0, name="fuel_idle")
+    idle: CaseInput = FUEL("fuel for each hour on, at any power", 0.0, name="fuel_idle")
     per_mwh: CaseInput = RATE("fuel for each MWh of power", name="fuel_per_mwh")
 
 
@@ -65,8 +65,8 @@ class StartTable(CaseTable):
     """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
 
     off: int = Field(ge=1, le=LONGEST, description=HOURS)
-    money: CaseInput = MONEY("paid for a start", 0.0, name="start_money")
-    fuel: CaseInput = FUEL("burnt by a start", 0.0, name="start_fuel")
+    money: CaseInput = MONEY("money paid for a start", 0.0, name="start_money")
+    fuel: CaseInput = FUEL("fuel for a start", 0.0, name="start_fuel")
 
 
 class BeforeTable(CaseTable):
@@ -87,7 +87,7 @@ class PowerPlantTable(HourlyContractTable):
     power: dict = Field(description='a table like { market = "power", min = 50.0, max = 110.0 }')
     fuel: dict = Field(description='a table like { market = "gas", idle = 45.0, per_mwh = 1.6 }')
     emission: dict | None = Field(None, description="a table like { per_fuel = 0.2, price = 70.0 }")
-    other_cost: CaseInput = BY_MWH("other costs of each MWh of power", 0.0)
+    other_cost: CaseInput = BY_MWH("other costs for each MWh of power", 0.0)
     starts: list[Any] = Field([], description=STARTS)
     min_up: int = Field(1, ge=1, le=LONGEST, description=HOURS)
     min_down: int = Field(1, ge=1, le=LONGEST, description=HOURS)

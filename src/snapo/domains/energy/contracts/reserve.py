@@ -31,7 +31,7 @@ MODES = "in the market", "in reserve"
 STOCK = "two numbers of MWh, [1.0, 3.0]: 0 or more, the second not below the first"
 PRICE = HourlyQuantity(
     "{currency}/MW/h", NOT_NEGATIVE, "reserve", move=1.0, by="time", column="price",
-    name="reserve_price", meaning="for each MW sold as reserve for an hour",
+    name="reserve_price", meaning="price of each MW sold as reserve for an hour",
     plausible=Plausible(0.01, 1000.0, "it is money for a MW and an hour, not for a block of hours"),
 )  # fmt: skip
 

@@ -74,7 +74,10 @@ class OpenedStores:
 def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedStores:
     """The tables of the stores, from their files; `market`: the table of the case."""
     if len(table.stores) != STORES:
-        message = f"there must be {STORES} stores: their inventories and the joint flow are counted"
+        message = (
+            f"there must be {STORES} stores, as the methods count their inventories and the "
+            "joint flow"
+        )
         raise where.error("stores", ", ".join(table.stores), message)
     opened = [_open(where, name, market) for name in table.stores]
     first, second = (x.table for x in opened)

@@ -190,7 +190,7 @@ class SwingContract(EnergyContract):
         keys = {"taken": levels["taken"]} if "taken" in levels else {}
         if "rights" in levels:
             if mode != FREE:
-                raise ValueError(f'no contract begins in "{mode}"')
+                raise ValueError(f'no contract can begin in the mode "{mode}"')
             keys["rights.most"] = self.most_rights - round(levels["rights"])
         if self.made_up is not None:
             keys["make_up.units"] = max(levels[BANKS[0]], 0.0)

@@ -19,7 +19,7 @@ GROUP = "contract"
 MONTH_DAY = re.compile(r"\d{2}-\d{2}", re.ASCII)
 A_DAY, A_YEAR = "{volume_unit}/day", "{volume_unit}/year"
 RATE = Quantity(A_DAY, NOT_NEGATIVE, GROUP, move=0.1, by="date", before=0.0)
-STRIKE = Quantity(PRICE, group="strike", move=0.1, by="date", meaning="paid for a unit")
+STRIKE = Quantity(PRICE, group="strike", move=0.1, by="date", meaning="price paid for a unit")
 FACTOR = Quantity("1", NOT_NEGATIVE, "strike", move=0.01)
 ADDED = Quantity(PRICE, group="strike", move=0.1)
 STRIKES = ('a number, the name of a CSV file with columns date,value, or a table such as '
@@ -28,15 +28,15 @@ ANNUAL = Quantity(A_YEAR, NOT_NEGATIVE, GROUP, move=1.0)
 TAKEN = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0)
 PAID = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1)
 SHORT = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1, name="shortfall",
-                 meaning="paid for each unit short of the annual minimum")  # fmt: skip
+                 meaning="price paid for each unit short of the annual minimum")  # fmt: skip
 SHORTFALL = '"firm", "strike", or money for each unit such as 6.0'
 
 
 class AnnualTable(CaseTable):
     """{ min = 200.0, max = 300.0 }: of each contract year."""
 
-    min: CaseInput = ANNUAL("least of a contract year", 0.0, name="annual_min")
-    max: CaseInput | None = ANNUAL("maximum of a contract year", None, name="annual_max")
+    min: CaseInput = ANNUAL("minimum volume of a contract year", 0.0, name="annual_min")
+    max: CaseInput | None = ANNUAL("maximum volume of a contract year", None, name="annual_max")
 
 
 class RightsTable(CaseTable):
@@ -50,11 +50,14 @@ class MakeUpTable(CaseTable):
     """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up within that
     number of years."""
 
-    years: int = Field(1, ge=1, le=2, description="1, or 2: at most three volumes are counted")
-    price: CaseInput = PAID("paid for a unit that is made up", 0.0, name="make_up_price")
-    units: CaseInput = TAKEN("short in the last contract year", 0.0, name="make_up_units")
-    older_units: CaseInput | None = TAKEN("short in the year before, left to be made up", None,
-                                          name="make_up_older_units")  # fmt: skip
+    years: int = Field(
+        1, ge=1, le=2, description="1 or 2, because at most three volumes can be counted"
+    )
+    price: CaseInput = PAID("price of a unit that is made up", 0.0, name="make_up_price")
+    units: CaseInput = TAKEN("units short in the last contract year", 0.0, name="make_up_units")
+    older_units: CaseInput | None = TAKEN(
+        "units short in the year before, still to be made up", None, name="make_up_older_units"
+    )
 
 
 class CarryTable(CaseTable):
@@ -63,7 +66,7 @@ class CarryTable(CaseTable):
     years: int = Field(1, ge=1, le=1, description="1")
     max: CaseInput = TAKEN("largest volume carried forward", name="carry_forward_max")
     units: CaseInput = TAKEN(
-        "carried forward into this contract year", 0.0, name="carry_forward_units"
+        "units carried forward into this contract year", 0.0, name="carry_forward_units"
     )
 
 
@@ -71,8 +74,8 @@ class IndexTable(CaseTable):
     """{ index = "month-ahead", factor = 1.0, add = 0.25 }: an indexed strike."""
 
     index: Literal["month-ahead"] = Field(description='"month-ahead"')
-    factor: CaseInput = FACTOR("of the index in the strike", 1.0, name="strike_factor")
-    add: CaseInput = ADDED("added to the index", 0.0, name="strike_add")
+    factor: CaseInput = FACTOR("factor of the index in the strike", 1.0, name="strike_factor")
+    add: CaseInput = ADDED("amount added to the index in the strike", 0.0, name="strike_add")
     fixing: CaseInput | None = ADDED("index of the first month, fixed before today", None,
                                     name="strike_fixing")  # fmt: skip
 
@@ -233,7 +236,7 @@ def _check_bank(
     if limits[0] is None:
         raise where.error(key, None, "it needs a minimum, annual = { min = 200.0 }")
     if table.rights is not None:
-        raise where.error(key, None, "with rights there is no such clause")
+        raise where.error(key, None, "it cannot be combined with rights")
     minimum, units = float(limits[0].values[0]), [0.0, 0.0]
     if made_up is not None:
         if table.shortfall != "strike":

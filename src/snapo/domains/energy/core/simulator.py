@@ -341,5 +341,5 @@ def simulator_of(problem: Problem) -> EnergySimulator:
     """The simulator of an energy contract."""
     simulator = problem.simulator
     if not isinstance(simulator, EnergySimulator):
-        raise TypeError(f"{type(simulator).__name__} is not a contract of energy.")
+        raise TypeError(f"{type(simulator).__name__} is not an energy contract.")
     return simulator

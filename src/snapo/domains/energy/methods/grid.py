@@ -109,8 +109,9 @@ def check_nodes(case: Any, schedule: Any) -> None:
     divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
     count = int(min(TOGETHER, 2 * LONG / len(case.days)))
     message = (
-        f"{_VOLUMES[limited]} need a larger common divisor: at most about {count:,} combinations "
-        f"of levels {_LEVELS[limited]}, each in multiples of it; theirs is {divisor}"
+        f"{_VOLUMES[limited]} need a larger common divisor, of which the levels are multiples, "
+        "so that there are "
+        f"at most about {count:,} combinations of levels {_LEVELS[limited]}; it is {divisor}"
     )
     raise CaseError(str(case.file), "contract", None, message)
 

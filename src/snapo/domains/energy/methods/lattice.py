@@ -242,7 +242,7 @@ def _factor_grid(
     selected = selected_factors(factors)
     count = coordinates(factors, selected)
     if count > 2:
-        raise ValueError(f"a lattice holds one or two price factors, and {count} move prices")
+        raise ValueError(f"a lattice supports one or two price factors, and {count} move prices")
     return factor_grid(factors, selected, SPACINGS[count] / finer, slow)
 
 

@@ -119,7 +119,9 @@ def read_pair_model(
     rho = np.eye(3)
     rho[np.triu_indices(3, 1)] = correlation.values
     if np.linalg.eigvalsh(rho, "U")[0] <= 0:
-        message = "no three shocks are so correlated: the matrix must be positive definite"
+        message = (
+            "these correlations are impossible together: their matrix must be positive definite"
+        )
         raise section.error("correlation", table.correlation, message)
     return CommodityTrio(*both, third_curve=others[1], share=share)  # pyright: ignore[reportCallIssue]
 

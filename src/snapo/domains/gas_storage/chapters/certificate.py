@@ -166,7 +166,7 @@ def _glossary(run: StorageRun) -> Table:
         ("Discounted delta", gas, "delta of the present value; divided by the discount factor of"
          " the month's settlement it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
-        ("Smooth delta", gas, "through the reaction of the smooth policy; a diagnostic"),
+        ("Delta through the smooth rules", gas, "with the policy reacting; a diagnostic"),
         _volatility(run),
         ("±", "", "half of the 95 % interval of an estimate, simulation error only"),
         ("Cycles", "", "volume injected over the life, divided by the working volume"),

@@ -219,7 +219,7 @@ def _month_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
         for name in ("undiscounted", "intrinsic")
     )
     rows.append(("All months", "", delta, "", "", plan))
-    names = ("Delta", "95 % low", "high", "Intrinsic")
+    names = ("Delta", "95 % low", "95 % high", "Intrinsic")
     head = [("Delivery", ""), ("Hedge", ""), *((name, run.volume) for name in names)]
     return Table(head, rows, texts=2, strong=frozenset([len(rows) - 1]))
 
@@ -240,7 +240,7 @@ def _parts_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
     ]
     total = number(np.nansum([x.discounted for x in months]), digits)
     rows.append(("All months", total, "", "", "", ""))
-    heads = ("Discounted", "Half-width: sampling", "policy", "Change in training", "Smooth")
+    heads = ("Discounted", "± sampling", "± policy", "Late change", "Through the smooth rules")
     caption = (
         "Deltas of the present value; the two parts of the half-width of their 95 % intervals; "
         "their change in the second half of training (a diagnostic: the interval includes the "

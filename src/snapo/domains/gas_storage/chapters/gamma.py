@@ -27,7 +27,8 @@ FILE = "gamma.csv"
 TEXT = (
     "Change of the delta of one product if the price of another one rises by 1 on all its days, "
     "with the decisions that are then the best. The diagonal is the change of a delta with its own "
-    "price: by so much a hedge has to be adjusted. Each number is the mean of two estimates, from "
+    "price: this is the amount by which a hedge has to be adjusted. Each number is the mean of "
+    "two estimates, from "
     "a bump of either product."
 )
 SCALED = (

@@ -200,18 +200,23 @@ def show(run: StorageRun, result: HedgeTables) -> Sequence[Block]:
         Column("Standard deviation", _measured("deviation"), unit),
         Column("Value at risk, 95 %", _measured("value_at_risk"), unit),
         Column("Expected shortfall, 95 %", _measured("expected_shortfall"), unit),
-        Column("Not hedged", lambda row: 100 * row.not_hedged, "%", decimal_places=1),
-        Column("Traded", "traded", volume),
-        Column("Cost", "cost", unit),
+        Column("Variance not hedged", lambda row: 100 * row.not_hedged, "%", decimal_places=1),
+        Column("Volume traded", "traded", volume),
+        Column("Cost of trading", "cost", unit),
     ]
     product = [
         Column("Hedge", "hedge"),
         Column("Products", "products"),
         Column("Product", "product"),
-        Column("Left with it only", lambda row: 100 * row.single, "%", decimal_places=1),
-        Column("Left without it", lambda row: 100 * row.without, "%", decimal_places=1),
-        Column("Traded", "traded", volume),
-        Column("Cost", "cost", unit),
+        Column(
+            "Variance left with this product only",
+            lambda row: 100 * row.single,
+            "%",
+            decimal_places=1,
+        ),
+        Column("Variance left without it", lambda row: 100 * row.without, "%", decimal_places=1),
+        Column("Volume traded", "traded", volume),
+        Column("Cost of trading", "cost", unit),
     ]
     return [
         Text(TEXT),

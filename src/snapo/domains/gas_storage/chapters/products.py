@@ -104,8 +104,8 @@ def show(run: RunFiles, deltas: ProductDeltas) -> Sequence[Block]:
         for x in rows
     ]
     unit = str(run.get("volume_unit", "units"))
-    head = [("Product", ""), ("Delivery", ""), ("Delta", unit), ("95 % low", unit), ("high", unit),
-            ("A day", unit), ("Discounted", unit), ("± sampling", unit),
+    head = [("Product", ""), ("Delivery", ""), ("Delta", unit), ("95 % low", unit),
+            ("95 % high", unit), ("Volume a day", unit), ("Discounted", unit), ("± sampling", unit),
             ("± policy", unit)]  # fmt: skip
     return [Text(TEXT), Table(head, cells, texts=2)]
 

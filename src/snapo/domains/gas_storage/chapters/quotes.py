@@ -81,7 +81,7 @@ def show(run: StorageRun, deltas: QuoteDeltas) -> Sequence[Block]:
         )
         for x in rows
     ]
-    names = ("Delta", "95 % low", "high", "Discounted", "Half-width: sampling", "policy")
+    names = ("Delta", "95 % low", "95 % high", "Discounted", "± sampling", "± policy")
     head = [("Product", ""), ("Quote", run.price), *((name, run.volume) for name in names)]
     return [Text(TEXT), Table(head, cells, texts=1)]
 

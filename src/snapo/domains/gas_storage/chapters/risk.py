@@ -18,6 +18,7 @@ from snapo.report.missing import why_missing
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
 from snapo.report.quantity import MONTHS, SPACE, decimals, long_month, number, plus_minus_half
 from snapo.report.rows import Column, table
+from snapo.solver.derivatives.interval import source_text
 from snapo.solver.derivatives.table import Sensitivities
 from snapo.study.chapter import Chapter, Number
 from snapo.study.study import Setup, StudyRun
@@ -199,14 +200,14 @@ def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
     if len(members) > 1:
         move = f"{move}, all {len(members)} numbers together"
     digits = min(decimals([error], 2) if error else decimals([total], 4), 6)
-    change = number(total, digits, True)
+    change, source = number(total, digits, True), source_text(first.source)
     return (
         metadata.title(label),
         metadata.meaning,
         move,
         change,
         plus_minus_half(error, digits),
-        f"{first.source}, not significant" if error and abs(total) <= error else first.source,
+        f"{source}, not significant" if error and abs(total) <= error else source,
     )
 
 

@@ -130,7 +130,7 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
         if plan
         else ContractValue("Intrinsic", np.nan),
         _starting_value(run.setup, starting),
-        ContractValue("Trained policy", solution.value, error, "exact simulator, fresh paths"),
+        ContractValue("Trained policy", solution.value, error, "exact simulator, on fresh paths"),
     ]
     reference = REFERENCE.of(run)
     if reference is not None and (exact := reference.dynamic_programming) is not None:
@@ -153,9 +153,9 @@ def _starting_value(setup: Setup, value: Value) -> ContractValue:
     """The value of the starting rule, before any training."""
     table = simulator_of(setup.problem).value_table
     if table is not None and isinstance(table.knots, FittedKnots):
-        name, note = "Fitted rule", "value iteration, before training; other paths"
+        name, note = "Fitted rule", "value iteration, before training, on other paths"
     else:
-        name, note = "One-factor rule", "dynamic program in the fastest factor; other paths"
+        name, note = "One-factor rule", "dynamic program in the fastest factor, on other paths"
     return ContractValue(name, value.value, value.standard_error, note)
 
 

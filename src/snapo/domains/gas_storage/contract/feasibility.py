@@ -213,7 +213,9 @@ def _within_limits(case: StorageCase, t: int, flows: list[FlowInterval], toleran
         message = f"this cannot be met on {date}: by then at least {minimum:.10g} is in store"
         raise _error(case, "max_inventory", high, message)
     text = _words(flows)
-    message = f"with min_inventory {low:g} this cannot be met on {date}: in store will be {text}"
+    message = (
+        f"with min_inventory {low:g} this cannot be met on {date}: the gas in store will be {text}"
+    )
     raise _error(case, "max_inventory", high, message)
 
 
@@ -226,7 +228,7 @@ def _check_level(
     if not limits[0] <= level <= limits[1]:
         message = f"on {case.end} the limits allow {limits[0]:g} to {limits[1]:g}"
     else:
-        message = f"this cannot be reached on {case.end}: in store will be {_words(last)}"
+        message = f"this cannot be reached on {case.end}: the gas in store will be {_words(last)}"
     raise _error(case, "end_inventory", level, message)
 
 

@@ -60,7 +60,7 @@ def delivery(name: str) -> tuple[datetime.date, datetime.date]:
             except (ValueError, OverflowError):
                 raise ValueError("there is no such day or month in the calendar") from None
             if pattern.startswith("weekend") and first.weekday() != 5:
-                raise ValueError(f"{first} is no Saturday")
+                raise ValueError(f"{first} is not a Saturday")
             if last < first:
                 raise ValueError("the last day is before the first one")
             if first.year < FIRST or last.year > LAST:

@@ -6,7 +6,7 @@ RATE, CONTRACT, POLICY, REST, CASH = "interest rate", "contract", "policy", "res
 NOTES = {
     TIME: "the valuation date moves; curve, model and rates stay",
     DECISIONS: "inventory and cash against the plan of the first run",
-    SPOT: "of the flows taken, against the forward prices of the first run",
+    SPOT: "spot prices of the flows taken, against the forward prices of the first run",
     FIRST: "delta times move",
     SECOND: "half of the change in delta times the move",
     RATE: "discounting",

@@ -171,7 +171,7 @@ def page(change: ExplainedChange) -> str:
     sections = [_parts(change), _curve_section(change)]
     if change.flows:
         sections.append(_flows(change))
-    footer = f"Made by snapo {__version__} from two run folders; the page loads and sends nothing."
+    footer = f"Made by snapo {__version__} from two run folders; the page uses no network."
     title = f"Explained change: {change.title}"
     menu = [(section.name, section.short) for section in sections]
     return render(Page(title, about, sections, footer, menu=menu))
@@ -252,10 +252,10 @@ def _flows(change: ExplainedChange) -> Section:
         Column("Day", "date"),
         Column("Forward price", "price", price, decimal_places=4),
         Column("Spot price", "spot", price, decimal_places=4),
-        Column("Planned", "planned", change.unit, sign=True),
-        Column("Taken", "taken", change.unit, sign=True),
-        Column("Planned cash", "planned_cash", change.currency, decimal_places=change.digits),
-        Column("Cash", "cash", change.currency, decimal_places=change.digits),
+        Column("Planned flow", "planned", change.unit, sign=True),
+        Column("Flow taken", "taken", change.unit, sign=True),
+        Column("Planned cash flow", "planned_cash", change.currency, decimal_places=change.digits),
+        Column("Cash flow", "cash", change.currency, decimal_places=change.digits),
     ]
     text = (
         "Net volumes into the store on the days between the two valuation dates, and their cash "

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.error import CaseError
+from snapo.case.error import CaseError, counted
 from snapo.solver import statistics
 from snapo.study.study import ProgressCallback
 
@@ -110,9 +110,13 @@ class _StoreChain(ChangeChain):
 def _notes(passed: PassedDays) -> Iterator[str]:
     if len(passed.flows) > 1 and any(x.taken != x.planned for x in passed.flows):
         yield (
-            f"{len(passed.flows)} days passed: flows other than planned are spread evenly over "
+            f"{counted(len(passed.flows), 'day')} passed: flows other than planned are spread "
+            "evenly over "
             "them, at the forward prices of the first run; --flows names them"
         )
     elif len(passed.flows) > 1:
         count = len(passed.flows)
-        yield f"{count} days passed: their flows are at the forward prices; --flows names others"
+        yield (
+            f"{counted(count, 'day')} passed: their flows are at the forward prices; --flows "
+            "names others"
+        )

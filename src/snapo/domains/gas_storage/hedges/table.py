@@ -31,7 +31,10 @@ class HedgeTable(CaseTable):
         None, description=f"{SETS}: the first product of each, with the least variance of a day"
     )
     paths: Annotated[
-        int, Range(256, 1 << 20, note=": simulated; twice as many are used to fit the exposures")
+        int,
+        Range(
+            256, 1 << 20, note=": the simulated paths; twice as many are used to fit the exposures"
+        ),
     ] = PATHS
 
 

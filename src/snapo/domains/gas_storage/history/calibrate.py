@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.error import CaseError
+from snapo.case.error import CaseError, counted
 from snapo.case.toml import one_value
 from snapo.report.folder import RunFiles
 from snapo.solver.statistics import half_width
@@ -51,7 +51,7 @@ def calibrate(
     derivatives = None if run is None else derivatives_of(run, calibration.model.kind)
     progress(
         f"{calibration.prices:,} prices on {len(calibration.days):,} dates; estimating "
-        f"{len(calibration.model.names)} parameters of {calibration.model.kind}"
+        f"{counted(len(calibration.model.names), 'parameter')} of {calibration.model.kind}"
     )
     result = fit(calibration)
     folder = calibration.file.parent / FOLDER if out is None else out

@@ -53,7 +53,9 @@ class HistoryTable(CaseTable):
     exact: list[str] | None = Field(
         None, description='names of series without a measurement error, such as ["spot"]'
     )
-    season: Literal[0, 1, 2] = Field(0, description="0, 1 or 2: waves of the year")
+    season: Literal[0, 1, 2] = Field(
+        0, description="0, 1 or 2: the number of waves in the season of a year"
+    )
 
 
 @optional("shift", note=": all prices are above minus this number")

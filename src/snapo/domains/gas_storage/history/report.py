@@ -157,15 +157,15 @@ def _hedges(result: StoreBacktest, case: StorageCase) -> Block:
     ]
     columns = [
         Column("Hedge", "name"),
-        Column("Of the hedge", "gain", case.currency, sign=True),
+        Column("Gain of the hedge", "gain", case.currency, sign=True),
         Column("Contract and hedge", "total", case.currency),
-        Column("Deviation", "deviation", case.currency),
-        Column("Traded", "traded", case.volume_unit),
+        Column("Standard deviation", "deviation", case.currency),
+        Column("Volume traded", "traded", case.volume_unit),
         Column("Cost", "cost", case.currency),
     ]
     caption = (
-        "With each hedge, after its costs. The deviation is that of the change from one solution "
-        "to the next, with the position marked to the curve"
+        "Profit and loss with each hedge, after its costs. The standard deviation is that of the "
+        "change from one solution to the next, with the position marked to the curve"
     )
     return table(rows, columns, caption)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.error import CaseError
+from snapo.case.error import CaseError, counted
 from snapo.solver.statistics import plus_minus
 from snapo.solver.tables import write_csv
 
@@ -156,7 +156,7 @@ def summary(answer: Mapping[str, Any]) -> str:
 
 
 def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
-    yield f"{answer['days']} days from {answer['first']} to {answer['last']}"
+    yield f"{counted(answer['days'], 'day')} from {answer['first']} to {answer['last']}"
     less = f"{answer['share']:.0%} of simulated histories earn less"
     yield f"{'realised':<20}{answer['realised']:>16,.2f}   {less}"
     interval = plus_minus(answer["standard_error"])

@@ -34,7 +34,9 @@ class BacktestTable(CaseTable):
     prices: Literal["spot", "spot and curves"] = Field(
         SPOT, description='of the estimates: "spot", or "spot and curves"'
     )
-    season: Literal[0, 1, 2] = Field(0, description="0, 1 or 2: waves of the year of an estimate")
+    season: Literal[0, 1, 2] = Field(
+        0, description="0, 1 or 2: the number of seasonal waves in an estimate"
+    )
 
 
 class BacktestPlan(NamedTuple):

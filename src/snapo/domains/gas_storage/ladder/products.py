@@ -46,7 +46,7 @@ class BalanceTable(DayAheadTable):
 class FamilyTable(BalanceTable):
     """`products.months`: months, and in the same way `quarters` and `seasons`."""
 
-    ahead: Annotated[int, Range(1, note=": the periods ahead that trade")] | None = None
+    ahead: Annotated[int, Range(1, note=": the number of periods ahead that trade")] | None = None
     last_trading: Annotated[int, Range(0, 400, note=" days before delivery")] = 1
 
 
@@ -54,7 +54,7 @@ FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 
 
 
 class ProductsTable(CaseTable):
-    """`[products]`: the traded products; a family that is left out does not."""
+    """`[products]`: the traded products; a family that is left out does not trade."""
 
     day_ahead: dict = Field({}, description="a table like { bid_offer = 0.05 }")
     balance_of_month: dict | None = Field(None, description="a table like { lot = 10.0 }")

@@ -138,11 +138,14 @@ class FactorTable(CaseTable):
     """A factor: { mean_reversion = 12.0, volatility = 0.6 }"""
 
     mean_reversion: CaseInput = REVERSION("speed at which a factor returns to zero")
-    volatility: CaseInput = VOLATILITY("of a factor, by delivery day", by="date")
+    volatility: CaseInput = VOLATILITY("volatility of a factor, by delivery day", by="date")
 
 
 CORRELATION = Quantity(
-    range=Range(-1.0, 1.0), group="price model", move=0.01, meaning="of the shocks of two factors"
+    range=Range(-1.0, 1.0),
+    group="price model",
+    move=0.01,
+    meaning="correlation of the shocks of two factors",
 )
 
 

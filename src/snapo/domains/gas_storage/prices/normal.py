@@ -51,7 +51,7 @@ class NormalPriceTable(FactorTable):
     """`[model]` of kind "one-factor-normal"."""
 
     kind: Literal["one-factor-normal"]
-    volatility: CaseInput = PRICE_VOLATILITY("in money, by delivery day", by="date")
+    volatility: CaseInput = PRICE_VOLATILITY("volatility in money, by delivery day", by="date")
 
 
 @register
@@ -92,7 +92,7 @@ class ShiftedTable(FactorTable):
     """`[model]` of kind "one-factor-shifted"."""
 
     kind: Literal["one-factor-shifted"]
-    shift: CaseInput = SHIFT("the spot price is above minus this")
+    shift: CaseInput = SHIFT("shift: the spot price is above minus this number")
 
 
 class ShiftedConstants(NamedTuple):

@@ -53,7 +53,7 @@ class SingleFactorTable(CaseTable):
     """The factor of a price that has one: { mean_reversion = 12.0, volatility = 0.6 }"""
 
     mean_reversion: CaseInput = REVERSION("speed at which the factor returns to zero")
-    volatility: CaseInput = VOLATILITY("of the factor, by delivery day", by="date")
+    volatility: CaseInput = VOLATILITY("volatility of the factor, by delivery day", by="date")
 
 
 class Delivery(NamedTuple):

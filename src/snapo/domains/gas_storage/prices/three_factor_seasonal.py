@@ -25,9 +25,11 @@ class SeasonalTable(CaseTable):
     spot_mean_reversion: CaseInput = REVERSION(
         "speed at which the spot returns to the curve", plausible=Plausible(1.0, 1000.0, SPEED)
     )
-    spot_volatility: CaseInput = VOLATILITY("of the fast factor, which reverts")
-    long_term_volatility: CaseInput = VOLATILITY("of the whole curve, in parallel")
-    seasonal_volatility: CaseInput = VOLATILITY("of the summer-winter spread")
+    spot_volatility: CaseInput = VOLATILITY("volatility of the fast factor, which reverts")
+    long_term_volatility: CaseInput = VOLATILITY("volatility of the whole curve, in parallel")
+    seasonal_volatility: CaseInput = VOLATILITY(
+        "volatility of the spread between summer and winter"
+    )
 
 
 @register

@@ -105,7 +105,7 @@ AMOUNT = Quantity(group="cost", column="amount", meaning="amounts owed in any ca
 LEVEL = replace(STOCK, column="inventory", meaning="rows with the value of the remaining gas")
 LEFT = Quantity(group=GROUP, meaning="rows with the value of the remaining gas")
 SPOT_SHARE = replace(
-    POINTS, plausible=OF_SPOT, meaning="of the gas left, as a share of its spot value"
+    POINTS, plausible=OF_SPOT, meaning="value of the remaining gas, as a share of its spot value"
 )
 
 

@@ -17,7 +17,7 @@ class NominationTable(CaseTable):
     """{ days = 1, calendar = "business" }: a flow is fixed this number of days before its date.
 
     One business day before, the flows of a weekend and of Monday are fixed on Friday; `holidays`
-    are no business days.
+    are not business days.
     """
 
     days: Annotated[int, Range(1, 60)] = 1

@@ -111,7 +111,7 @@ class ContractTable(CaseTable):
     end: DateKey = Field(description=DATE)
     inventory: CaseInput = STOCK("gas in store at the start")
     max_inventory: CaseInput = LIMIT("largest volume of gas in store")
-    min_inventory: CaseInput = LIMIT("least gas in store", 0.0, before=0.0)
+    min_inventory: CaseInput = LIMIT("smallest volume of gas in store", 0.0, before=0.0)
     max_injection: CaseInput | None = RATE("largest injection per day", None)
     max_withdrawal: CaseInput | None = RATE("largest withdrawal per day", None)
     ratchets: FileName | None = Field(
@@ -121,18 +121,18 @@ class ContractTable(CaseTable):
     ratchet_interpolation: Literal["linear", "step"] = "linear"
     min_injection: CaseInput = FORCED("injection that must flow", 0.0)
     min_withdrawal: CaseInput = FORCED("withdrawal that must flow", 0.0)
-    injection_cost: CaseInput = COST("per unit injected", 0.0)
-    withdrawal_cost: CaseInput = COST("per unit withdrawn", 0.0)
+    injection_cost: CaseInput = COST("cost per unit injected", 0.0)
+    withdrawal_cost: CaseInput = COST("cost per unit withdrawn", 0.0)
     injection_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
     withdrawal_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
     fixed_costs: FileName | None = Field(None, description="a CSV file with columns date,amount")
-    injection_fuel: CaseInput = SHARE("share of the injection, bought on top", 0.0)
-    withdrawal_fuel: CaseInput = SHARE("share of the withdrawal, not sold", 0.0)
+    injection_fuel: CaseInput = SHARE("fuel: share of the injection, bought in addition", 0.0)
+    withdrawal_fuel: CaseInput = SHARE("fuel: share of the withdrawal that is not sold", 0.0)
     inventory_loss: CaseInput = SHARE(
         "lost gas", 0.0, unit="1/day", display_unit="percentage point a day", move=1e-4, bump=1e-6,
         plausible=OF_STOCK,
     )  # fmt: skip
-    inventory_cost: CaseInput = COST("per unit in store and day", 0.0, unit=f"{PRICE}/day")
+    inventory_cost: CaseInput = COST("cost per unit in store and day", 0.0, unit=f"{PRICE}/day")
     end_inventory: NotNegative | Literal["free"] = 0.0
     end_value: NotNegative | Annotated[FileName, Field(description=END_VALUES)] | None = None
     outages: list[str] | FileName = Field(

@@ -73,7 +73,7 @@ def lattice(
     every = range(factors.loading.shape[1])
     selected = relevant_factors(schedule, factors) if keep is None else tuple(keep)
     if not 1 <= len(selected) <= 2:
-        message = f"a lattice holds one or two price factors, and {selected} would be kept"
+        message = f"a lattice supports one or two price factors, and {selected} would be kept"
         raise ValueError(f"lattice: {message}; name the two to keep (`keep`).")
     dropped = tuple(i for i in every if i not in selected)
     if len(schedule.steps.forward) == 0:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from snapo.case.error import counted
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Section, Text
 from snapo.report.quantity import decimals
@@ -109,7 +110,7 @@ def show(run: RunFiles, result: OtherLeadTimes) -> Sequence[Block]:
     """The cost of a period more or less of lead time."""
     step, rows = CaseSummary.of(run).step, result.lead_time_change
     columns = [
-        Column("Lead time", lambda row: f"{row.lead} {step}s"),
+        Column("Lead time", lambda row: counted(row.lead, step)),
         Column("Cost, change", lambda row: WithError(-row.change, row.standard_error), run.unit,
                sign=True),
     ]  # fmt: skip

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.case.error import counted, plural
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
@@ -113,7 +114,7 @@ def today(setup: Setup, policy: Policy) -> Today:
         ("on its way", float(coming.sum()), case.unit),
         ("order", order, case.unit),
     ]
-    text = f"order {order:,.4g} {case.unit}s" if order > 0 else "order nothing"
+    text = f"order {counted(order, case.unit)}" if order > 0 else "order nothing"
     return Today(text, facts)
 
 
@@ -121,17 +122,17 @@ def show(run: RunFiles, result: OrderCurves) -> Sequence[Block]:
     """Orders by stock, a curve for every amount on its way."""
     case = CaseSummary.of(run)
     unit, curves, digits = case.item_unit, result.curves, result.places
-    names = [f"{number(curve.coming, digits)} {unit}s on their way" for curve in curves]
+    names = [f"{number(curve.coming, digits)} {plural(unit)} on their way" for curve in curves]
     if len(curves) == 1:
         names = ["Order"]
 
     def paint(axes: "Axes") -> None:
         for name, curve, colour, style in zip(names, curves, COLOURS, STYLES):
             axes.plot(result.stock, curve.orders, color=LIGHT[colour], linestyle=style, label=name)
-        axes.set_xlabel(f"Stock, {unit}s")
+        axes.set_xlabel(f"Stock, {plural(unit)}")
         number_axis(axes.xaxis, 8)
         number_axis(axes.yaxis)
-        unit_above(axes, f"Order, {unit}s")
+        unit_above(axes, f"Order, {plural(unit)}")
         legend_above(axes)
 
     alt = f"Orders fall from {number(curves[0].orders[0], 1)} at the least stock to none."

@@ -61,7 +61,7 @@ def _item(section: TableContext, table: ItemTable, complete: bool) -> Item:
         section.notes.append("Orders are whole numbers, demand is not.")
     shortage = table.shortage
     if table.unmet == "lost":
-        by_unit, text = f"{table.currency}/{table.unit}", "of a unit of demand that is lost"
+        by_unit, text = f"{table.currency}/{table.unit}", "cost of a unit of demand that is lost"
         shortage = replace(shortage, unit=by_unit, meaning=text)
     return Item(
         lost=table.unmet == "lost",

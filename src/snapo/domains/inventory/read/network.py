@@ -53,10 +53,12 @@ class PlaceTable(CaseTable):
     supplier: PlaceName | None = Field(None, description="the name of another place")
     lead_time: int = lead_time()
     holding: CaseInput = HOLDING(
-        "of a unit held there, or on its way from there, each period", name="holding_cost"
+        "cost of a unit at the place, or on its way from there, each period", name="holding_cost"
     )
-    shortage: CaseInput | None = HOLDING("of a unit of unmet demand", None, name="shortage_cost")
-    order: CaseInput = COST("of an order of any size", 0.0, name="order_cost")
+    shortage: CaseInput | None = HOLDING(
+        "cost of a unit of unmet demand", None, name="shortage_cost"
+    )
+    order: CaseInput = COST("cost of an order of any size", 0.0, name="order_cost")
     demand: dict[str, Any] | None = Field(None, description="a table, as [demand]")
     season: dict[str, Any] | None = Field(None, description="a table, as [season]")
 
@@ -73,7 +75,7 @@ class TransshipmentTable(CaseTable):
     between: PlaceNames = Field(
         description="a list of the names of 2 or more places with customers"
     )
-    cost: CaseInput = COST("of a unit that one store sends another", name="transshipment_cost")
+    cost: CaseInput = COST("cost of a unit that one store sends another", name="transshipment_cost")
     when: Literal["after", "before"] = Field("after", description='"after" or "before" (demand)')
     one_way: bool = Field(False, description="true or false")
 
@@ -209,7 +211,7 @@ def _pools(
             message = f"the places with customers are {', '.join(sell)}"
             raise section.error("between", unknown[0], message)
         if len(set(table.between)) < len(table.between):
-            raise section.error("between", table.between, "a place is listed once")
+            raise section.error("between", table.between, "a place may be listed only once")
         if table.one_way and len(table.between) != 2:
             message = "with one_way there are two places, the first of which sends to the second"
             raise section.error("one_way", True, message)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from snapo.case.error import counted
 from snapo.case.given import CaseInput, positions
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, KeyContext, Quantity, Range, custom
 from snapo.case.report import ReportTable
@@ -54,8 +55,10 @@ def _coming(raw: Any, key: KeyContext) -> CaseInput | None:
         raise key.error(raw, message)
     if not numbers:
         return None
-    labels = [f"in {i + 1} {period}s" for i in range(arrivals)]
-    quantity = replace(STOCK, unit=key.filled(STOCK.unit), meaning="at the start")
+    labels = [f"in {counted(i + 1, period)}" for i in range(arrivals)]
+    quantity = replace(
+        STOCK, unit=key.filled(STOCK.unit), meaning="arrival of an outstanding order"
+    )
     rows = positions(key.path, (arrivals,))
     return quantity.input("start_coming", numbers, labels, positions=rows)
 
@@ -68,15 +71,17 @@ class ItemTable(CaseTable):
     period: ItemName = Field("week", description=NAME)
     unmet: Literal["lost", "waits"] = Field(description='"lost" or "waits"')
     lead_time: int = lead_time()
-    holding: CaseInput = HOLDING("of a unit held, each period", name="holding_cost")
+    holding: CaseInput = HOLDING("cost of a unit in stock, each period", name="holding_cost")
     shortage: CaseInput = HOLDING(
-        "of a unit of demand that waits, each period", name="shortage_cost"
+        "cost of a unit of demand that waits, each period", name="shortage_cost"
     )
-    purchase: CaseInput = COST("of a unit ordered", 0.0, name="purchase_cost")
-    order: CaseInput = COST("of an order of any size", 0.0, unit="{currency}", name="order_cost")
+    purchase: CaseInput = COST("cost of a unit ordered", 0.0, name="purchase_cost")
+    order: CaseInput = COST(
+        "cost of an order of any size", 0.0, unit="{currency}", name="order_cost"
+    )
     whole: bool | None = Field(None, description="true or false")
     most: int | None = whole_number(1, default=None)
-    stock: CaseInput | None = STOCK("at the start", None, name="start_stock")
+    stock: CaseInput | None = STOCK("stock at the start", None, name="start_stock")
     coming: CaseInput | None = custom(_coming, COMING, None, ("array",))
 
 
@@ -85,7 +90,7 @@ class HorizonTable(CaseTable):
 
     periods: int = whole_number(2, 2000, 100)
     warm_up: int | None = whole_number(0, 2000, None)
-    discount: CaseInput = DISCOUNT("factor of a cost by the period", 1.0)
+    discount: CaseInput = DISCOUNT("discount factor of a period", 1.0)
 
     @property
     def factor(self) -> float:

@@ -46,7 +46,7 @@ from ..run import PensionRun, points, share, with_measure
 PATHS = 4096
 ROWS = (
     ("interest", "Interest at the short rate"),
-    ("rates", "Rates: bonds and swaps over cash, liability"),
+    ("rates", "Rates: bonds and swaps over cash, and the liability"),
     ("credit", "Credit over cash"),
     ("assets", "Other classes over cash"),
     ("accrual", "Contributions against accrual"),

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.problem.inputs import plain
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.report import evidence
@@ -101,7 +102,10 @@ def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) 
         for u in TENORS:
             then = _price(case, inputs, years + u, _real(case))
             values = totals[f"bond {u}"] * then / now
-            name = f"Refit of the curve: {kind.lower()} of {u}y bought after {years:g}y"
+            name = (
+                f"Refit of the curve: {kind.lower()} of {counted(u, 'year')} bought after "
+                f"{counted(years, 'year')}"
+            )
             tests.append((name, values, then))
     if not case.assets.smoothed:
         paid = totals["pv_benefit"] + totals["pv_expenses"] + totals["pv_cost"]

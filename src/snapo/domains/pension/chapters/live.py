@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.problem.policies.memory import first_decision
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
@@ -96,6 +97,5 @@ def outcome(paths: PathTotals) -> list[LiveTable]:
         error = 100 * certain.slope * worth.standard_error
         rows.insert(0, ("Certainty equivalent of the value, %", 100 * certain.ratio, error))
     columns = (("", ""), ("at the end", ""), ("±", ""))
-    years = number(case.steps * case.step, 0)
-    text = f"Ratios at the end, after {years} years."
+    text = f"Ratios at the end, after {counted(case.steps * case.step, 'year')}."
     return [LiveTable("Outcome", columns, rows, text)]

@@ -171,8 +171,9 @@ def show(run: PensionRun, policies: tuple[PolicyWorth, ...]) -> Sequence[Block]:
     text = ("Median pension", "Below today's") if run.personal else ("Median F", "P(F < 1)")
     head += [(text[0], "%"), ("5 % quantile", "%"), (text[1], "%"), ("PV contributions", unit)]
     caption = (
-        "All on the same fresh paths, the classical ones tuned on the same objective within the"
-        " same bounds; the present mix is not tuned. Advantages are paired path by path."
+        "All policies are on the same fresh paths. The classical ones are tuned on the same"
+        " objective within the same bounds; the present mix is not tuned. Advantages are paired"
+        " path by path."
     )
     table = Table(head, body, "", 1, strong=frozenset([0]))
     return [table, Text(caption, True), _cloud(run, policies, unit)]

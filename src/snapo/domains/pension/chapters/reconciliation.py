@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.report.bands import Layer, stack
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Mark, Table, Text
@@ -35,8 +36,9 @@ RISKS = (
     ("active", "S10 active management"),
 )
 CAVEAT = (
-    "The standard model with the present mix, on invested assets equal to the liability plus the"
-    " required own funds; bonds that are not of kind credit bear no spread risk. S6 and S10 are "
+    "The standard model is applied to the present mix, with invested assets equal to the liability"
+    " plus the required own funds; bonds that are not of kind credit bear no spread risk. S6 and "
+    "S10 are "
     "shares specified in the case."
 )
 RECOVERY = (
@@ -253,7 +255,7 @@ def _recovery(result: RecoveryCourse) -> Table:
     head = [("Year", ""), ("At the required ratio", "%"), ("Median policy ratio", "%")]
     caption = (
         "Recovery: the share of paths whose policy funding ratio is at least the required one;"
-        f" a plan may take {number(result.allowed, 0)} years"
+        f" a plan may take {counted(result.allowed, 'year')}"
     )
     return Table(head, rows, caption, 1)
 
@@ -282,7 +284,7 @@ def _funding(run: PensionRun, result: Bases) -> list[Block]:
     plan, state = result.recovery, "at" if result.mature else "before"
     facts = [("Maturity", f"{state} significant maturity", "by duration on low dependency")]
     if plan.deficit:
-        when = f"a year for {number(plan.years, 1)} years, {run.large(plan.total)} in all"
+        when = f"a year for {counted(plan.years, 'year')}, {run.large(plan.total)} in all"
         facts.append(("Recovery plan", run.large(plan.payment), when))
     rules = _rules(result.since, result.source)
     return [table, Facts(facts), Text(FUNDING, caveat=True), rules]

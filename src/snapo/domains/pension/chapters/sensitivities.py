@@ -12,6 +12,7 @@ from snapo.report.drawing import draw
 from snapo.report.missing import why_missing
 from snapo.report.page import Block, Chart, Table, Text
 from snapo.report.quantity import SPACE, decimals, number, plus_minus_half, rough
+from snapo.solver.derivatives.interval import source_text
 from snapo.solver.derivatives.table import Sensitivities
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter
@@ -222,15 +223,15 @@ def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
         number(None if effect is None else scale * effect, digits, True),
         plus_minus_half(None if effect is None else half, digits),
         rough(scale * (move.policy or 0.0)),
-        move.source or "",
+        source_text(move.source),
         number(None if move.reacting is None else scale * move.reacting, digits, True),
     )
 
 
 def _columns(unit: str) -> list[tuple[str, str]]:
     """Heads of the columns of one effect."""
-    return [("Effect", unit), ("95 % half-width", unit), ("of it policy", unit), ("Derivative", ""),
-            ("Policy reacting", unit)]  # fmt: skip
+    return [("Effect", unit), ("95 % half-width", unit), ("Part due to the policy", unit),
+            ("Derivative", ""), ("Effect with the policy reacting", unit)]  # fmt: skip
 
 
 def _nodes(

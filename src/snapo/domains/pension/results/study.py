@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
+from snapo.case.error import counted
 from snapo.report.quantity import measured
 from snapo.solver.provenance import versions
 from snapo.study import training
@@ -140,7 +141,7 @@ def _description(run: StudyRun, case: PensionCase) -> Iterator[str]:
     if objective is not None and objective.output is not None:
         name = "pension over today's" if objective.output == "pension" else "funding ratio"
         value, half = measured(100 * objective.equivalent, 100 * objective.equivalent_error, 2)
-        years = f"{case.steps * case.step:g} years"
+        years = counted(case.steps * case.step, "year")
         yield f"certain {name} after {years}: {value} % {half} (95 %)"
     if compared := leads(POLICIES.of(run) or ()):
         yield compared

@@ -196,7 +196,7 @@ def measure(run: StudyRun) -> Attributions:
 def show(run: RunFiles, result: Attributions) -> list[Block]:
     """The attributes that each unit affects, and every path."""
     if not result.paths:
-        return [Missing("There is no attribution.")]
+        return [Missing("The attribution was not computed in this run.")]
     rows = [(x.attribute, x.parameter, " → ".join(x.units), number(x.value)) for x in result.paths]
     head = [("Attribute", ""), ("Parameter", ""), ("Path", ""), ("Contribution", "per unit")]
     paths = Table(head, rows, "Contributions add up to the matrix", 3, folded="Every path")

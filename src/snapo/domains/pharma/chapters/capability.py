@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from snapo.case.error import counted
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Missing, Table, Text
 from snapo.report.quantity import finite, number, percent, plus_minus, with_unit
@@ -86,7 +87,7 @@ def show(run: RunFiles, result: Capability) -> list[Block]:
     )
     blocks: list[Block] = [Table([(name, "") for name in names], rows, caption)]
     if result.failed > 0:
-        blocks.append(Text(f"{number(result.failed, 0)} batches gave no finite result."))
+        blocks.append(Text(f"{counted(result.failed, 'batch')} gave no finite result."))
     if sources is None or not sources.sources:
         return [*blocks, Missing(UNKNOWN if sources is None else NOTHING)]
     return [*blocks, _sources(run, sources)]

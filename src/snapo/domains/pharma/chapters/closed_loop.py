@@ -346,7 +346,7 @@ def _once(rows: Sequence[ControlCourse]) -> Table:
         for x in rows
     ]  # fmt: skip
     names = ("Decided once", "Policy, median", "Best fixed recipe", "As given", "Policy, 10–90 %")
-    return Table([(name, "") for name in names], cells, "Decisions of one number")
+    return Table([(name, "") for name in names], cells, "Decisions that are single numbers")
 
 
 CLOSED_LOOP = Chapter(

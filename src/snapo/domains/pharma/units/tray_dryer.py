@@ -83,7 +83,7 @@ class Liquid(TableRecord):
         numbers, name = np.array([a + np.log10(scale), b, c - zero]), f"{read.name}.antoine"
         units = {} if scale == 1 and zero == 0 else {"unit": "Pa", "scale": "K"}
         antoine = case_input(
-            name, numbers, ("A", "B", "C"), "1, K, K", meaning="of Antoine's equation",
+            name, numbers, ("A", "B", "C"), "1, K, K", meaning="constant of Antoine's equation",
             positions=with_units(read.section, "antoine", 3, units),
         )  # fmt: skip
         return cls(antoine=antoine, **values(cls, read))

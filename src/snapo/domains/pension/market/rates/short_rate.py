@@ -1,7 +1,7 @@
 """Models of the short rate: Gaussian factors that are fitted exactly to the initial curve.
 
 r = phi(t) + sum of F factors, dx_i = -a_i x_i dt + s_i(t) (dW_i + lambda_i dt), x_i(0) = 0; lambda
-counts under "P" only, and a negative one is a positive premium of long bonds. A model is a
+used under "P" only, and a negative one is a positive premium of long bonds. A model is a
 subclass, here or in a separate file of this folder, that names its factors; the names are those
 under which a case correlates them.
 """

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.case.error import CaseError
+from snapo.case.error import CaseError, counted
 from snapo.study.kind import inputs_line
 
 from ...records.case import PensionCase
@@ -80,8 +80,10 @@ def lines(case: PensionCase) -> list[str]:
     inputs = pension_inputs(case)
     result = examine(case)
     return [
-        f"{case.title}: {case.steps} decisions over {case.steps * case.step:g} years, "
-        f"{len(case.assets.classes)} classes, {case.buckets} swap tenors",
+        f"{case.title}: {counted(case.steps, 'decision')} over "
+        f"{counted(case.steps * case.step, 'year')}, "
+        f"{counted(len(case.assets.classes), 'class')}, {case.buckets} swap "
+        f"tenor{'s' * (case.buckets != 1)}",
         f"scenarios: {'supplied' if case.scenarios else SCENARIOS[case.measure]}",
         f"{inputs_line([entry.value.size for entry in inputs.values()])}; {len(case.held)} held",
         *_human(case, result.human),
@@ -195,7 +197,8 @@ def _funding(case: PensionCase) -> list[str]:
     plan = result.recovery
     if plan.deficit:
         message = (
-            f"recovery plan: {readable(plan.payment, currency)} a year for {plan.years:g} years"
+            f"recovery plan: {readable(plan.payment, currency)} a year for "
+            f"{counted(plan.years, 'year')}"
         )
         summary.append(f"{message} (deficit {readable(plan.deficit, currency)})")
     return summary
