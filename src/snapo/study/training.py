@@ -13,6 +13,7 @@ from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
 from snapo.report.record import RunRecord, entries_of
 from snapo.solver import checkpoint
 from snapo.solver.derivatives import solution_file
+from snapo.solver.derivatives.rebuilt import LONG
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
 from snapo.solver.learning.progress import Interrupted
@@ -34,8 +35,9 @@ def train(run: StudyRun) -> dict[str, Any]:
     **Raises:** `Interrupted` with the tables of the best policy so far, after Ctrl-C.
     """
     setup, beside = run.setup, run.study.beside
+    long = setup.problem.simulator.horizon > LONG  # its tables take much memory
     try:
-        with in_thread(beside) if beside else nullcontext():
+        with in_thread(beside) if beside and not long else nullcontext():
             solution = setup.solve(
                 callbacks=[lambda state: _keep(run, state, setup.training)],
                 progress=_resumed(run, setup),
