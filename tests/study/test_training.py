@@ -1,7 +1,13 @@
 """What result.json says of a trained study beside its classical rules."""
 
+import threading
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
+from snapo.solver.derivatives.rebuilt import LONG
+from snapo.study import training
 from snapo.study.training import trained
 
 HEAD = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
@@ -38,3 +44,26 @@ def test_a_rule_without_an_error_is_compared_as_it_is():
 
 def test_nothing_is_said_before_training():
     assert trained({}, None, [("linear", -2.0, 0.1)]) == {}
+
+
+def test_work_for_later_parts_is_done_beside_training(monkeypatch):
+    """In another thread; and if it fails there, the part that needs it does it."""
+    threads = []
+
+    def beside():
+        threads.append(threading.current_thread().name)
+        raise ArithmeticError
+
+    setup = SimpleNamespace(
+        problem=SimpleNamespace(simulator=SimpleNamespace(horizon=LONG)),
+        training=None,
+        solve=lambda **options: "solution",
+    )
+    run: Any = SimpleNamespace(setup=setup, study=SimpleNamespace(beside=beside))
+    monkeypatch.setattr(training, "_resumed", lambda run, setup: None)
+    monkeypatch.setattr(training, "saved", lambda run, solution: {"solution": solution})
+    assert training.train(run) == {"solution": "solution"}
+    assert threads == ["beside"]
+    setup.problem.simulator.horizon = LONG + 1
+    training.train(run)
+    assert len(threads) == 1

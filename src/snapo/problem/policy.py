@@ -110,7 +110,10 @@ def with_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
 def without_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
     """The policy with None instead of a `network` whose last layer is zero, as its outputs are."""
     network = getattr(policy, "network")  # noqa: B009, of kinds of policies that have one
-    if network is None or np.any(network.weights[-1]) or np.any(network.biases[-1]):
+    if network is None:
+        return policy
+    last = network.weights[-1], network.biases[-1]
+    if any(np.asarray(item).any() for item in last):
         return policy
     return eqx.tree_at(lambda x: x.network, policy, None)
 

@@ -2,15 +2,18 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.lanes.machine.threads import in_thread
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.report.folder import LEFT_OUT, PLANNED, RunResult
 from snapo.report.record import RunRecord, entries_of
 from snapo.solver import checkpoint
 from snapo.solver.derivatives import solution_file
+from snapo.solver.derivatives.rebuilt import LONG
 from snapo.solver.evaluate import value_of_groups
 from snapo.solver.learning.practice import refused
 from snapo.solver.learning.progress import Interrupted
@@ -31,12 +34,14 @@ def train(run: StudyRun) -> dict[str, Any]:
 
     **Raises:** `Interrupted` with the tables of the best policy so far, after Ctrl-C.
     """
-    setup = run.setup
+    setup, beside = run.setup, run.study.beside
+    long = setup.problem.simulator.horizon > LONG  # its tables take much memory
     try:
-        solution = setup.solve(
-            callbacks=[lambda state: _keep(run, state, setup.training)],
-            progress=_resumed(run, setup),
-        )
+        with in_thread(beside) if beside and not long else nullcontext():
+            solution = setup.solve(
+                callbacks=[lambda state: _keep(run, state, setup.training)],
+                progress=_resumed(run, setup),
+            )
     except Interrupted as stop:
         raise Interrupted(saved(run, stop.result)) from None
     return saved(run, solution)

@@ -62,6 +62,7 @@ def study(case: EnergyCase, options: Options) -> Study:
         relaxation,
         setup_at=setup_at,
         inputs=lambda other: other.inputs(),
+        beside=relaxation if callable(relaxation) else None,
     )
 
 
@@ -71,7 +72,7 @@ def _relaxation(prepared: "_Prepared", problem: Problem) -> Callable[[], EnergyR
         return f'only a mean is bounded from above, but the objective is "{kind}"'
     if not grid_of(simulator_of(problem).layout, problem.schedule).exact:
         return "its volumes have no common divisor with few enough nodes: bounds would be too low"
-    return lambda: EnergyRelaxation(prepared.setup.problem)
+    return lambda: prepared.relaxation
 
 
 class _Prepared:
@@ -83,6 +84,10 @@ class _Prepared:
     @cached_property
     def setup(self) -> Setup:
         return make_setup(self.case, self.engine)
+
+    @cached_property
+    def relaxation(self) -> EnergyRelaxation:
+        return EnergyRelaxation(self.setup.problem)
 
 
 def _about(case: EnergyCase) -> dict[str, Any]:

@@ -64,6 +64,7 @@ def study(case: StorageCase, options: Options) -> Study:
         relaxation,
         setup_at=setup_at,
         today=today,  # pyright: ignore[reportArgumentType]
+        beside=relaxation if callable(relaxation) else None,
     )
 
 
@@ -72,7 +73,7 @@ def _relaxation(prepared: "_Prepared"):
     kind = prepared.case.objective.kind
     if kind != "mean":
         return f'only a mean is bounded from above, but the objective is "{kind}"'
-    return lambda: StoreRelaxation(prepared.setup.problem)
+    return lambda: prepared.relaxation
 
 
 class _Prepared:
@@ -84,6 +85,10 @@ class _Prepared:
     @cached_property
     def setup(self) -> Setup:
         return make_setup(self.case, self.engine, self.fitted_value)
+
+    @cached_property
+    def relaxation(self) -> StoreRelaxation:
+        return StoreRelaxation(self.setup.problem)
 
     @cached_property
     def fitted_value(self) -> FittedValue | None:

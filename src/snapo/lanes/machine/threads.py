@@ -4,6 +4,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from contextvars import copy_context
 from typing import TypeVar
 
 import numpy as np
@@ -30,7 +31,7 @@ def in_thread(work: Callable[[], object]) -> Iterator[None]:
         with suppress(Exception):
             work()
 
-    thread = threading.Thread(target=done, name="beside")
+    thread = threading.Thread(target=copy_context().run, args=(done,), name="beside")
     thread.start()
     try:
         yield

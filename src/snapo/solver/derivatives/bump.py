@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from snapo.engine import Engine
+from snapo.lanes.machine.threads import cores
 from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -200,7 +201,8 @@ class _Bumper:
 
         Objects built from the inputs are first held fixed, which is fast: if that shows no
         reaction, rebuilt ones, at a near-optimal policy, have none to first order either. Problems
-        are rebuilt in a thread, while other inputs are valued; one at a time, as they may be large.
+        are rebuilt in threads, while other inputs are valued; of long paths, whose tables are
+        large, one at a time.
         """
         problem, table = self.problem, {}
         waiting: list[tuple[str, Future[Problem]]] = []
@@ -211,7 +213,8 @@ class _Bumper:
             del rebuilt  # so that its memory is free after its last use
             table[name] = self._moved(name, by, held[name], self.few, mirrored=True, more=more)
 
-        pool = ThreadPoolExecutor(1, "rebuild")
+        threads = 1 if rebuilt_once(problem) else cores()
+        pool = ThreadPoolExecutor(threads, "rebuild")
         try:
             for name, by in moves.items():
                 fixed = None if problem.rebuild is None else problem.at
@@ -222,7 +225,7 @@ class _Bumper:
                 if waiting and rebuilt_once(problem):  # long: two at once would take much memory
                     value_first()
                 waiting.append((name, pool.submit(copy_context().run, problem.at_values, values)))
-                if len(waiting) > 1:
+                if len(waiting) > threads:
                     value_first()
             while waiting:
                 value_first()

@@ -107,7 +107,7 @@ def test_days_that_count_as_the_same_have_the_same_regression():
     assert np.all(same <= np.arange(dates)) and np.all(same[same] == same)
     assert len(np.unique(same)) < 400 and same[-1] == dates - 1
     shared, alone = Regression(basis), Regression(basis)
-    alone._same = np.arange(dates)
+    alone._same = alone._different = np.arange(dates)
     for t in (0, 1, 2, 50, 500, dates - 2, dates - 1):
         for one, other in zip(shared.day(t), alone.day(t)):
             np.testing.assert_allclose(
@@ -116,3 +116,14 @@ def test_days_that_count_as_the_same_have_the_same_regression():
     # Where a factor moves all prices in proportion, its deviation grows from day to day.
     flags = gaussian_basis(flagship().factors, priced=False).same_days()
     assert np.array_equal(flags, np.arange(len(flags)))
+
+
+def test_days_made_together_have_the_bits_of_days_made_one_by_one():
+    basis = gaussian_basis(flagship().factors, priced=False)
+    together, alone = Regression(basis), Regression(basis)
+    alone._block = 1
+    last = len(basis.of.decay) - 1
+    assert together._block > 1
+    for t in (0, 1, together._block, last - 1, last):
+        for one, other in zip(together.day(t), alone.day(t)):
+            np.testing.assert_array_equal(one, other)

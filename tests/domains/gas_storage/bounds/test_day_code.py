@@ -39,3 +39,13 @@ def test_the_bits_are_those_of_numpy(columns, above, inventories, monkeypatch):
 
 def test_few_columns_are_left_to_numpy():
     assert not day_code.serves(day_code.WIDTH - 1)
+
+
+def test_days_with_equal_moves_share_what_follows_from_them():
+    days = regular_grids(cases.flagship(), "linear", 51)
+    flows = {id(day.flows): day for day in days}
+    assert len(flows) < len(days) / 3
+    for day in days:
+        first = flows[id(day.flows)]
+        for name in ("nodes", "after", "keep"):
+            np.testing.assert_array_equal(getattr(day, name), getattr(first, name))

@@ -72,13 +72,13 @@ class PolynomialBasis:
 
     def functions(self, states: np.ndarray, first: int = 0) -> np.ndarray:
         """[days, K, paths] on days first, first + 1 …, from their factors [days, F, paths]."""
-        days = slice(first, first + len(states))
+        days = np.arange(first, first + len(states))
         result = self.of_whitened(self._whitened(states, days), days)
         return self._assemble(result, self._level(states, days))
 
     def expected(self, states: np.ndarray, first: int = 0) -> np.ndarray:
         """[days, K, paths] expectations, given the factors, of the functions a day later."""
-        days = slice(first, first + len(states))
+        days = np.arange(first, first + len(states))
         ahead = self.ahead_of_whitened(self._whitened(states, days), days)
         return self._assemble(ahead, self._level(states, days))
 
@@ -106,9 +106,10 @@ class PolynomialBasis:
         return np.append(result, 1.0) if self.common else result
 
     def of_whitened(
-        self, y: np.ndarray, days: slice, polynomials: np.ndarray | None = None
+        self, y: np.ndarray, days: np.ndarray, polynomials: np.ndarray | None = None
     ) -> np.ndarray:
-        """[days, n + hinges, paths] the part without g, from whitened factors [days, kept, paths].
+        """[days, n + hinges, paths] the part without g, from whitened factors [days, kept, paths],
+        or [1, kept, paths] for the same ones every day.
 
         A factor that does not vary on a day counts as zero, and functions of it as nothing.
         `polynomials`: those of y, if they are known.
@@ -119,10 +120,10 @@ class PolynomialBasis:
         return np.concatenate([plain, hinges], axis=1)
 
     def ahead_of_whitened(
-        self, y: np.ndarray, days: slice, polynomials: np.ndarray | None = None
+        self, y: np.ndarray, days: np.ndarray, polynomials: np.ndarray | None = None
     ) -> np.ndarray:
         """The same as expected for the day after each of `days`, which are not the last."""
-        after = slice(days.start + 1, days.stop + 1)
+        after = days + 1
         available = self.polynomials(y) if polynomials is None else polynomials
         now, moves = available * self._alive[days][:, :, None], self._moves[after]
         plain = moves * now if moves.shape[-1] == 1 else moves @ now
@@ -132,7 +133,7 @@ class PolynomialBasis:
         hinges = np.moveaxis(_hinge_means(self.hinges, mean, deviation[:, None]), 0, 1)
         return np.concatenate([plain, hinges * self._moving[after, :1, None]], axis=1)
 
-    def _whitened(self, states: np.ndarray, days: slice) -> np.ndarray:
+    def _whitened(self, states: np.ndarray, days: np.ndarray) -> np.ndarray:
         return np.einsum("tij,tjp->tip", self._whiten[days], states[:, self.selected])
 
     def polynomials(self, y: np.ndarray) -> np.ndarray:
@@ -187,9 +188,9 @@ class PolynomialBasis:
         """[kept, kept] the factors of day t per unit of the whitened ones."""
         return self._cholesky[t]
 
-    def level_deviation(self, t: int) -> float:
-        """The standard deviation of ln g on day t."""
-        return float(np.sqrt(self._level_variance[t]))
+    def level_deviation(self, days: np.ndarray | int) -> np.ndarray:
+        """The standard deviation of ln g on these days."""
+        return np.sqrt(self._level_variance[days])
 
     def _level(self, states, days) -> np.ndarray | None:
         if not self.common:

@@ -7,11 +7,13 @@ the gas, at each node; maxima of 2, 4, 8 … nodes that follow one another; and 
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from ..references.day_terms import UnitPrices
 from .reach import Bends, GridRows, ReachableLevels
 
 if TYPE_CHECKING:
@@ -49,40 +51,48 @@ SIDE = ("price", "scratch", *SideCode._fields)
 TABLE = (*HEAD, *(f"{side}_{name}" for side in ("buy", "sell") for name in SIDE))
 
 
-class DayCode:
-    """A day as arrays for machine code, made when they are first needed; see `DayGrid`."""
+@dataclass(frozen=True, eq=False)
+class DayFlows:
+    """Both directions of flow of a day between `rows` nodes and `size` nodes after it.
 
-    def __init__(
-        self, nodes: np.ndarray, after: np.ndarray, keep: np.ndarray, cost: np.ndarray,
-        buy: ReachableLevels, sell: ReachableLevels,
-        buy_bends: Bends | None, sell_bends: Bends | None,
-    ):  # fmt: skip
-        self.rows, self.size = len(nodes), len(after)
-        self.numbers = [np.ascontiguousarray(x, float) for x in (after, keep, cost)]
-        self.parts = (buy, buy_bends), (sell, sell_bends)
+    - `buy`, `sell`: the reach of each; and its bends, if a value above is computed.
+    - `sides`: the same for machine code, made when it is first needed.
+    """
+
+    rows: int
+    size: int
+    buy: ReachableLevels
+    sell: ReachableLevels
+    buy_bends: Bends | None
+    sell_bends: Bends | None
 
     @cached_property
     def sides(self) -> list[SideCode]:
-        """Both directions of flow."""
-        return [_side(*part, self.rows, self.size) for part in self.parts]
+        parts = (self.buy, self.buy_bends), (self.sell, self.sell_bends)
+        return [_side(*part, self.rows, self.size) for part in parts]
 
-    def best_value(
-        self, pay: np.ndarray, earn: np.ndarray, after: np.ndarray, above: bool
-    ) -> np.ndarray:
-        """See `day_grid.best_value`."""
-        from snapo.lanes.machine.linked import address  # late: a case is checked without it
 
-        columns = after.shape[1]
-        value = np.empty((self.rows, columns))
-        arrays = [value, np.ascontiguousarray(after, float), *self.numbers]
-        arrays.append(np.empty((self.rows + 1, WIDTH)))
-        for side, price in zip(self.sides, (pay, earn), strict=True):
-            scratch = np.empty((int(side.sizes[0]), WIDTH))
-            arrays += [np.ascontiguousarray(price, float), scratch, *side]
-        table = np.array([address(x) for x in arrays], np.int64)
-        numbers = self.rows, self.size, columns, int(above)
-        _machine().functions["day"](address(table), *numbers)
-        return value
+def best_value(
+    flows: DayFlows,
+    numbers: tuple[np.ndarray, np.ndarray, np.ndarray],
+    prices: UnitPrices,
+    after: np.ndarray,
+    above: bool,
+) -> np.ndarray:
+    """See `day_grid.best_value`; `numbers`: of the nodes after the day, of the gas without a flow,
+    and of the cost of keeping it."""
+    from snapo.lanes.machine.linked import address  # late: a case is checked without it
+
+    columns = after.shape[1]
+    value = np.empty((flows.rows, columns))
+    arrays = [np.ascontiguousarray(x, float) for x in (after, *numbers)]
+    arrays = [value, *arrays, np.empty((flows.rows + 1, WIDTH))]
+    for side, price in zip(flows.sides, (prices.pay, prices.earn), strict=True):
+        scratch = np.empty((int(side.sizes[0]), WIDTH))
+        arrays += [np.ascontiguousarray(price, float), scratch, *side]
+    table = np.array([address(x) for x in arrays], np.int64)
+    _machine().functions["day"](address(table), flows.rows, flows.size, columns, int(above))
+    return value
 
 
 def serves(columns: int) -> bool:

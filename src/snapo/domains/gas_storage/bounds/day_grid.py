@@ -15,8 +15,10 @@ from ..references.breakpoints import breakpoints
 from ..references.day_terms import (
     POINT,
     DayRates,
+    FlowChoices,
     Interpolation,
     UnitPrices,
+    flow_ends,
     holding_cost,
     moves,
     rates,
@@ -25,7 +27,8 @@ from ..references.day_terms import (
 from ..references.intrinsic import values_after
 from ..references.lattice_day import inventory_nodes
 from ..references.piecewise import PiecewiseLine, visited
-from .day_code import DayCode, serves
+from . import day_code
+from .day_code import DayFlows, serves
 from .reach import ON_NODE, Bends, ReachableLevels, reach
 from .reach import bends as bends_of
 
@@ -39,18 +42,14 @@ class DayGrid(NamedTuple):
 
     - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: the gas without
       a flow, and the present value of keeping it.
-    - `buy`, `sell`, and the bends of each; `code`: the same for machine code.
+    - `flows`: the reach of buying and of selling.
     """
 
     nodes: np.ndarray
     after: np.ndarray
     keep: np.ndarray
     cost: np.ndarray
-    buy: ReachableLevels
-    sell: ReachableLevels
-    buy_bends: Bends | None
-    sell_bends: Bends | None
-    code: DayCode
+    flows: DayFlows
 
 
 def day_grids(
@@ -80,9 +79,7 @@ def day_grids(
             regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
             bent = _bent(lines[t], maximum)
             nodes.append(_joined(regular, bent, spacing, levels[t + 1]))
-    return [
-        one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends) for t in range(horizon)
-    ]
+    return days_between(schedule, day_rates, nodes, bends)
 
 
 def largest_rate(schedule) -> float:
@@ -123,22 +120,36 @@ def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np
     return np.union1d(regular[~near | np.isin(regular, fixed)], bent)
 
 
-def one_day(
-    schedule, day_rates: DayRates, t: int, nodes: np.ndarray, after: np.ndarray, bends: bool
-) -> DayGrid:
-    """Day t between two grids."""
-    keep, down, _, up = moves(schedule, day_rates, t, nodes)
-    near = ON_NODE * volume_scale(schedule)
-    bent = bends_of(schedule, day_rates, t, nodes, after) if bends else (None, None)
-    parts = (
-        nodes,
-        after,
-        keep,
-        holding_cost(schedule, t, nodes),
-        reach(after, np.minimum(np.maximum(down, keep), up), up, up >= keep - near),
-        reach(after, down, np.maximum(np.minimum(up, keep), down), down <= keep + near),
-    )
-    return DayGrid(*parts, *bent, DayCode(*parts, *bent))
+def days_between(
+    schedule, day_rates: list[DayRates], nodes: list[np.ndarray], bends: bool
+) -> list[DayGrid]:
+    """All T days between T + 1 grids; days with equal moves share their flows."""
+    flows: dict[tuple[bytes, ...], DayFlows] = {}
+    days = []
+    for t in range(len(day_rates)):
+        grids = nodes[t], nodes[t + 1]
+        possible = moves(schedule, day_rates[t], t, nodes[t])
+        ends = flow_ends(schedule, day_rates[t], t, nodes[t]) if bends else None
+        key = tuple(x.tobytes() for x in (*grids, *possible, *(ends or ())))
+        if key not in flows:
+            bent = bends_of(schedule, ends, *grids) if ends else (None, None)
+            flows[key] = _flows(possible, *grids, ON_NODE * volume_scale(schedule), bent)
+        cost = holding_cost(schedule, t, nodes[t])
+        days.append(DayGrid(*grids, possible.keep, cost, flows[key]))
+    return days
+
+
+def _flows(
+    possible: FlowChoices,
+    nodes: np.ndarray,
+    after: np.ndarray,
+    near: float,
+    bent: tuple[Bends | None, Bends | None],
+) -> DayFlows:
+    keep, down, _, up = possible
+    buy = reach(after, np.minimum(np.maximum(down, keep), up), up, up >= keep - near)
+    sell = reach(after, down, np.maximum(np.minimum(up, keep), down), down <= keep + near)
+    return DayFlows(len(nodes), len(after), buy, sell, *bent)
 
 
 def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool) -> np.ndarray:
@@ -152,19 +163,19 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
       there; otherwise it equals that value at the nodes, and may be below it in between.
     """
     if serves(after.shape[1]):
-        return day.code.best_value(prices.pay, prices.earn, after, above)
-    keep = day.keep[:, None]
+        return day_code.best_value(day.flows, day[1:4], prices, after, above)
+    keep, flows = day.keep[:, None], day.flows
     buying = _less(after, day.after, prices.pay)
     selling = _less(after, day.after, prices.earn)
-    value = _best_within(buying, day.buy, len(keep))
+    value = _best_within(buying, flows.buy, len(keep))
     value += keep * prices.pay
-    other = _best_within(selling, day.sell, len(keep))
+    other = _best_within(selling, flows.sell, len(keep))
     other += keep * prices.earn
     np.maximum(value, other, out=value)
     if above:
         excess = np.zeros((len(keep) - 1, after.shape[1]))
-        _exceed(excess, value, buying, prices.pay, day.buy_bends)
-        _exceed(excess, value, selling, prices.earn, day.sell_bends)
+        _exceed(excess, value, buying, prices.pay, flows.buy_bends)
+        _exceed(excess, value, selling, prices.earn, flows.sell_bends)
         # A node serves two cells, and is raised by the larger gap of the two.
         if len(excess):
             value[0] += excess[0]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..references.day_terms import DayRates, flow_ends, volume_scale
+from ..references.day_terms import volume_scale
 
 ON_NODE = 1e-9  # in spacings: a position this near to a node is that node
 
@@ -66,10 +66,14 @@ def reach(
     return ReachableLevels(inside, endpoints)
 
 
-def bends(schedule, day_rates: DayRates, t: int, nodes, after) -> tuple[Bends | None, Bends | None]:
-    """The inventories from which a full flow ends exactly at a node, before limits apply; the
+def bends(
+    schedule, ends: tuple[np.ndarray, np.ndarray, np.ndarray], nodes: np.ndarray, after: np.ndarray
+) -> tuple[Bends | None, Bends | None]:
+    """Of buying and of selling; `ends`: see `flow_ends`.
+
+    The inventories from which a full flow ends exactly at a node, before limits apply; the
     value is linear between nodes."""
-    keep, down, up = flow_ends(schedule, day_rates, t, nodes)
+    keep, down, up = ends
     meetings = [_meetings(item, after) for item in (down, up, keep)]
     cell, share, target = (np.concatenate(entry) for entry in zip(*meetings, strict=True))
 

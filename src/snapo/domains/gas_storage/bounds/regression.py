@@ -66,14 +66,14 @@ POINTS = 1024
 LEVELS = 2  # nodes of the factor in the exponential
 RIDGE = 1e-11  # of the regression, against the sum of squares of the functions
 MAX_KEPT = 128 << 20  # bytes; of longer contracts the last day is kept
-LAST = 3  # factors: those of the case, and others that sensitivities move to
+LAST = 2  # factors: those of the case, and others that a sensitivity moves to
 
 
 class RegressionDay(NamedTuple):
     """One day, or the end date. K functions, n of which are not hinges, on Q nodes.
 
     - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
-    - `ahead` [K, Q]: the expected functions of the next date (none on the end date).
+    - `ahead` [K, Q]: the expected functions of the next date (zero on the end date).
     - `plain` [K, n]: coefficients of the functions as the best ones without hinges.
     - `drift` [K, n]: those of `ahead`.
     """
@@ -93,19 +93,21 @@ class Regression:
         self._same = basis.same_days()
         self._days: dict[int, RegressionDay] = {}
         self._noises: dict[int, np.ndarray] = {}
-        numbers = 2 * basis.size * len(np.unique(self._same)) + len(self._same)
+        self._different = np.unique(self._same)
+        numbers = 2 * basis.size * len(self._different) + len(self._same)
         self._keeps = numbers * self.level.size * 8 <= MAX_KEPT
+        self._block = max(MAXIMUM // (basis.size * self.level.size), 1)  # days made together
 
     def day(self, t: int) -> RegressionDay:
         """The regression on day t."""
         same = int(self._same[t])
-        day = self._days.get(same)
-        if day is None:
-            day = self._made(same)
+        if same not in self._days:
             if not self._keeps:
                 self._days = {}  # all but the last: each is asked for several times in turn
-            self._days[same] = day
-        return day
+            block = int(np.searchsorted(self._different, same)) // self._block * self._block
+            days = self._different[block : block + self._block]
+            self._days |= zip(days.tolist(), self._made(days), strict=True)
+        return self._days[same]
 
     def fitted(self, t: int, values: np.ndarray) -> np.ndarray:
         """[m, K] coefficients of values [m, Q] on day t."""
@@ -142,24 +144,20 @@ class Regression:
     def _polynomials(self) -> np.ndarray:
         return self.basis.polynomials(self.y[None])  # the same points every day
 
-    def _made(self, t: int) -> RegressionDay:
-        basis, level = self.basis, self.level
-        bare = basis.of_whitened(self.y[None], slice(t, t + 1), self._polynomials)[0]
-        here = scaled(basis, t, bare, level)
-        plain = scaled(basis, t, bare[: len(basis.powers)], level)
-        if t + 1 == len(basis.of.decay):
-            ahead = np.zeros((0, level.size))
-        else:
-            ahead = basis.ahead_of_whitened(self.y[None], slice(t, t + 1), self._polynomials)[0]
-            ahead = scaled(basis, t, ahead, level)
+    def _made(self, days: np.ndarray) -> list[RegressionDay]:
+        basis, level, y = self.basis, self.level, self.y[None]
+        bare = basis.of_whitened(y, days, self._polynomials)
+        here = scaled(basis, days, bare, level)
+        plain = scaled(basis, days, bare[:, : len(basis.powers)], level)
+        before = days[days + 1 < len(basis.of.decay)]  # the end date has no next date
+        ahead = np.zeros_like(here)
+        later = basis.ahead_of_whitened(y, before, self._polynomials)
+        ahead[: len(before)] = scaled(basis, before, later, level)
         weighed, bare = here * self.weight, plain * self.weight
-        smooth = product(bare, plain.T)
-        return RegressionDay(
-            _solved(product(weighed, here.T), weighed),
-            ahead,
-            _solved(smooth, product(bare, here.T)).T,
-            _solved(smooth, product(bare, ahead.T)).T,
-        )
+        smooth = _products(bare, plain)
+        fit = _solved(_products(weighed, here), weighed)
+        kept, drift = (_solved(smooth, _products(bare, part)) for part in (here, ahead))
+        return [RegressionDay(fit[i], ahead[i], kept[i].T, drift[i].T) for i in range(len(days))]
 
 
 class SpikeRegression:
@@ -250,16 +248,25 @@ def _gauss_hermite(count: int) -> tuple[np.ndarray, np.ndarray]:
     return points, weights / weights.sum()
 
 
-def scaled(basis: PolynomialBasis, t: int, result: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """[K, Q] functions from their polynomials."""
+def scaled(
+    basis: PolynomialBasis, days: np.ndarray, result: np.ndarray, level: np.ndarray
+) -> np.ndarray:
+    """[days, K, Q] functions from their polynomials."""
     if not basis.common:
         return result
-    deviation = basis.level_deviation(t)
+    deviation = basis.level_deviation(days)[:, None, None]
     scale = np.exp(deviation * level - deviation**2 / 2)
-    return np.concatenate([scale * result, np.ones((1, result.shape[1]))])
+    one = np.ones((len(days), 1, result.shape[-1]))
+    return np.concatenate([scale * result, one], axis=1)
+
+
+def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """[days, k, m] of left [days, k, Q] and right [days, m, Q] transposed."""
+    return np.array([product(a, b.T) for a, b in zip(left, right, strict=True)])
 
 
 def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """[K, …] of weighted least squares with these normal equations; small where undetermined."""
-    ridge = RIDGE * np.trace(normal) * np.eye(len(normal))
-    return np.linalg.solve(normal + ridge, right)
+    """[days, K, …] of weighted least squares with these normal equations; small where
+    undetermined."""
+    ridge = RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    return np.linalg.solve(normal + ridge * np.eye(normal.shape[-1]), right)

@@ -20,8 +20,8 @@ from ..references.day_terms import Interpolation, end_value, rates, unit_prices,
 from ..references.lattice_day import inventory_nodes
 from ..references.marginal import slope_table
 from ..references.piecewise import visited
-from .day_grid import DayGrid, best_value, day_grids, largest_rate, one_day, spacing_of
-from .regression import AnyBasis, Recent, basis_of, regression_of
+from .day_grid import DayGrid, best_value, day_grids, days_between, largest_rate, spacing_of
+from .regression import AnyBasis, AnyRegression, Recent, basis_of, regression_of
 
 # All that the grids follow from. A name that is missing here would leave old grids in use.
 STEPS = (
@@ -49,10 +49,7 @@ def _made(schedule, interpolation: Interpolation, inventories: int) -> list[DayG
     day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
     levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
     nodes = [inventory_nodes(*level[:2], spacing, level[2]) for level in zip(low, high, levels)]
-    return [
-        one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends=False)
-        for t in range(horizon)
-    ]
+    return days_between(schedule, day_rates, nodes, bends=False)
 
 
 def _numbers(schedule) -> list[bytes]:
@@ -68,15 +65,19 @@ FEWEST, A_DAY = 51, 2  # in a value table: inventories, and nodes passed by a da
 class FittedValue:
     """The value of the contract at the start of each day and on the end date.
 
-    - `basis`: K functions of the price factors.
+    - `regression`: on `basis`, K functions of the price factors.
     - `nodes`: T + 1 grids of inventories; `coefficients`: [n, K] on each, linear between nodes.
     - `value`: on the valuation date, in present money, before fixed costs. An approximation.
     """
 
-    basis: AnyBasis
+    regression: AnyRegression
     nodes: list[np.ndarray]
     coefficients: list[np.ndarray]
     value: float
+
+    @property
+    def basis(self) -> AnyBasis:
+        return self.regression.basis
 
     def at(self, t: int, inventory: np.ndarray) -> np.ndarray:
         """[n, K] coefficients on day t at these inventories."""
@@ -131,7 +132,7 @@ def _fitted(schedule, factors: GaussianFactors, days: list[DayGrid]) -> FittedVa
                 available.expected(t - 1, coefficients[t]),
                 above=False,
             )
-    return FittedValue(basis, nodes, coefficients, float((coefficients[0] @ basis.first)[0]))
+    return FittedValue(available, nodes, coefficients, float((coefficients[0] @ basis.first)[0]))
 
 
 def interpolated(nodes: np.ndarray, table: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -167,9 +168,8 @@ class FittedMarginal(NamedTuple):
 
 def fitted_marginal(schedule, fitted_value: FittedValue) -> FittedMarginal:
     """The table of a fitted value; outside its inventories the last slope continues."""
-    basis, steps = fitted_value.basis, schedule.steps
-    horizon, rows = len(steps.forward), slope_table(schedule)
-    available = regression_of(basis)
+    available, steps = fitted_value.regression, schedule.steps
+    horizon, rows, basis = len(steps.forward), slope_table(schedule), available.basis
     table = np.zeros((2, horizon, rows.rows, basis.plain))
     for t in range(horizon):
         nodes, drift = fitted_value.nodes[t + 1], available.drift(t)
@@ -209,11 +209,8 @@ class InnovationTable(NamedTuple):
 
 def innovation_table(fitted_value: FittedValue, levels: int = INNOVATION_LEVELS) -> InnovationTable:
     """The table of a fitted value."""
-    basis, dates, available = (
-        fitted_value.basis,
-        len(fitted_value.nodes),
-        regression_of(fitted_value.basis),
-    )
+    available, dates = fitted_value.regression, len(fitted_value.nodes)
+    basis = available.basis
     low, high = (np.array([nodes[end] for nodes in fitted_value.nodes]) for end in (0, -1))
     now = np.stack(
         [
