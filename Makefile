@@ -10,6 +10,10 @@ READY := $(VENV)/.ready
 PYTEST := $(BIN)/python -m pytest
 SHARED := -n 2 --dist worksteal
 
+# What Python compiles at the first import is kept, whatever the shell says: a process that compiles
+# JAX and the tests again takes seconds more, and the suites start hundreds.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo docs test prove lint bench study clean
 
 demo: $(READY)

@@ -86,7 +86,12 @@ MOST_DAYS = 14  # that compiled code is kept unused
 
 
 def pytest_sessionfinish(session):
-    """Old entries of the cache of compiled code go; workers leave that to the first process."""
+    """Old entries of the cache of compiled code go; workers leave that to the first process.
+
+    What is alive after a search for cycles stays: pytest searches ten times more before the end.
+    """
+    gc.collect()
+    gc.freeze()
     if "PYTEST_XDIST_WORKER" in os.environ:
         return
     for each in CACHE.glob("*/*"):

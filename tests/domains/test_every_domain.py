@@ -94,7 +94,7 @@ def copied(solved, kind: str, tmp_path: Path) -> Path:
     "every",
     [pytest.param(9, marks=pytest.mark.prove), pytest.param(1, marks=pytest.mark.study)],
 )
-def test_a_report_does_without_any_part(kind, every, solved, tmp_path):
+def test_a_report_does_without_any_part(kind, every, solved, sketched, tmp_path):
     """Files of parts removed in turn: the page says so, and has every section still."""
     out = copied(solved, kind, tmp_path)
     page = (out / "report.html").read_text(encoding="utf-8")

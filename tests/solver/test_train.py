@@ -142,7 +142,7 @@ def test_ctrl_c_returns_the_best_policy_so_far():
             raise KeyboardInterrupt
 
     evaluation = snapo.Evaluation(paths=64, sensitivity_paths=0, smooth_paths=0)
-    values = {"evaluation": evaluation, "engine": "xla", "callbacks": [interrupt]}
+    values = {"evaluation": evaluation, "engine": "native", "callbacks": [interrupt]}
     solution = snapo.solve(PROBLEM, training=SHORT, **values)
     assert solution.status == "interrupted" and np.isfinite(solution.value)
     assert any("interrupted after step" in note for note in solution.notes)

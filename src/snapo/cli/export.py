@@ -14,6 +14,7 @@ from snapo.problem.carry.save import PolicyFileError, load, stored
 from snapo.problem.policies.memory import remembered, remembering
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import Exact
 from snapo.solver.evaluate import named_series
 from snapo.solver.solution import POLICY, folder_of
@@ -109,10 +110,12 @@ def decisions_on_paths(problem: Problem, policy: Policy) -> tuple[list[str], lis
             jnp.asarray, (problem.schedule.constants, problem.schedule.steps)
         )
 
-        def observe(now, state):
-            return jax.vmap(lambda one: simulator.observe(constants, now, one))(state)
+        @compiled_sooner
+        def observe(constants, by_step, states):
+            of_paths = jax.vmap(simulator.observe, (None, None, 0))
+            return jax.vmap(of_paths, (None, 0, 0))(constants, by_step, states)
 
-        observed = np.asarray(jax.vmap(observe)(by_step, states))
+        observed = np.asarray(observe(constants, by_step, states))
         observed = observed.reshape(-1, observed.shape[-1])
         actions = np.asarray(decided(policy, None, jnp.asarray(observed, jnp.float64)))
     own = states["own"] if remembered(policy) else states

@@ -114,7 +114,7 @@ def test_index_of_simulated_prices(model):
     process, problem = bare_problem(case).simulator.process, bare_problem(case)
     with jax.enable_x64(True):
         inputs = {name: jnp.asarray(x.value) for name, x in problem.inputs_by_name.items()}
-        schedule = process.prepare(inputs)
+        schedule = jax.jit(process.prepare)(inputs)
         first, *rest = jax.random.normal(jax.random.key(0), (32, 20_000, process.noise_size))
         noise = jax.random.normal(jax.random.key(1), (20_000, process.initial_noise_size))
         state = jax.vmap(process.initial, (None, 0))(schedule.constants, noise)
@@ -146,6 +146,7 @@ def test_derivative_of_the_index():
         inputs = {name: jnp.asarray(x.value) for name, x in problem.inputs_by_name.items()}
         noise = jax.random.normal(jax.random.key(1), (process.initial_noise_size,))
 
+        @jax.jit
         def price(values):
             schedule = process.prepare(values)
             row = jax.tree.map(lambda leaf: leaf[0], schedule.steps)

@@ -27,7 +27,7 @@ def test_covariance_of_a_step_is_exact():
     """Of the shocks of an hour, and of the factors after three days."""
     process, inputs = prices()
     with jax.enable_x64(True):
-        of = process.factors(plain(process.prepare(jax.tree.map(jnp.asarray, inputs))))
+        of = process.factors(plain(jax.jit(process.prepare)(jax.tree.map(jnp.asarray, inputs))))
     assert np.allclose(of.shock[0], 0.0, atol=1e-15)  # the first hour is today
     assert np.allclose(of.shock[5] @ of.shock[5].T, covariance(HOUR), rtol=1e-12)
     assert np.allclose(of.covariance[72], covariance(72 * HOUR), rtol=1e-12)
@@ -40,7 +40,7 @@ def test_simulated_prices_have_their_forward_prices_as_means():
     them."""
     process, inputs = prices()
     with jax.enable_x64(True):
-        schedule = process.prepare(jax.tree.map(jnp.asarray, inputs))
+        schedule = jax.jit(process.prepare)(jax.tree.map(jnp.asarray, inputs))
         draws = jax.random.normal(jax.random.key(0), (48, 40_000, 2))
 
         def path(draw):
@@ -52,7 +52,7 @@ def test_simulated_prices_have_their_forward_prices_as_means():
 
             return jax.lax.scan(step, state, (rows, draw))[0]
 
-        states = jax.vmap(path, in_axes=1)(draws)
+        states = jax.jit(jax.vmap(path, in_axes=1))(draws)
         row = jax.tree.map(lambda leaf: leaf[48], schedule.steps)
         power = jax.vmap(process.level, (None, None, 0))(schedule.constants, row, states)
         gas = jax.vmap(process.index, (None, None, 0))(schedule.constants, row, states)
@@ -73,6 +73,7 @@ def test_derivatives_of_the_second_price():
     with jax.enable_x64(True):
         inputs = jax.tree.map(jnp.asarray, inputs)
 
+        @jax.jit
         def price(values):
             schedule = process.prepare(values)
             row, then = (jax.tree.map(lambda x, t=t: x[t], schedule.steps) for t in (0, 1))

@@ -2,14 +2,23 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from snapo.solver.learning.optimiser import rates, schedule
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.verdict.further import Further, compared_step, restless, times_of, too_short
 
 
 def stands(step, redrawn=()):
     return SimpleNamespace(step=step, redrawn=redrawn)
+
+
+@pytest.mark.parametrize(("steps", "warmup"), [(1, 0), (1, 5), (7, 0), (40, 10), (500, 500)])
+def test_rates_in_numpy_are_those_of_the_training(steps, warmup):
+    plan, count = TrainingPlan(steps=steps, warmup=warmup, learning_rate=0.003), 600
+    expected = np.asarray(schedule(plan)(np.arange(count)))
+    np.testing.assert_allclose(rates(plan, count), expected, rtol=1e-5, atol=1e-9)
 
 
 def test_the_second_half_of_a_cosine_is_a_small_part_of_the_way():

@@ -50,6 +50,16 @@ def schedule(plan: Plan) -> optax.Schedule:
     )
 
 
+def rates(plan: Plan, count: int) -> np.ndarray:
+    """The rates of the first `count` steps, in NumPy: nothing is compiled for them."""
+    warmup, now = min(plan.warmup, max(0, plan.steps - 1)), np.arange(count)
+    down = np.minimum((now - warmup) / (max(1, plan.steps) - warmup), 1.0)
+    rising = now < warmup
+    return plan.learning_rate * np.where(
+        rising, now / max(1, warmup), 0.5 * (1 + np.cos(np.pi * down))
+    )
+
+
 def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.GradientTransformation:
     """AdamW; with more than one update a step, the rate is that of the step."""
     # Objectives come in any unit, so Adam's guard against division by zero must be tiny.

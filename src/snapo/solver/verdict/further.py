@@ -23,7 +23,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
-from ..learning.optimiser import schedule
+from ..learning.optimiser import rates
 from ..learning.progress import Progress
 from ..learning.settings import TrainingPlan
 
@@ -148,9 +148,7 @@ def restless(norm: float, noise: float, path: float, size: float) -> bool:
 
 def _way(training: TrainingPlan, step: int) -> float:
     """The sum of the rates of the steps before this one."""
-    # Of all steps: a length that followed `step` would be another program for every step.
-    rates = np.asarray(schedule(training)(np.arange(max(1, training.steps))))
-    return float(np.sum(rates[:step]))
+    return float(np.sum(rates(training, step)))
 
 
 NEAR = 0.005  # of the bound: nothing is left that a longer training should look for

@@ -127,7 +127,7 @@ def test_the_derivative_with_respect_to_a_probability_is_that_of_the_closed_form
 
         slope = jax.jacfwd(one)
         up = np.asarray(inputs["tightens"])
-        found = jax.vmap(lambda a, b: slope(up, a, b), (0, 1))(first, later)
+        found = jax.jit(jax.vmap(lambda a, b: slope(up, a, b), (0, 1)))(first, later)
     found = np.asarray(found).reshape(count, -1)
     error = found.std(0) / np.sqrt(count)
     assert np.all(np.abs(found.mean(0) - expected) < 4.5 * error + 1e-12)

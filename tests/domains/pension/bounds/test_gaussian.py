@@ -13,7 +13,7 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.assets.bond import Bond, CouponBond, IndexLinked
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.market import Correlation
-from snapo.problem.inputs import plain
+from snapo.problem.problem import prepare
 
 
 @pytest.mark.prove
@@ -43,7 +43,7 @@ def test_bonds_and_swaps_of_every_kind_are_worth_what_they_cost_under_q():
     one = replace(one, overlay=swaps, correlation=together)
     simulator = PensionSimulator.of(one)
     with jax.enable_x64(True):
-        schedule = simulator.prepare(plain(pension_inputs(one)))
+        schedule = prepare(simulator, pension_inputs(one))
         now = jax.tree.map(lambda leaf: leaf[1], schedule.steps)
         market = schedule.constants.market.start
         market = market._replace(factors=market.factors + jnp.array([0.01, -0.004, 0.003]))

@@ -18,6 +18,7 @@ from snapo.domains.pension.market.factors import (
 from snapo.domains.pension.market.shocks import covariance, factor, slots
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
+from snapo.problem.problem import prepare
 
 KAPPA, MEAN, START, SIGMA, PRICE = 0.15, 0.03, 0.02, 0.01, -0.20
 # Closed form of O. Vasicek, Journal of Financial Economics 5, 1977.
@@ -145,12 +146,13 @@ def test_prices_follow_the_break_evens_and_cash_the_curve():
 
     simulator = PensionSimulator.of(still)
     with jax.enable_x64(True):
-        schedule = simulator.prepare(plain(pension_inputs(still)))
-        market = schedule.constants.market.start
+        schedule = prepare(simulator, pension_inputs(still))
+        terms, market = schedule.constants.market, schedule.constants.market.start
+        roll = jax.jit(lambda now, market, z: move(still, terms, now, market, z).market)
         for t in range(steps):
             now = jax.tree.map(lambda leaf, t=t: leaf[t], schedule.steps.market)
             noise = np.ones(simulator.noise_size)
-            market = move(still, schedule.constants.market, now, market, noise).market
+            market = roll(now, market, noise)
     assert float(market.log_discount) == pytest.approx(-0.06, abs=1e-14)
     assert float(market.log_price) == pytest.approx(0.04, abs=1e-14)
 

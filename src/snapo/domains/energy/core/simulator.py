@@ -19,12 +19,13 @@ from jaxtyping import Array, Float
 from snapo.problem.actions import Box
 from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
+from snapo.problem.record.either import with_numpy
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
 from ...gas_storage.contract.schedule import Discount, PricedSimulator
 from ...gas_storage.policy.network import curve_ahead
-from ...gas_storage.prices.process import PriceProcess, TwoPrices, use
+from ...gas_storage.prices.process import PriceProcess, TwoPrices, in_numpy, use
 from .contract import ContractLayout, EnergyContract, StepPrices, level_money
 from .feasibility import charged, intervals, of_fixed_moves, volumes_by_move
 from .observation import observation
@@ -102,18 +103,16 @@ class EnergySimulator(PricedSimulator):
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
         """With the scales of features of these inputs."""
-        inputs = {name: jnp.asarray(value) for name, value in values.items()}
-        most = self._terms(inputs).steps.most
+        # No volume depends on factors of discount.
+        undiscounted: Any = np.ones(self.horizon)
+        terms_of, at = with_numpy(self.contract.terms), partial(in_numpy, values)
+        most = terms_of(at, undiscounted, undiscounted).steps.most
         size = self.process.price_scale(self.curve.in_numpy(values), values)
         return replace(
             self,
             price_scale=np.asarray(size or 1.0),
-            volume_scale=np.asarray(float(jnp.max(most, initial=0.0)) or 1.0),
+            volume_scale=np.asarray(float(np.max(most, initial=0.0)) or 1.0),
         )
-
-    def _terms(self, inputs: dict[str, Any]):
-        rates, at = use(inputs, self.rate), partial(use, inputs)
-        return self.contract.terms(at, self.paid(rates), self.settled(rates))
 
     def on_paths(self):
         names = (
@@ -134,7 +133,9 @@ class EnergySimulator(PricedSimulator):
         return self.first
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
-        prices, terms = self.process.prepare(inputs), self._terms(inputs)
+        prices = self.process.prepare(inputs)
+        rates, at = use(inputs, self.rate), partial(use, inputs)
+        terms = self.contract.terms(at, self.paid(rates), self.settled(rates))
         forward = use(inputs, self.curve)[: self.horizon]
         terms = terms._replace(steps=charged(terms.steps, forward))
         steps = Step(

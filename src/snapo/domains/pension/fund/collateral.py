@@ -59,13 +59,18 @@ def stress(case: PensionModel, inputs: dict[str, Any], rise: Any) -> Stress:
 def stressed(case: PensionModel, rise: ArrayLike) -> Stress:
     """The same at the case's own numbers, in 64 bits; for many rises [r] at once, [r, n] and
     [r, b]."""
+    from snapo.problem.quickly import compiled_sooner  # with JAX, which a check does without
+
     with jax.enable_x64(True):
         item = xp.vectorize(lambda x: tuple(stress(case, {}, x)), signature="()->(n),(b)")
-        result = item(xp.asarray(rise, xp.float64))
+        result = compiled_sooner(item)(np.asarray(rise, np.float64))
         return Stress(*map(np.asarray, result))
 
 
 def slope(case: PensionModel) -> np.ndarray:
     """[b] d need / d rise at once: durations of the swaps, in years."""
+    from snapo.problem.quickly import compiled_sooner
+
     with jax.enable_x64(True):
-        return np.asarray(jax.jacfwd(lambda x: stress(case, {}, x).need)(xp.zeros(())))
+        risen = jax.jacfwd(lambda x: stress(case, {}, x).need)
+        return np.asarray(compiled_sooner(risen)(np.zeros(())))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array
 from scipy.optimize import toms748
 
+from snapo.problem.quickly import compiled_sooner
 from snapo.study.chapter import Floats, Number, floats
 
 from ..fund.collateral import slope, stressed
@@ -109,7 +110,7 @@ def slopes(
         return value(inputs | {curve.rate.name: quotes})
 
     with jax.enable_x64(True):
-        return np.asarray(jax.jacrev(shifted)(np.asarray(curve.rate.values)))
+        return np.asarray(compiled_sooner(jax.jacrev(shifted))(np.asarray(curve.rate.values)))
 
 
 def ladder(

@@ -33,6 +33,7 @@ from snapo.domains.pension.results.balance import held_now, inflation_ladder, la
 from snapo.domains.pension.results.figures.human import human
 from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
+from snapo.problem.problem import prepare
 from snapo.problem.smooth import Exact
 
 MONTHS = 120
@@ -51,10 +52,10 @@ def moved(one, t, noise):
     """A step of the market for a few paths, with the state before it."""
     simulator = PensionSimulator.of(one)
     with jax.enable_x64(True):
-        schedule = simulator.prepare(plain(pension_inputs(one)))
+        schedule = prepare(simulator, pension_inputs(one))
         terms = schedule.constants.market
         now = jax.tree.map(lambda leaf: leaf[t], schedule.steps.market)
-        one_path = jax.vmap(lambda z: move(one, terms, now, terms.start, z))
+        one_path = jax.jit(jax.vmap(lambda z: move(one, terms, now, terms.start, z)))
         return jax.tree.map(np.asarray, one_path(jnp.asarray(noise)))
 
 
@@ -154,9 +155,8 @@ def test_a_matched_index_linked_liability_feels_no_inflation():
         if name.startswith((*PRICES, "zero_rate", "rate")):
             assert np.abs(slope_).max() < 1e-13, name
     with jax.enable_x64(True):
-        assert float(relative(linked, plain(pension_inputs(linked)), noise)) == pytest.approx(
-            0.0, abs=1e-13
-        )
+        change = jax.jit(lambda given_: relative(linked, given_, noise))
+        assert float(change(plain(pension_inputs(linked)))) == pytest.approx(0.0, abs=1e-13)
     # Nominal bonds leave the shocks of prices and of their expectation to the fund.
     unmatched = gradients(nominal, noise)
     for name in ("inflation_volatility", "index_volatility"):

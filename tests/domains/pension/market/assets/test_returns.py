@@ -13,6 +13,7 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.dynamics import move
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
+from snapo.problem.problem import prepare
 
 STEPS, PATHS = 6, 2**16
 
@@ -21,7 +22,7 @@ def step(case, t, noise, market=None):
     """One step of the market for many paths: `noise` [N, Z]."""
     simulator = PensionSimulator.of(case)
     with jax.enable_x64(True):
-        schedule = simulator.prepare(plain(pension_inputs(case)))
+        schedule = prepare(simulator, pension_inputs(case))
         terms = schedule.constants.market
         now = jax.tree.map(lambda leaf: leaf[t], schedule.steps.market)
         start = terms.start if market is None else market

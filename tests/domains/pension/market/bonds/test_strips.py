@@ -25,6 +25,7 @@ from snapo.domains.pension.results.balance import BASIS_POINT, ladder, slopes
 from snapo.domains.pension.results.figures.human import human
 from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
+from snapo.problem.problem import prepare
 
 A, S, D = 0.05, 0.011, 1 / 12
 TENOR = np.array([1.0, 5.0, 10.0, 20.0, 30.0])
@@ -122,7 +123,7 @@ def test_a_step_earns_what_the_prices_of_all_payments_do():
     simulator = PensionSimulator.of(one)
     noise = 3 * np.random.default_rng(2).standard_normal((2, simulator.noise_size))
     with jax.enable_x64(True):
-        schedule = simulator.prepare(plain(pension_inputs(one)))
+        schedule = prepare(simulator, pension_inputs(one))
         terms, market = schedule.constants.market, schedule.constants.market.start
         roll = eqx.filter_jit(lambda now, market, z: move(one, terms, now, market, z))
         for t in range(2):
