@@ -1,0 +1,55 @@
+"""Fade: the energy that a store can hold falls as energy is taken from it.
+
+    E_after <= max(E_before, energy - by x n),    n = max(ceil(taken / every) - 1, 0)
+
+`taken` is counted over the whole life of the store. n rises when more than a multiple of `every` is
+taken. The limit binds charging alone: energy above it may stay in store, and can be taken.
+"""
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.quantity import NOT_NEGATIVE, CaseInput, Quantity
+from snapo.case.table import CaseTable, NotNegative, Positive, TableContext
+from snapo.problem.record import TreeRecord
+from snapo.problem.record.arrays import Array, Float
+
+FADE = "fade"
+
+
+class FadeTable(CaseTable):
+    """{ every = 30.0, by = 0.5 }: for each 30 MWh taken, 0.5 MWh of the energy in store is lost."""
+
+    every: Positive = Field(description="MWh, above 0")
+    by: CaseInput = Quantity("MWh", NOT_NEGATIVE, "contract", move=0.1, name=FADE)(
+        "that the store can hold no more, each time that so much is taken"
+    )
+    taken: NotNegative = Field(0.0, description="MWh taken before the start, 0 or more")
+
+
+class StoreFade(TreeRecord):
+    """The terms of fade, in MWh: see `FadeTable`. `by`: index []."""
+
+    every: Float[np.ndarray, ""]
+    by: CaseInput
+    taken: Float[np.ndarray, ""]
+
+    def most(self, count: int, stored: Array, charge: Array, discharge: Array, xp: Any) -> Array:
+        """No less than can be taken in `count` steps, each of which stores or takes so much at
+        most: the discharge of whole steps, so that it has the common divisor of other volumes."""
+        steps = (stored / charge + count) * charge / (charge + discharge)
+        return discharge * xp.minimum(xp.ceil(steps), count)
+
+
+def read_fade(where: TableContext, raw: dict, energy: float) -> StoreFade:
+    """The table `fade` of a store of `energy` MWh.
+
+    **Raises:** `CaseError` if nothing were left of the energy when it falls for the first time.
+    """
+    table = where.nested(FadeTable, raw, FADE)
+    by = float(table.by.values[0])
+    if by > energy:
+        raise where.error(f"{FADE}.by", by, f"it must be at most energy, {energy:g}")
+    return StoreFade(np.array(table.every), table.by, np.array(table.taken))  # pyright: ignore
