@@ -34,16 +34,16 @@ def with_prices(folder, prices, **changes):
 
 
 def best_plan(case):
-    """The best plan at forward prices, by a mixed-integer program: charge and discharge of each
-    hour, whether it charges, whether it is in reserve, and for each multiple of `every` whether
-    more than it may be taken up to the hour; the limit of an hour that charges falls with them."""
+    """The best plan at forward prices, by a mixed-integer program: charge and discharge of every
+    hour, whether it charges, whether it is in reserve, and whether more than a multiple of `every`
+    may be taken up to the hour; the limit of an hour that charges falls with these multiples."""
     contract, price = case.contract, np.asarray(case.market.forward_curve.used())
     numbers = {x.name: float(x.values[0]) for x in numbers_in(contract)}
     count, energy, stored = len(price), numbers["energy"], numbers["stored"]
     into, out = numbers["charge_efficiency"], numbers["discharge_efficiency"]
-    most = [numbers["charge_power"] * into, numbers["discharge_power"]]
+    powers = [numbers["charge_power"] * into, numbers["discharge_power"]]
     every, before, by = float(contract.fade.every), float(contract.fade.taken), numbers["fade"]
-    falls = int((before + most[1] * count) / every) + 1
+    falls = int((before + powers[1] * count) / every) + 1
     one, none, below = np.eye(count), np.zeros((count, count)), np.tri(count)
     beyond, nothing = np.hstack([one] * falls), np.zeros((count, count * falls))
     level = np.hstack([below, -below, none, none, nothing])
@@ -54,8 +54,8 @@ def best_plan(case):
     most_lost = energy + by * falls
     rows = [
         (level, -stored, energy - stored),
-        (np.hstack([one, none, -most[0] * one, none, nothing]), -np.inf, 0.0),
-        (np.hstack([none, one, most[1] * one, most[1] * one, nothing]), -np.inf, most[1]),
+        (np.hstack([one, none, -powers[0] * one, none, nothing]), -np.inf, 0.0),
+        (np.hstack([none, one, powers[1] * one, powers[1] * one, nothing]), -np.inf, powers[1]),
         (charges + reserve, -np.inf, 1.0),
         (np.hstack([none, below, none, none, -every * beyond]), -np.inf, every - before),
         (level + by * fallen + most_lost * charges, -np.inf, energy - stored + most_lost),
@@ -65,7 +65,7 @@ def best_plan(case):
         low, high = contract.reserve.stock
         rows.append((level - low * reserve, -stored, np.inf))
         rows.append((level + (energy - high) * reserve, -np.inf, energy - stored))
-        paid = numbers["reserve_price"] * min(numbers["charge_power"], most[1] * out)
+        paid = numbers["reserve_price"] * min(numbers["charge_power"], powers[1] * out)
     for name, spans in (
         ("cycles_day", groupby(range(count), lambda n: case.days[n])),
         ("cycles_term", [(0, range(count))]),
@@ -78,7 +78,7 @@ def best_plan(case):
     gain[: 2 * count] = np.concatenate([-price / into, out * price - numbers["wear"]])
     gain[3 * count : 4 * count] = paid
     upper = np.ones(level.shape[1])
-    upper[: 2 * count] = np.repeat(most, count)
+    upper[: 2 * count] = np.repeat(powers, count)
     upper[3 * count : 4 * count] = contract.reserve is not None
     result = milp(
         -gain,
@@ -142,9 +142,9 @@ def test_more_fade_is_never_worth_more(tmp_path):
     for key, numbers, lost in (
         ("by", (0.0, 0.2, 0.5, 2.0), 50), ("taken", (0.0, 1.0, 4.0, 11.0), 200),
     ):  # fmt: skip
-        found = np.array(values(**{key: numbers}))
-        assert np.all(np.diff(found) <= 1e-9) and found[0] - found[-1] > lost
-    assert found[-1] == 0.0  # nothing is left of 2 MWh after four falls
+        worth = np.array(values(**{key: numbers}))
+        assert np.all(np.diff(worth) <= 1e-9) and worth[0] - worth[-1] > lost
+    assert worth[-1] == 0.0  # nothing is left of 2 MWh after four falls
 
 
 @pytest.mark.parametrize(("every", "value"), [(6.0, 560.0), (2.0, 515.0), (1.9, 497.0)])
@@ -172,26 +172,26 @@ def test_every_decision_on_a_fine_grid_of_the_factor(tmp_path):
     case = with_prices(tmp_path, PRICES, **keys)
     problem = bare_problem(case)
     result = refined(case.contract.layout, problem.schedule, factors_of(problem))
-    count, most, full = 401, 22, 8  # nodes of the factor; quarters taken at the end, and in store
+    count, last, full = 401, 22, 8  # nodes of the factor; quarters taken at the end, and in store
     variance = -np.expm1(-2 * SPEED * HOUR * np.arange(len(PRICES))) / (2 * SPEED)
     f = np.linspace(-1, 1, count) * 7 * np.sqrt(variance[-1])
     left = np.exp(-SPEED * HOUR)
     step = np.exp(-0.5 * (f[None, :] - left * f[:, None]) ** 2 / variance[1])
     step /= step.sum(axis=1, keepdims=True)
-    value = np.zeros((full + 1, most + 1, count))
+    value = np.zeros((full + 1, last + 1, count))
     for t in reversed(range(len(PRICES))):
         if t + 1 < len(PRICES):
             value = value @ step.T
         price = PRICES[t] * np.exp(VOLATILITY * f - VOLATILITY**2 * variance[t] / 2)
         best = value.copy()
-        for taken in range(most + 1):
+        for taken in range(last + 1):
             limit = full - by * max(-(-taken // every) - 1, 0)
             for stored in range(full + 1):
                 for moved in range(1, 5):
                     if stored + moved <= limit:
                         bought = value[stored + moved, taken] - moved * part * price / into
                         best[stored, taken] = np.maximum(best[stored, taken], bought)
-                    if moved <= min(stored, most - taken):
+                    if moved <= min(stored, last - taken):
                         sold = moved * part * (0.95 * price - 3.0)
                         sold = sold + value[stored - moved, taken + moved]
                         best[stored, taken] = np.maximum(best[stored, taken], sold)
@@ -243,10 +243,10 @@ def test_the_policy_is_near_the_lattice_and_below_the_bound(changes):
     [
         ({"fade": {"by": 0.5}}, r"contract.fade.every"),
         ({"fade": {"every": 30.0}}, r"contract.fade.by"),
-        ({"fade": {"every": 0.0, "by": 0.5}}, r"fade.every: got 0; it must be MWh, above 0"),
+        ({"fade": {"every": 0.0, "by": 0.5}}, r"fade.every: got 0; it must be a number above 0: MWh taken"),
         ({"fade": {"every": 30.0, "by": -0.5}}, r"fade.by: got -0.5; it must be"),
         ({"fade": {"every": 30.0, "by": 4.5}}, r"fade.by: got 4.5; it must be at most energy, 4"),
-        ({"fade": {"every": 30.0, "by": 0.5, "taken": -1.0}}, r"fade.taken: got -1; it must be MWh"),
+        ({"fade": {"every": 30.0, "by": 0.5, "taken": -1.0}}, r"fade.taken: got -1; it must be a number"),
         ({"fade": 0.5}, r"contract.fade: got 0.5"),
         ({"fade": {"every": 30.0, "by": 0.5}, "auction": {"step": "4h"},
           "intraday": {"half_spread": 1.0}}, r"contract.fade: .*cannot be combined with `intraday`"),

@@ -129,10 +129,10 @@ class BatteryContract(EnergyContract):
         stored, before, falling = at(self.stored), 0.0, None
         if self.fade is not None:
             fade, falling = self.fade, FallingLimit(self.fade.every * one, at(self.fade.by) * one)
-            most = fade.most(count, stored, charge * into, discharge, xp) / energy
+            reach = fade.reach(count, stored, charge * into, discharge, xp) / energy
             if day is not None:
-                most = xp.minimum(most, day * xp.sum(self.day_ends))
-            term, before = most if term is None else xp.minimum(term, most), fade.taken
+                reach = xp.minimum(reach, day * xp.sum(self.day_ends))
+            term, before = reach if term is None else xp.minimum(term, reach), fade.taken
         if term is not None:
             high.append((before + term * energy) * one)
             again.append(xp.zeros(count, bool))

@@ -3,16 +3,15 @@
     E_after <= max(E_before, energy - by x n),    n = max(ceil(taken / every) - 1, 0)
 
 `taken` is counted over the whole life of the store. n rises when more than a multiple of `every` is
-taken. The limit binds charging alone: energy above it may stay in store, and can be taken.
+taken. The limit binds only charging: energy above it may stay in store, and can be taken.
 """
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.quantity import NOT_NEGATIVE, CaseInput, Quantity
-from snapo.case.table import CaseTable, NotNegative, Positive, TableContext
+from snapo.case.table import CaseTable, Range, TableContext
 from snapo.problem.record import TreeRecord
 from snapo.problem.record.arrays import Array, Float
 
@@ -20,13 +19,13 @@ FADE = "fade"
 
 
 class FadeTable(CaseTable):
-    """{ every = 30.0, by = 0.5 }: for each 30 MWh taken, 0.5 MWh of the energy in store is lost."""
+    """{ every = 30.0, by = 0.5 }: after every 30 MWh taken the store can hold 0.5 MWh less."""
 
-    every: Positive = Field(description="MWh, above 0")
+    every: Annotated[float, Range(0.0, endpoints="()", note=": MWh taken")]
     by: CaseInput = Quantity("MWh", NOT_NEGATIVE, "contract", move=0.1, name=FADE)(
-        "that the store can hold no more, each time that so much is taken"
+        "usable energy lost whenever `every` is taken"
     )
-    taken: NotNegative = Field(0.0, description="MWh taken before the start, 0 or more")
+    taken: Annotated[float, Range(0.0, note=": MWh taken before the start")] = 0.0
 
 
 class StoreFade(TreeRecord):
@@ -36,9 +35,9 @@ class StoreFade(TreeRecord):
     by: CaseInput
     taken: Float[np.ndarray, ""]
 
-    def most(self, count: int, stored: Array, charge: Array, discharge: Array, xp: Any) -> Array:
-        """No less than can be taken in `count` steps, each of which stores or takes so much at
-        most: the discharge of whole steps, so that it has the common divisor of other volumes."""
+    def reach(self, count: int, stored: Array, charge: Array, discharge: Array, xp: Any) -> Array:
+        """No less than can be taken in `count` steps, if one stores no more than `charge` or takes
+        no more than `discharge`: whole steps, so that it has the common divisor of the volumes."""
         steps = (stored / charge + count) * charge / (charge + discharge)
         return discharge * xp.minimum(xp.ceil(steps), count)
 

@@ -226,7 +226,7 @@ class MoveLimits(NamedTuple):
 
 class FallingLimit(NamedTuple):
     """The limit of the first level falls as the last one rises, by `by` when the last one gets
-    beyond each multiple of `every`.
+    beyond a multiple of `every`.
 
     It binds flows that raise the first level, from wherever that is. The value jumps at multiples.
     """

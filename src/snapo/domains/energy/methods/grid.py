@@ -102,12 +102,16 @@ def check_nodes(case: Any, schedule: Any) -> None:
     **Raises:** `CaseError` if volumes have no common divisor with few enough nodes.
     """
     layout = case.contract.layout
-    limited = schedule.steps.terms.jumps
-    if not (layout.sums or limited) or grid_of(layout, schedule).exact:
+    start, limited = np.asarray(schedule.constants.start, float), schedule.steps.terms.jumps
+    if not (layout.sums or limited):
         return
-    measure = measures_of(layout, schedule.steps.terms, schedule.constants.start)[0]
+    terms, intervals = schedule.steps.terms, schedule.steps.intervals
+    idle = idle_levels(layout, terms, intervals, start)
+    if _nodes(layout, terms, intervals, start, 1, None, idle)[2]:
+        return
+    measure = measures_of(layout, terms, start)[0]
     divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
-    count = int(_most(len(case.days)))
+    count = int(_combinations(len(case.days)))
     message = (
         f"{_VOLUMES[limited]} need a larger common divisor: at most about {count:,} combinations "
         f"of levels {_LEVELS[limited]}, each in multiples of it; theirs is {divisor}"
@@ -115,7 +119,7 @@ def check_nodes(case: Any, schedule: Any) -> None:
     raise CaseError(str(case.file), "contract", None, message)
 
 
-def _most(horizon: int) -> float:
+def _combinations(horizon: int) -> float:
     """Combinations of levels of which all may be nodes, with so many steps."""
     return min(TOGETHER, 2 * LONG / max(horizon, 1))
 
@@ -186,17 +190,17 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     if layout.banks:
         visited += ranges_of_balances(terms, start[counted:], *visited[0])
     widest = [float(np.max(high - low)) for low, high in visited]
-    coarse, most = min(COARSE[min(count, 3)], LONG / max(horizon, 1)), _most(horizon)
+    coarse, limit = min(COARSE[min(count, 3)], LONG / max(horizon, 1)), _combinations(horizon)
     least = np.zeros(count) if apart is None else apart
     if least.any():
-        coarse = MOVED * (most if terms.jumps else coarse)
+        coarse = MOVED * (limit if terms.jumps else coarse)
     if layout.banks:
         widths = banked_widths(visited, measures, least, LONG)
     else:
         widths = node_widths(layout, widest, measures, least, coarse)
     sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
     together = math.prod(x + 1 for x in sizes)
-    exact = all(x <= MOST for x in sizes) and together <= most
+    exact = all(x <= MOST for x in sizes) and together <= limit
     if apart is not None and (least.any() or not terms.jumps):
         exact = exact and all(m > (1 - NEAR) * w for m, w in zip(measures, widths) if m)
     columns = []
