@@ -19,6 +19,7 @@ from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
 from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
 from snapo.solver.bound import bound
+from snapo.solver.derivatives.by_block import DerivativePass
 
 START = datetime.datetime(2026, 5, 4)
 
@@ -127,8 +128,8 @@ def test_no_fade_or_one_that_is_never_reached_changes_nothing(fade):
     assert exact(battery(**SHORT, fade=fade), finer=1) == exact(battery(**SHORT), finer=1)
 
 
-def test_more_fade_is_never_worth_more(tmp_path):
-    """In `by`, and in what was taken before."""
+def test_more_fade_never_raises_the_value(tmp_path):
+    """In `by`, and in the energy taken before."""
     prices = [90.0, 20.0, 20.0, 80.0, 70.0, 10.0, 20.0, 90.0, 60.0, 20.0, 10.0, 90.0, 95.0]
 
     def values(**changes):
@@ -142,13 +143,13 @@ def test_more_fade_is_never_worth_more(tmp_path):
     for key, numbers, lost in (
         ("by", (0.0, 0.2, 0.5, 2.0), 50), ("taken", (0.0, 1.0, 4.0, 11.0), 200),
     ):  # fmt: skip
-        worth = np.array(values(**{key: numbers}))
-        assert np.all(np.diff(worth) <= 1e-9) and worth[0] - worth[-1] > lost
-    assert worth[-1] == 0.0  # nothing is left of 2 MWh after four falls
+        result = np.array(values(**{key: numbers}))
+        assert np.all(np.diff(result) <= 1e-9) and result[0] - result[-1] > lost
+    assert result[-1] == 0.0  # nothing is left of 2 MWh after four falls
 
 
 @pytest.mark.parametrize(("every", "value"), [(6.0, 560.0), (2.0, 515.0), (1.9, 497.0)])
-def test_a_multiple_may_be_reached_at_the_old_limit(every, value, tmp_path):
+def test_a_multiple_may_be_reached_at_the_earlier_limit(every, value, tmp_path):
     """2 MWh are sold three times at 100, and charged between at 10. The limit falls by 0.5 MWh with
     the first unit beyond a multiple: with 2 MWh before the third charge, 200 + 180 + 135. With 1.9
     it is best to sell no more than that each time, 190 - 19 + 190 - 14 + 150."""
@@ -238,6 +239,43 @@ def test_the_policy_is_near_the_lattice_and_below_the_bound(changes):
     assert falls.max() > 0 and np.any(np.abs(above[charge > 1e-5]) < 1e-4)
 
 
+@pytest.mark.prove
+def test_derivatives_where_decisions_stop_at_a_multiple(tmp_path):
+    """1.9 MWh are sold twice, so that the limit falls only once, then all 1.5 MWh. More `energy` is
+    bought at 11 and sold at 80; less that fades, at 13 and at 80; more `stored` saves 11. A decision that is
+    held stops at the multiple: with more power 101 replaces 100, and so on. By central differences
+    of the lattice too."""
+    prices = [101.0, 100.0, 10.0, 11.0, 91.0, 90.0, 12.0, 13.0, 81.0, 80.0]
+    plain = {"power": 1.0, "efficiency": 1.0}
+    keys = {
+        "energy": 2.0, "stored": 1.95, "wear": 0.0, "charge": plain, "discharge": plain,
+        "fade": {"every": 1.9, "by": 0.5},
+    }  # fmt: skip
+    with_prices(tmp_path, prices, **keys)
+    keys |= {"start": START, "end": START + datetime.timedelta(hours=10), "cycles": None}
+
+    def case(**changes):
+        every = {f"contract.{name}": value for name, value in (keys | changes).items()}
+        return case_at(tmp_path, every | {"model.volatility": 1e-3})
+
+    setup = make_setup(case(), "native")
+    assert isinstance(setup.policy, UnitValuePolicy)
+    problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
+    path = DerivativePass(problem, engine.bind(problem), rule, Exact(), held=True)
+    slopes = path.derivatives([np.arange(64)]).inputs
+    expected = {"fade": -67.0, "energy": 69.0, "stored": 11.0, "discharge_power": 3.0}
+    assert {name: slopes[name].value.item() for name in expected} == pytest.approx(
+        expected, abs=0.05
+    )
+    for name in ("fade", "energy", "stored"):
+        sides = [
+            exact(case(fade={"every": 1.9, "by": 0.5 + x}) if name == "fade" else
+                  case(**{name: keys[name] + x}), forward=True)
+            for x in (-0.05, 0.05)
+        ]  # fmt: skip
+        assert (sides[1] - sides[0]) / 0.1 == pytest.approx(expected[name], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -267,7 +305,7 @@ def test_coarse_nodes_are_refused(changes):
         check_nodes(case, bare_problem(case).schedule)
 
 
-def test_what_was_taken_goes_on_to_a_later_case():
+def test_energy_taken_goes_on_to_a_later_case():
     case = battery(cycles={"term": 6.0}, fade={"every": 8.0, "by": 0.5, "taken": 3.0})
     keys = case.contract.keys_at({"energy": 2.5, "taken": 9.0}, "", None)
     assert keys == {"stored": 2.5, "fade.taken": 9.0, "cycles.term": 4.5}
