@@ -46,19 +46,19 @@ def best_plan(case):
     every, before, by = float(contract.fade.every), float(contract.fade.taken), numbers["fade"]
     falls = int((before + powers[1] * count) / every) + 1
     one, none, below = np.eye(count), np.zeros((count, count)), np.tri(count)
-    beyond, nothing = np.hstack([one] * falls), np.zeros((count, count * falls))
+    passed, nothing = np.hstack([one] * falls), np.zeros((count, count * falls))
     level = np.hstack([below, -below, none, none, nothing])
     charges, reserve = (np.hstack([*x, nothing]) for x in (
         (none, none, one, none), (none, none, none, one)
     ))  # fmt: skip
-    fallen = np.hstack([np.zeros((count, 4 * count)), beyond])
+    fallen = np.hstack([np.zeros((count, 4 * count)), passed])
     most_lost = energy + by * falls
     rows = [
         (level, -stored, energy - stored),
         (np.hstack([one, none, -powers[0] * one, none, nothing]), -np.inf, 0.0),
         (np.hstack([none, one, powers[1] * one, powers[1] * one, nothing]), -np.inf, powers[1]),
         (charges + reserve, -np.inf, 1.0),
-        (np.hstack([none, below, none, none, -every * beyond]), -np.inf, every - before),
+        (np.hstack([none, below, none, none, -every * passed]), -np.inf, every - before),
         (level + by * fallen + most_lost * charges, -np.inf, energy - stored + most_lost),
     ]
     paid = 0.0

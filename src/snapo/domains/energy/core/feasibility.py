@@ -86,7 +86,7 @@ class FeasibleVolumes(NamedTuple):
     up_to: Array | None = None
 
     def at(self, k: int, share: Array) -> Array:
-        """The volume of flow k that is a share of what is feasible beyond the forced one.
+        """The volume of flow k: this share of its feasible volume, added to the forced one.
 
         A share on one side of the volume at which a limit falls remains there, so that a held
         decision does not pass it: the derivatives are those of a share of that side.
@@ -150,7 +150,7 @@ def volumes(
     volumes = FeasibleVolumes(jnp.stack(forced), jnp.stack(most))
     if falling is None:
         return volumes
-    return volumes._replace(up_to=jnp.clip(jnp.stack(up_to), volumes.forced, volumes.most))
+    return volumes._replace(up_to=jnp.clip(jnp.stack(up_to), *volumes[:2]))
 
 
 def _room_of_sums(layout: ContractLayout, move: ContractMove, now: Any, start: list) -> list[Array]:
