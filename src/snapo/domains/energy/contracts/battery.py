@@ -25,6 +25,7 @@ from ..core.contract import (
     ContractLayout,
     EnergyContract,
     EnergyFlow,
+    FallingLimit,
     Intraday,
     Level,
     StepTerms,
@@ -33,7 +34,8 @@ from ..core.contract import (
 from ..methods.measure import common_measure
 from ..read.auction import AUCTION
 from ..read.hours import HourlyContractTable, Hours
-from .reserve import IN_RESERVE, MODES, SoldReserve, read_reserve, with_reserve
+from .fade import FADE, StoreFade, read_fade
+from .reserve import IN_RESERVE, MODES, RESERVE, SoldReserve, read_reserve, with_reserve
 
 NARROWEST, WIDEST = 0.01, 0.1  # of the energy: a wider bump would be no derivative
 MAX_TRIES = 100
@@ -98,6 +100,7 @@ class BatteryTable(HourlyContractTable):
     reserve: dict | None = Field(
         None, description="a table like { price = 10.0, stock = [1.0, 3.0] }"
     )
+    fade: dict | None = Field(None, description="a table like { every = 30.0, by = 0.5 }")
 
 
 class BatteryContract(EnergyContract):
@@ -115,6 +118,7 @@ class BatteryContract(EnergyContract):
     day_ends: Bool[np.ndarray, " T"]
     half_spread: CaseInput | None
     reserve: SoldReserve | None
+    fade: StoreFade | None
     layout: ContractLayout = field(static=True)
 
     def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
@@ -128,11 +132,21 @@ class BatteryContract(EnergyContract):
         if day is not None:
             high.append(day * energy * one)
             again.append(xp.asarray(self.day_ends))
+        stored, before, falling = at(self.stored), 0.0, None
+        if self.fade is not None:
+            fade = self.fade
+            falling = FallingLimit(one * fade.every, one * at(fade.by))
+            reach = fade.reach(count, stored, charge * into, discharge) / energy
+            if day is not None:
+                reach = xp.minimum(reach, day * xp.sum(self.day_ends))
+            term, before = reach if term is None else xp.minimum(term, reach), fade.taken
         if term is not None:
-            high.append(term * energy * one)
+            high.append((before + term * energy) * one)
             again.append(xp.zeros(count, bool))
         none = xp.zeros((count, len(high)))
-        start = xp.append(at(self.stored), xp.zeros(len(high) - 1))
+        start = xp.append(stored, xp.zeros(len(high) - 1))
+        if self.fade is not None:
+            start = xp.append(start[:-1], before)
         intraday = None
         if self.half_spread is not None:
             sold = xp.stack([-one / into, one * out], axis=1)
@@ -150,6 +164,7 @@ class BatteryContract(EnergyContract):
             xp.stack(again, axis=1),
             xp.zeros((count, 1)),
             intraday=intraday,
+            falling=falling,
         )
         if self.reserve is not None:
             power = xp.minimum(charge, discharge * out)
@@ -174,8 +189,11 @@ class BatteryContract(EnergyContract):
                 "the valuation date lies within a block in reserve, and a case cannot begin there"
             )
         keys = {"stored": levels["energy"]}
+        if self.fade is not None:
+            keys["fade.taken"] = levels["taken"]
         if self.cycles_term is not None:
-            used = levels["taken"] / float(self.energy.used())
+            before = 0.0 if self.fade is None else float(self.fade.taken)
+            used = (levels["taken"] - before) / float(self.energy.used())
             keys["cycles.term"] = float(self.cycles_term.used()) - used
         return keys
 
@@ -228,15 +246,21 @@ def read_battery(where: TableContext, table: BatteryTable, hours: Hours) -> Batt
     stored, energy = float(table.stored.values[0]), float(table.energy.values[0])
     if stored > energy:
         raise where.error("stored", stored, f"it must be at most energy, {energy:g}")
-    reserve, others = None, [stored]
-    if table.reserve is not None:
-        if intraday is not None:
+    reserve, fade, others = None, None, [stored]
+    for name in (RESERVE, FADE) if intraday is not None else ():
+        if (raw := getattr(table, name)) is not None:
             message = "it cannot be combined with `intraday`; leave out one of the two"
-            raise where.error("reserve", table.reserve, message)
+            raise where.error(name, raw, message)
+    if table.fade is not None:
+        fade = read_fade(where, table.fade, energy)
+        others += [float(x) for x in (fade.every, fade.by.values[0], fade.taken)]
+    if table.reserve is not None:
         reserve = read_reserve(where, table.reserve, hours, energy, table.currency)
         others += reserve.stock.tolist()
     steps = bumps(energy, others, (charge, discharge), cycles)
     day, term = (x and replace(x, judge_bump=steps[1]) for x in (cycles.day, cycles.term))
+    if fade is not None and steps[0] is not None and steps[0] <= fade.by.values[0]:
+        fade = replace(fade, by=replace(fade.by, judge_bump=steps[0]))
     ends = [one != following for one, following in zip(hours.days, [*hours.days[1:], None])]
     return BatteryContract(  # pyright: ignore[reportCallIssue]
         replace(table.energy, judge_bump=steps[0]),
@@ -251,7 +275,8 @@ def read_battery(where: TableContext, table: BatteryTable, hours: Hours) -> Batt
         np.array(ends, bool),
         intraday,
         reserve,
+        fade,
         layout=with_reserve(  # pyright: ignore[reportCallIssue]
-            layout_of(cycles.day is not None, cycles.term is not None), reserve
+            layout_of(cycles.day is not None, cycles.term is not None or fade is not None), reserve
         ),
     )

@@ -224,6 +224,22 @@ class MoveLimits(NamedTuple):
     high: Float[Array, "T moves levels"]
 
 
+class FallingLimit(NamedTuple):
+    """The limit of the first level falls as the last one rises, by `by` when the last one gets
+    beyond a multiple of `every`.
+
+    It binds flows that raise the first level, from wherever that is. The value jumps at multiples.
+    """
+
+    every: Float[Array, " T"]
+    by: Float[Array, " T"]
+
+    def falls(self, counted: Any, near: Any, xp: Any) -> Any:
+        """How often the limit fell at a row, the last level `counted` up to a multiple or `near`
+        beyond it."""
+        return xp.maximum(xp.ceil((counted - near) / self.every) - 1, 0.0)
+
+
 class Intraday(NamedTuple):
     """Trades of differences from a schedule, see `intraday.py`; in units of a market.
 
@@ -246,7 +262,7 @@ class StepTerms(NamedTuple):
     - `restarts`: whether the level is set to zero after the step.
     - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
       none. `fixed_volume`: that of the flow of a move, None if policies decide the volumes.
-    - `promises`, `bank`, `of_levels`, `intraday`, `of_moves`: None without any.
+    - `promises`, `bank`, `of_levels`, `intraday`, `of_moves`, `falling`: None without any.
     """
 
     least: Float[Array, "T flows"]
@@ -267,6 +283,12 @@ class StepTerms(NamedTuple):
     fixed_volume: Float[Array, "T moves"] | None = None
     intraday: Intraday | None = None
     of_moves: MoveLimits | None = None
+    falling: FallingLimit | None = None
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the value jumps between levels."""
+        return self.of_moves is not None or self.falling is not None
 
 
 class StepPrices(NamedTuple):

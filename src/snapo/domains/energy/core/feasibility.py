@@ -16,6 +16,7 @@ from snapo.problem.record.either import backwards, fixed, xp
 
 from .contract import ContractLayout, ContractMove, StepPrices, StepTerms
 
+FALLEN = 1e-3  # of the largest volume: rounding is not beyond a multiple
 MISSED = 5.0  # charge for a unit of a promised minimum, in the largest amount that a unit moves
 
 
@@ -75,10 +76,29 @@ def charged(steps: StepTerms, forward: Array) -> StepTerms:
 
 
 class FeasibleVolumes(NamedTuple):
-    """Volumes of the flows of a move: the forced volume of each, and the most."""
+    """Volumes of the flows of a move: the forced volume of each, and the most.
+
+    `up_to`: the volumes at which a falling limit falls, between both; None without one.
+    """
 
     forced: Array
     most: Array
+    up_to: Array | None = None
+
+    def at(self, k: int, share: Array) -> Array:
+        """The volume of flow k: this share of its feasible volume, added to the forced one.
+
+        A share on one side of the volume at which a limit falls remains there, so that a held
+        decision does not pass it: the derivatives are those of a share of that side.
+        """
+        forced, free = self.forced[k], self.most[k] - self.forced[k]
+        if self.up_to is None:
+            return forced + share * free
+        first = self.up_to[k] - forced
+        at = jax.lax.stop_gradient(first / jnp.where(free > 0, free, 1.0))
+        below = share * first / jnp.where(at > 0, at, 1.0)
+        above = first + (share - at) * (free - first) / jnp.where(at < 1, 1 - at, 1.0)
+        return forced + jnp.where(share <= at, below, above)
 
 
 def volumes(
@@ -92,7 +112,7 @@ def volumes(
     this = layout.every_move[move]
     start = [levels[i] + change for i, change in enumerate(this.changes)]
     forced, most = [], []
-    room_of_sums = _room_of_sums(layout, this, now, start)
+    room_of_sums, falling, up_to = _room_of_sums(layout, this, now, start), now.terms.falling, []
     for flow in this.flows:
         least, room = now.terms.least[flow], now.terms.most[flow]
         if layout.sums:
@@ -106,6 +126,14 @@ def volumes(
             need, leave = (low, high) if effect > 0 else (high, low)
             least = smooth.maximum(least, need / effect, scale)
             room = smooth.minimum(room, leave / effect, scale)
+        if falling is not None:
+            near, effects = FALLEN * scale, layout.flows[flow].effects
+            falls = falling.falls(start[-1], near, jnp)
+            if effects[0] > 0:
+                ceiling = now.terms.high[0] - falls * falling.by
+                room = smooth.minimum(room, (ceiling - start[0]) / effects[0], scale)
+            next_fall = falling.every * (falls + 1) - start[-1]
+            up_to.append(next_fall / effects[-1] if effects[-1] > 0 else jnp.inf)
         if now.terms.promises is not None and not layout.sums:
             promises, effects = now.terms.promises, jnp.asarray(layout.flows[flow].effects)
             need = promises.minimum[:, this.after] - promises.weights @ jnp.stack(start)
@@ -119,7 +147,10 @@ def volumes(
         least = jnp.clip(least, 0.0, jnp.maximum(room, now.terms.least[flow]))
         forced.append(least)
         most.append(jnp.maximum(room, least))
-    return FeasibleVolumes(jnp.stack(forced), jnp.stack(most))
+    volumes = FeasibleVolumes(jnp.stack(forced), jnp.stack(most))
+    if falling is None:
+        return volumes
+    return volumes._replace(up_to=jnp.clip(jnp.stack(up_to), *volumes[:2]))
 
 
 def _room_of_sums(layout: ContractLayout, move: ContractMove, now: Any, start: list) -> list[Array]:

@@ -237,8 +237,7 @@ class EnergySimulator(PricedSimulator):
             after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
             if room is not None:
                 for k, flow in enumerate(move.flows):
-                    share = action[places[i][k]]
-                    volume = room.forced[k] + share * (room.most[k] - room.forced[k])
+                    volume = room.at(k, action[places[i][k]])
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
                     earned = earned + volume * prices.unit(terms, flow)
                     flows[flow] = flows[flow] + weights[i] * volume

@@ -84,7 +84,7 @@ def grid_of(
     for t in range(len(after)):
         numbers = [terms.least[t], terms.most[t], *before[t], *after[t]]
         numbers += [] if terms.fixed_volume is None else [terms.fixed_volume[t]]
-        numbers += [] if terms.of_moves is None else [x[t] for x in terms.of_moves]
+        numbers += [x[t] for x in (*(terms.of_moves or ()), *(terms.falling or ()))]
         key = tuple(np.asarray(x).tobytes() for x in numbers)
         if key not in by_volumes:
             passages = passages_of(layout, terms, t, before[t], after[t], NEAR * scale)
@@ -102,18 +102,27 @@ def check_nodes(case: Any, schedule: Any) -> None:
     **Raises:** `CaseError` if volumes have no common divisor with few enough nodes.
     """
     layout = case.contract.layout
-    limited = schedule.steps.terms.of_moves is not None
-    if not (layout.sums or limited) or grid_of(layout, schedule).exact:
+    start, limited = np.asarray(schedule.constants.start, float), schedule.steps.terms.jumps
+    if not (layout.sums or limited):
         return
-    measure = measures_of(layout, schedule.steps.terms, schedule.constants.start)[0]
+    terms, intervals = schedule.steps.terms, schedule.steps.intervals
+    idle = idle_levels(layout, terms, intervals, start)
+    if _nodes(layout, terms, intervals, start, 1, None, idle)[2]:
+        return
+    measure = measures_of(layout, terms, start)[0]
     divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
-    count = int(min(TOGETHER, 2 * LONG / len(case.days)))
+    count = int(_combinations(len(case.days)))
     message = (
         f"{_VOLUMES[limited]} need a larger common divisor, of which the levels are multiples, "
         "so that there are "
         f"at most about {count:,} combinations of levels {_LEVELS[limited]}; it is {divisor}"
     )
     raise CaseError(str(case.file), "contract", None, message)
+
+
+def _combinations(horizon: int) -> float:
+    """Combinations of levels of which all may be nodes, with so many steps."""
+    return min(TOGETHER, 2 * LONG / max(horizon, 1))
 
 
 _VOLUMES = {False: "inventories, limits and rates", True: "levels, limits of moves and flows"}
@@ -182,17 +191,18 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
     if layout.banks:
         visited += ranges_of_balances(terms, start[counted:], *visited[0])
     widest = [float(np.max(high - low)) for low, high in visited]
-    coarse = min(COARSE[min(count, 3)], LONG / max(horizon, 1))
+    coarse, limit = min(COARSE[min(count, 3)], LONG / max(horizon, 1)), _combinations(horizon)
     least = np.zeros(count) if apart is None else apart
-    coarse *= MOVED if least.any() else 1
+    if least.any():
+        coarse = MOVED * (limit if terms.jumps else coarse)
     if layout.banks:
         widths = banked_widths(visited, measures, least, LONG)
     else:
         widths = node_widths(layout, widest, measures, least, coarse)
     sizes = [w / m if m else np.inf for w, m in zip(widest, measures)]
     together = math.prod(x + 1 for x in sizes)
-    exact = all(x <= MOST for x in sizes) and together <= min(TOGETHER, 2 * LONG / max(horizon, 1))
-    if apart is not None:
+    exact = all(x <= MOST for x in sizes) and together <= limit
+    if apart is not None and (least.any() or not terms.jumps):
         exact = exact and all(m > (1 - NEAR) * w for m, w in zip(measures, widths) if m)
     columns = []
     for i, (low, high) in enumerate(visited):
@@ -208,7 +218,7 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
         if exact and measure is not None:
             columns.append(_regular(low, high, measure / parts, restarts))
             continue
-        uneven = count == 1 and terms.of_moves is None  # jumps need rows on all nodes
+        uneven = count == 1 and not terms.jumps  # jumps need rows on all nodes
         points = _breakpoints(layout, terms, start, i, low, high) if uneven else None
         if points is None:
             points = _regular(low, high, widths[i] / parts, restarts, _origin(layout, terms, i))
@@ -236,7 +246,10 @@ def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
 
 def _origin(layout: ContractLayout, terms, i: int) -> float:
     """A point of evenly spaced nodes: the limit of a level that only rises, if it has one, since
-    the value bends wherever whole volumes lead to that limit; else zero."""
+    the value bends wherever whole volumes lead to that limit; else zero, as where another limit
+    falls at multiples."""
+    if terms.falling is not None:
+        return 0.0
     limit, effects = terms.high[:, i], [flow.effects[i] for flow in layout.flows]
     effects += [move.changes[i] for move in layout.every_move]
     return float(limit[0]) if min(effects) >= 0 and np.ptp(limit) == 0 else 0.0

@@ -18,8 +18,9 @@ def idle_levels(
     """[levels] whether a level is idle; none is where levels have money or joint obligations."""
     if layout.banks or terms.promises is not None or terms.of_levels is not None:
         return (False,) * len(layout.levels)
-    numbers = layout, terms, intervals
-    return tuple(_idle(*numbers, float(start[i]), i) for i in range(len(layout.levels)))
+    numbers, count = (layout, terms, intervals), len(layout.levels)
+    needed = () if terms.falling is None else (0, count - 1)
+    return tuple(i not in needed and _idle(*numbers, float(start[i]), i) for i in range(count))
 
 
 def _idle(layout: ContractLayout, terms: StepTerms, intervals: Any, start: float, i: int) -> bool:

@@ -26,6 +26,7 @@ def _is_linear(layout: ContractLayout, schedule: Any) -> bool:
     gains by two opposite flows in one step, which there is no move for."""
     terms: StepTerms = schedule.steps.terms
     joint = terms.promises is not None or terms.of_levels is not None
+    joint = joint or terms.falling is not None
     if layout.moves or layout.indexed or layout.banks or joint or np.any(terms.short < 0):
         return False
     if len(layout.flows) == 1:

@@ -27,6 +27,7 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
             volumes |= {move.changes[i] for move in layout.every_move}
             limits = [terms.low[:, i], terms.high[:, i], terms.owed[:, i]]
             limits += [x[:, :, i] for x in terms.of_moves or ()]
+            limits += [] if i else list(terms.falling or ())
             for numbers in limits:
                 volumes |= set(np.unique(numbers[np.isfinite(numbers)]).tolist())
             for flow in range(len(layout.flows)):

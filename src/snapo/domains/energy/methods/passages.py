@@ -50,9 +50,29 @@ def passages_of(layout: ContractLayout, terms, t: int, before, after, near: floa
                 if volume > near or not still:
                     change = changes + volume * effects
                     pinned = () if volume in ends else touched
-                    passages += _moved(flow, volume, change, pinned, *nodes)
+                    for within in _by_falls(terms, t, limits, change, before, near):
+                        passages += _moved(
+                            flow, volume, change, pinned, before, after, within, signs, near
+                        )
         result.append(tuple(passages))
     return tuple(result)
+
+
+def _by_falls(terms, t: int, limits, change, before, near: float) -> list:
+    """The limits of a volume, one for each number of falls of a limit that binds it."""
+    if terms.falling is None or change[0] <= 0:
+        return [limits]
+    falling, result = type(terms.falling)(*(x[t] for x in terms.falling)), []
+    near = 8 * near  # limits are met with half of it
+    counted = before[-1] + change[-1]
+    for falls in np.unique(falling.falls(counted, near, np)):
+        low, high = (np.array(x, float) for x in limits)
+        high[0] = min(high[0], terms.high[t, 0] - falls * falling.by)
+        high[-1] = min(high[-1], (falls + 1) * falling.every)
+        if falls:
+            low[-1] = max(low[-1], falls * falling.every + near)
+        result.append((low, high))
+    return result
 
 
 def _possible(effects, changes, ends, before, after, near: float) -> list[float]:

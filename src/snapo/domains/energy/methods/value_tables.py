@@ -46,7 +46,7 @@ def value_tables(
     the same search, whatever the grid.
     """
     terms, search = schedule.steps.terms, "units" if grid.exact else "between"
-    if terms.of_moves is not None:
+    if terms.jumps:
         search = "every"
     elif like is not None:
         search = next((x for x in ("units", "between") if getattr(like, x) is not None), "")

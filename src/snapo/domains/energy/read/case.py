@@ -42,6 +42,7 @@ from ..contracts.battery import (
     IntradayTable,
     read_battery,
 )
+from ..contracts.fade import FadeTable
 from ..contracts.park_and_loan import ParkAndLoanTable, WindowTable, read_park_and_loan
 from ..contracts.plant_tables import (
     BeforeTable,
@@ -147,6 +148,7 @@ KINDS: dict[str, ContractKind] = {
             "auction": AuctionTable,
             "intraday": IntradayTable,
             "reserve": ReserveTable,
+            "fade": FadeTable,
         },
         hourly=True,
     ),

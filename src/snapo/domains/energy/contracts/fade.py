@@ -1,0 +1,55 @@
+"""Fade: the energy that a store can hold falls as energy is taken from it.
+
+    E_after <= max(E_before, energy - by x n),    n = max(ceil(taken / every) - 1, 0)
+
+`taken` is counted over the whole life of the store. n rises when more than a multiple of `every` is
+taken. The limit binds only charging: energy above it may stay in store, and can be taken.
+"""
+
+from typing import Annotated
+
+import numpy as np
+
+from snapo.case.quantity import NOT_NEGATIVE, CaseInput, Quantity
+from snapo.case.table import CaseTable, Range, TableContext
+from snapo.problem.record import TreeRecord
+from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.either import xp
+
+FADE = "fade"
+
+
+class FadeTable(CaseTable):
+    """{ every = 30.0, by = 0.5 }: after every 30 MWh taken the store can hold 0.5 MWh less."""
+
+    every: Annotated[float, Range(0.0, endpoints="()", note=": MWh taken")]
+    by: CaseInput = Quantity("MWh", NOT_NEGATIVE, "contract", move=0.1, name=FADE)(
+        "usable energy lost whenever `every` is taken"
+    )
+    taken: Annotated[float, Range(0.0, note=": MWh taken before the start")] = 0.0
+
+
+class StoreFade(TreeRecord):
+    """The terms of fade, in MWh: see `FadeTable`. `by`: index []."""
+
+    every: Float[np.ndarray, ""]
+    by: CaseInput
+    taken: Float[np.ndarray, ""]
+
+    def reach(self, count: int, stored: Array, charge: Array, discharge: Array) -> Array:
+        """No less than can be taken in `count` steps, if one stores no more than `charge` or takes
+        no more than `discharge`: whole steps, so that it has the common divisor of the volumes."""
+        steps = (stored / charge + count) * charge / (charge + discharge)
+        return discharge * xp.minimum(xp.ceil(steps), count)
+
+
+def read_fade(where: TableContext, raw: dict, energy: float) -> StoreFade:
+    """The table `fade` of a store of `energy` MWh.
+
+    **Raises:** `CaseError` if nothing were left of the energy when it falls for the first time.
+    """
+    table = where.nested(FadeTable, raw, FADE)
+    by = float(table.by.values[0])
+    if by > energy:
+        raise where.error(f"{FADE}.by", by, f"it must be at most energy, {energy:g}")
+    return StoreFade(np.array(table.every), table.by, np.array(table.taken))  # pyright: ignore
