@@ -46,11 +46,11 @@ def test_nothing_is_said_before_training():
     assert trained({}, None, [("linear", -2.0, 0.1)]) == {}
 
 
-def test_work_for_later_parts_is_done_beside_training(monkeypatch):
+def test_work_for_later_parts_is_done_during_the_training(monkeypatch):
     """In another thread; and if it fails there, the part that needs it does it."""
     threads = []
 
-    def beside():
+    def prepare():
         threads.append(threading.current_thread().name)
         raise ArithmeticError
 
@@ -59,7 +59,7 @@ def test_work_for_later_parts_is_done_beside_training(monkeypatch):
         training=None,
         solve=lambda **options: "solution",
     )
-    run: Any = SimpleNamespace(setup=setup, study=SimpleNamespace(beside=beside))
+    run: Any = SimpleNamespace(setup=setup, study=SimpleNamespace(meanwhile=prepare))
     monkeypatch.setattr(training, "_resumed", lambda run, setup: None)
     monkeypatch.setattr(training, "saved", lambda run, solution: {"solution": solution})
     assert training.train(run) == {"solution": "solution"}

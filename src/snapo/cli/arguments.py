@@ -1,10 +1,13 @@
 """Texts of the command line as the values of options; a wrong one is refused.
 
-At the end the options of `calibrate`, `backtest` and `explain`.
+At the end the arguments of commands on past prices and runs, and of those that show facts.
 """
 
 import argparse
 from pathlib import Path
+
+SHELLS = ("bash", "zsh", "fish")
+RUN = "a run folder, or a case, which means its latest run"
 
 
 def seeds(text: str) -> int | tuple[int, ...]:
@@ -142,14 +145,13 @@ def add_past(commands) -> None:
 
 def add_explain(commands) -> None:
     """`snapo explain`."""
-    run = "a run folder, or a case, which means its latest run"
     explain = commands.add_parser(
         "explain",
         help="split the change of value between two runs of a contract into its causes",
         epilog="snapo explain mystore/runs/2026-11-24T0800-7f3a mystore",
     )
-    explain.add_argument("first", metavar="RUN_A", type=Path, help=f"the earlier one: {run}")
-    explain.add_argument("second", metavar="RUN_B", type=Path, help=f"the later one: {run}")
+    explain.add_argument("first", metavar="RUN_A", type=Path, help=f"the earlier one: {RUN}")
+    explain.add_argument("second", metavar="RUN_B", type=Path, help=f"the later one: {RUN}")
     explain.add_argument(
         "--flows",
         metavar="FILE",
@@ -171,3 +173,55 @@ def add_explain(commands) -> None:
         type=Path,
         help="folder of the results (default: explain, in RUN_B)",
     )
+
+
+def add_compare(commands) -> None:
+    """`snapo compare`."""
+    compare = commands.add_parser("compare", help="compare runs with the first one")
+    compare.add_argument("runs", metavar="RUN", type=Path, nargs="+", help=RUN)
+
+
+def add_runs(commands) -> None:
+    """`snapo runs`."""
+    runs = commands.add_parser("runs", help="list the runs of a case, or remove old ones")
+    runs.add_argument(
+        "case", metavar="CASE", type=Path, help="a case: its folder, or its TOML file"
+    )
+    runs.add_argument(
+        "--remove",
+        metavar="RUN",
+        nargs="+",
+        default=[],
+        help="runs to remove: their names, or the last four characters of these",
+    )
+    runs.add_argument(
+        "--keep", metavar="N", type=whole_number, help="remove all runs but the last N"
+    )
+
+
+def add_schema(commands) -> None:
+    """`snapo schema`."""
+    schema = commands.add_parser(
+        "schema",
+        help="print the JSON schema of a kind of case, for editors",
+        epilog="snapo schema gas-storage > gas-storage.schema.json",
+    )
+    schema.add_argument("kind", metavar="KIND", help="kind of case, such as gas-storage")
+
+
+def add_cache(commands) -> None:
+    """`snapo cache`."""
+    cache = commands.add_parser(
+        "cache", help="show the compiled code stored for later runs, or remove it"
+    )
+    cache.add_argument("--empty", action="store_true", help="remove all of the stored code")
+
+
+def add_completion(commands) -> None:
+    """`snapo completion`."""
+    completion = commands.add_parser(
+        "completion",
+        help="print a script that completes commands in a shell",
+        epilog='bash, zsh: eval "$(snapo completion bash)"; fish: snapo completion fish | source',
+    )
+    completion.add_argument("shell", choices=SHELLS, metavar="SHELL", help=", ".join(SHELLS))

@@ -9,8 +9,14 @@ from pathlib import Path
 from snapo import __version__
 
 from .arguments import (
+    RUN,
+    add_cache,
+    add_compare,
+    add_completion,
     add_explain,
     add_past,
+    add_runs,
+    add_schema,
     even_number,
     port,
     seed,
@@ -23,8 +29,6 @@ from .arguments import (
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto uses native where it can"
-SHELLS = ("bash", "zsh", "fish")
-RUN = "a run folder, or a case, which means its latest run"
 EXTRAS = {  # and the packages that they bring
     "cli": ("pydantic", "jinja2", "matplotlib", "scipy"), "pharma": ("diffrax", "pint"),
     "live": ("aiohttp",), "xlsx": ("openpyxl",), "parquet": ("pyarrow",), "book": ("duckdb",),
@@ -79,17 +83,17 @@ def _parser() -> argparse.ArgumentParser:
         _add_report,
         _add_export,
         _add_open,
-        _add_compare,
+        add_compare,
         add_explain,
-        _add_runs,
+        add_runs,
         _add_bench,
-        _add_schema,
-        _add_cache,
+        add_schema,
+        add_cache,
     ):
         add(commands)
     for choice in commands.choices.values():
         choice.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    _add_completion(commands)
+    add_completion(commands)
     return parser
 
 
@@ -334,59 +338,12 @@ def _add_open(commands) -> None:
     _add_simulator(page)
 
 
-def _add_compare(commands) -> None:
-    compare = commands.add_parser("compare", help="compare runs with the first one")
-    compare.add_argument("runs", metavar="RUN", type=Path, nargs="+", help=RUN)
-
-
-def _add_runs(commands) -> None:
-    runs = commands.add_parser("runs", help="list the runs of a case, or remove old ones")
-    runs.add_argument(
-        "case", metavar="CASE", type=Path, help="a case: its folder, or its TOML file"
-    )
-    runs.add_argument(
-        "--remove",
-        metavar="RUN",
-        nargs="+",
-        default=[],
-        help="runs to remove: their names, or the last four characters of these",
-    )
-    runs.add_argument(
-        "--keep", metavar="N", type=whole_number, help="remove all runs but the last N"
-    )
-
-
 def _add_bench(commands) -> None:
     bench = commands.add_parser("bench", help="time values and gradients on this machine")
     bench.add_argument(
         "kind", metavar="KIND", nargs="?", help="kind of case (default: all that are installed)"
     )
     bench.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
-
-
-def _add_schema(commands) -> None:
-    schema = commands.add_parser(
-        "schema",
-        help="print the JSON schema of a kind of case, for editors",
-        epilog="snapo schema gas-storage > gas-storage.schema.json",
-    )
-    schema.add_argument("kind", metavar="KIND", help="kind of case, such as gas-storage")
-
-
-def _add_cache(commands) -> None:
-    cache = commands.add_parser(
-        "cache", help="show the compiled code stored for later runs, or remove it"
-    )
-    cache.add_argument("--empty", action="store_true", help="remove all of the stored code")
-
-
-def _add_completion(commands) -> None:
-    completion = commands.add_parser(
-        "completion",
-        help="print a script that completes commands in a shell",
-        epilog='bash, zsh: eval "$(snapo completion bash)"; fish: snapo completion fish | source',
-    )
-    completion.add_argument("shell", choices=SHELLS, metavar="SHELL", help=", ".join(SHELLS))
 
 
 def _add_case(parser: argparse.ArgumentParser) -> None:

@@ -215,7 +215,8 @@ class Study:
     - `live_tables`: returns the sections of the domain on the live page.
     - `headline`: gives the headline of a value of a setup's objective; None if it has none.
     - `recalculated`: returns the calculation at other inputs for a study without training.
-    - `beside`: work for later parts that is done beside the training; they do it where it failed.
+    - `meanwhile`: work for later parts, done in a thread during the training; they repeat it if it
+      failed.
     """
 
     kind: str
@@ -233,7 +234,7 @@ class Study:
     live_tables: Callable[[PathTotals], Sequence[LiveTable]] | None = None
     recalculated: Callable[[], Recalculated] | None = None
     headline: Callable[[Setup, float], DisplayedValue | None] | None = None
-    beside: Callable[[], object] | None = None
+    meanwhile: Callable[[], object] | None = None
 
     def __post_init__(self):
         names = [part.name for part in self.parts]

@@ -34,10 +34,10 @@ def train(run: StudyRun) -> dict[str, Any]:
 
     **Raises:** `Interrupted` with the tables of the best policy so far, after Ctrl-C.
     """
-    setup, beside = run.setup, run.study.beside
+    setup, meanwhile = run.setup, run.study.meanwhile
     long = setup.problem.simulator.horizon > LONG  # its tables take much memory
     try:
-        with in_thread(beside) if beside and not long else nullcontext():
+        with in_thread(meanwhile) if meanwhile and not long else nullcontext():
             solution = setup.solve(
                 callbacks=[lambda state: _keep(run, state, setup.training)],
                 progress=_resumed(run, setup),

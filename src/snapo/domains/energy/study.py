@@ -62,7 +62,7 @@ def study(case: EnergyCase, options: Options) -> Study:
         relaxation,
         setup_at=setup_at,
         inputs=lambda other: other.inputs(),
-        beside=relaxation if callable(relaxation) else None,
+        meanwhile=relaxation if callable(relaxation) else None,
     )
 
 

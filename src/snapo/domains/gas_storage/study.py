@@ -64,7 +64,7 @@ def study(case: StorageCase, options: Options) -> Study:
         relaxation,
         setup_at=setup_at,
         today=today,  # pyright: ignore[reportArgumentType]
-        beside=relaxation if callable(relaxation) else None,
+        meanwhile=relaxation if callable(relaxation) else None,
     )
 
 

@@ -106,12 +106,12 @@ class EnergySimulator(PricedSimulator):
         # No volume depends on factors of discount.
         undiscounted: Any = np.ones(self.horizon)
         terms_of, at = with_numpy(self.contract.terms), partial(in_numpy, values)
-        most = terms_of(at, undiscounted, undiscounted).steps.most
+        steps = terms_of(at, undiscounted, undiscounted).steps
         size = self.process.price_scale(self.curve.in_numpy(values), values)
         return replace(
             self,
             price_scale=np.asarray(size or 1.0),
-            volume_scale=np.asarray(float(np.max(most, initial=0.0)) or 1.0),
+            volume_scale=np.asarray(float(np.max(steps.most, initial=0.0)) or 1.0),
         )
 
     def on_paths(self):

@@ -129,10 +129,10 @@ def days_between(
     for t in range(len(day_rates)):
         grids = nodes[t], nodes[t + 1]
         possible = moves(schedule, day_rates[t], t, nodes[t])
-        ends = flow_ends(schedule, day_rates[t], t, nodes[t]) if bends else None
-        key = tuple(x.tobytes() for x in (*grids, *possible, *(ends or ())))
+        reached = flow_ends(schedule, day_rates[t], t, nodes[t]) if bends else None
+        key = tuple(x.tobytes() for x in (*grids, *possible, *(reached or ())))
         if key not in flows:
-            bent = bends_of(schedule, ends, *grids) if ends else (None, None)
+            bent = bends_of(schedule, reached, *grids) if reached else (None, None)
             flows[key] = _flows(possible, *grids, ON_NODE * volume_scale(schedule), bent)
         cost = holding_cost(schedule, t, nodes[t])
         days.append(DayGrid(*grids, possible.keep, cost, flows[key]))

@@ -67,13 +67,16 @@ def reach(
 
 
 def bends(
-    schedule, ends: tuple[np.ndarray, np.ndarray, np.ndarray], nodes: np.ndarray, after: np.ndarray
+    schedule,
+    reached: tuple[np.ndarray, np.ndarray, np.ndarray],
+    nodes: np.ndarray,
+    after: np.ndarray,
 ) -> tuple[Bends | None, Bends | None]:
-    """Of buying and of selling; `ends`: see `flow_ends`.
+    """Of buying and of selling; `reached`: see `flow_ends`.
 
     The inventories from which a full flow ends exactly at a node, before limits apply; the
     value is linear between nodes."""
-    keep, down, up = ends
+    keep, down, up = reached
     meetings = [_meetings(item, after) for item in (down, up, keep)]
     cell, share, target = (np.concatenate(entry) for entry in zip(*meetings, strict=True))
 

@@ -156,8 +156,8 @@ class Regression:
         weighed, bare = here * self.weight, plain * self.weight
         smooth = _products(bare, plain)
         fit = _solved(_products(weighed, here), weighed)
-        kept, drift = (_solved(smooth, _products(bare, part)) for part in (here, ahead))
-        return [RegressionDay(fit[i], ahead[i], kept[i].T, drift[i].T) for i in range(len(days))]
+        same, drift = (_solved(smooth, _products(bare, part)) for part in (here, ahead))
+        return [RegressionDay(fit[i], ahead[i], same[i].T, drift[i].T) for i in range(len(days))]
 
 
 class SpikeRegression:
