@@ -137,7 +137,7 @@ def test_spaces_of_others_take_what_they_can():
     ):
         with pytest.raises(ValueError, match="have no place in the space"):
             writer(space, action)
-    with pytest.raises(ValueError, match="decides 3 numbers, but there are 2 options"):
+    with pytest.raises(ValueError, match="decisions of the policy is 3, but that of options is 2"):
         writer(spaces.Discrete(2))(best)
 
 

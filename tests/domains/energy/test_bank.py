@@ -209,7 +209,7 @@ def test_a_case_begins_with_the_balances_of_another(tmp_path):
         (MAKE_UP | {"rights": {"most": 3}}, "make_up: .*rights"),
         (MAKE_UP | {"side": "put"}, "side: .*call"),
         (MAKE_UP | {"make_up": {"price": 30.0}}, "make_up.price: .*at most the strike, 29"),
-        (MAKE_UP | {"make_up": {"years": 3}}, "make_up.years: .*must be 1, or 2"),
+        (MAKE_UP | {"make_up": {"years": 3}}, "make_up.years: .*must be 1 or 2"),
         (MAKE_UP | {"make_up": {"units": 6.0}}, "make_up.units: .*at most annual.min, 5"),
         (MAKE_UP | {"make_up": {"older_units": 1.0}}, "older_units: .*needs make_up.years = 2"),
         (

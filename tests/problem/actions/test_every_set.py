@@ -89,7 +89,7 @@ def test_the_exact_form_lies_in_the_set_and_is_near_the_smooth_one(action):
     [
         (Choice(2), [0.5, 0.5], "weight of 1"),
         (Stop(), [0.4], "1 or 0"),
-        (Integers(0, 5), [2.5], "no whole number"),
+        (Integers(0, 5), [2.5], "not a whole number"),
         (Integers(0, 5), [6.0], "outside of 0 to 5"),
         (Product(run=Choice(2), much=Box(0.0, 1.0)), [0.0, 1.0, 2.0], "much: Action 0"),
     ],

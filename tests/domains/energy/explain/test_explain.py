@@ -281,7 +281,7 @@ def test_a_case_begins_in_the_state_of_its_keys(make, contract, levels, mode):
 def test_no_right_is_left_in_a_rest():
     contract = swing(annual=None, shortfall="firm", rights={"most": 3, "rest": 2}).contract
     assert contract.keys_at({"rights": 1.0}, "free", None) == {"rights.most": 2}
-    with pytest.raises(ValueError, match='no contract begins in "rest 2"'):
+    with pytest.raises(ValueError, match='no contract can begin in the mode "rest 2"'):
         contract.keys_at({"rights": 1.0}, "rest 2", None)
 
 
