@@ -119,7 +119,9 @@ def test_what_is_refused(fake, case, capsys):
     assert 'a case of kind "fake" has its own simulator; one of yours is of kind "own"' in message
     for name in (case, case / "case.toml"):
         assert main(["report", str(name)]) == 2
-        assert f"this case has no run yet; `snapo solve {name}` makes one." in capsys.readouterr().err
+        assert (
+            f"this case has no run yet; `snapo solve {name}` makes one." in capsys.readouterr().err
+        )
     book = case.parent / "book.toml"
     book.write_text('kind = "book"\n')
     (case.parent / "values").mkdir()
