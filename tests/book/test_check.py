@@ -71,7 +71,7 @@ def test_a_mistake_of_a_stress(tmp_path):
     (one,) = mistakes(write_book(tmp_path, [{"name": "a"}], stresses=stress))
     assert one.startswith("moves.csv, line 2, market.spot: it must be one of ")
     file = write_book(tmp_path, [{"name": "a"}])
-    assert commands.check(file)[0] == "North: 1 contracts, 2 stresses"
+    assert commands.check(file)[0] == "North: 1 contract, 2 stresses"
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def test_the_others_take_the_numbers_of_the_first(valued, tmp_path):
         assert {x.input for x in one[name].base.deltas} == {x.input for x in one["c1"].base.deltas}
         assert one[name].base.exposure and len(one[name].points) == 3
     page = (folder.path / "report.html").read_text()
-    assert "The contracts similar to c1 (6 with it) take its trained policy." in page
+    assert "The contracts similar to c1 (6 in all) take its trained policy." in page
 
 
 @pytest.mark.prove
