@@ -35,6 +35,7 @@ from snapo.engine import Engine, Workers
 from snapo.engine.workers import results
 from snapo.solver.train import Progress, initial_progress, train
 from snapo.study.domain import CaseRequest, Options, find, load
+from snapo.study.prepare import keep_memory
 
 from .machine import machine
 
@@ -111,6 +112,7 @@ def shapes() -> list[str]:
         {"name": "other days", "contract.start": "2021-04-01", "contract.end": "2022-03-02"},
         *[row | {"name": f"judged {row['name']}"} for row in rows(4)[2:]],
     ]
+    keep_memory()  # as a worker does
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CACHE_HOME"] = folder
         file = write_book(Path(folder), contracts, STRESSES, "judge = 0\n")

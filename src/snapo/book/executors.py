@@ -47,13 +47,16 @@ def _processes(workers: int | None) -> list[WorkerPool]:
 
 def _process(core: int) -> Executor:
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, mp_context=context, initializer=_pinned, initargs=(core,))
+    return ProcessPoolExecutor(1, mp_context=context, initializer=_started, initargs=(core,))
 
 
-def _pinned(core: int) -> None:
-    """A worker keeps to one core, for its kernels and for XLA."""
+def _started(core: int) -> None:
+    """A worker keeps to one core, for its kernels and for XLA, and keeps its memory."""
+    from snapo.study.prepare import keep_memory
+
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
+    keep_memory()
 
 
 def _named(where: str) -> list[WorkerPool]:

@@ -42,7 +42,7 @@ from snapo.study.domain import Domain, Options, RunsCode, find
 from snapo.study.kind import with_other_numbers
 from snapo.study.positions import InputPositions
 from snapo.study.positions.files import read_files
-from snapo.study.prepare import keep_memory, return_memory, use_every_core
+from snapo.study.prepare import return_memory, use_every_core
 from snapo.study.study import Recalculated, Setup, Study
 
 from .job import (
@@ -70,7 +70,6 @@ def compute(data: bytes) -> bytes:
     if not _same_bits(job):
         return OTHER
     use_every_core()
-    keep_memory()
     with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
         try:
             result = valuation(JobContract(job, Path(folder))).result()
