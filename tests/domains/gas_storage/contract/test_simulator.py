@@ -204,15 +204,17 @@ def test_reachable_is_the_longest_interval_that_can_go_on(template, seed):
             assert steps.low[t] > steps.high[t]
             continue
         low, high = float(limits.minimum[t]), float(limits.maximum[t])
-        grid = np.linspace(low, high, 4001)
+        # Two rows of a ratchet may be nearer than two points of a regular grid.
+        middle = (steps.levels[t][1:] + steps.levels[t][:-1]) / 2
+        grid, cell = np.linspace(low, high, 4001, retstep=True)
+        grid = np.union1d(grid, middle[(middle > low) & (middle < high)])
         least, most = flows_of_a_day(steps, t, grid, kind)
         keep = grid * (1 - steps.inventory_loss[t])
         good = np.maximum(keep + least, steps.next_low[t]) <= np.minimum(
             keep + most, steps.next_high[t]
         )
         runs = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(int), [0]]))).reshape(-1, 2)
-        cell = grid[1] - grid[0]
-        longest = max(((b - a - 1) * cell for a, b in runs), default=-1.0)
+        longest = max((grid[b - 1] - grid[a] for a, b in runs), default=-1.0)
         length = max(steps.high[t] - steps.low[t], -1.0)
         # What lies between two points of the grid may be missed, on either side.
         assert length >= longest - 1e-9
