@@ -204,10 +204,11 @@ def test_reachable_is_the_longest_interval_that_can_go_on(template, seed):
             assert steps.low[t] > steps.high[t]
             continue
         low, high = float(limits.minimum[t]), float(limits.maximum[t])
-        # Two rows of a ratchet may be nearer than two points of a regular grid.
-        middle = (steps.levels[t][1:] + steps.levels[t][:-1]) / 2
+        # What cannot go on may begin or end at a row, and be narrower than a regular grid.
+        rows = steps.levels[t]
+        rows = np.concatenate([rows, rows - 1e-7, (rows[1:] + rows[:-1]) / 2])
         grid, cell = np.linspace(low, high, 4001, retstep=True)
-        grid = np.union1d(grid, middle[(middle > low) & (middle < high)])
+        grid = np.union1d(grid, rows[(rows > low) & (rows < high)])
         least, most = flows_of_a_day(steps, t, grid, kind)
         keep = grid * (1 - steps.inventory_loss[t])
         good = np.maximum(keep + least, steps.next_low[t]) <= np.minimum(
