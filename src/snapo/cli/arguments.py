@@ -1,6 +1,6 @@
 """Texts of the command line as the values of options; a wrong one is refused.
 
-At the end the arguments of commands on past prices and runs, and of those that show facts.
+Then the arguments of commands on past prices and on runs, and of `schema`, `cache`, `completion`.
 """
 
 import argparse

@@ -274,10 +274,9 @@ def main(arguments: list[str] | None = None) -> int:
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     post = Post(out)
-    from snapo.study.prepare import keep_memory, use_every_core
+    from snapo.study.prepare import use_every_core
 
     use_every_core()
-    keep_memory()
     code = tuple(options.simulator.split(":")) if options.simulator else None
     counts = None if options.paths is None else PathCounts.of(options.paths)
     domain = _unpickled(sys.stdin.buffer.read(options.problem)) if options.problem else None

@@ -1,8 +1,11 @@
 """Cases of the templates with other keys, and their problems."""
 
 import copy
+import datetime
+import shutil
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -11,9 +14,15 @@ from scipy.optimize import linprog
 import snapo
 from snapo.case.load import load
 from snapo.case.quantity import numbers_in
-from snapo.domains.energy.methods.lattice import lattice
+from snapo.domains.energy.core.policy import UnitValuePolicy
+from snapo.domains.energy.methods.hindsight import EnergyRelaxation
+from snapo.domains.energy.methods.lattice import lattice, refined
 from snapo.domains.energy.read.case import EnergyCase, read_case
-from snapo.domains.energy.setup import bare_problem, factors_of
+from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
+from snapo.engine import Engine
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.solver.bound import bound
 
 HOME = Path(snapo.__file__).parent / "domains" / "energy"
 
@@ -51,6 +60,20 @@ def battery(**changes: Any) -> EnergyCase:
     return case_at(HOME / "template_battery", named)
 
 
+def battery_with_prices(
+    folder: Path, start: datetime.datetime, prices: Iterable[float], **changes: Any
+) -> EnergyCase:
+    """The template of a battery in a folder, with these prices by the hour from `start` on and
+    without cycles; keys of `[contract]` changed."""
+    shutil.copytree(HOME / "template_battery", folder, dirs_exist_ok=True)
+    prices = list(prices)
+    times = [start + datetime.timedelta(hours=n) for n in range(len(prices) + 1)]
+    rows = [f"{time:%Y-%m-%dT%H:%M},{float(price)!r}" for time, price in zip(times, prices)]
+    (folder / "curve.csv").write_text("\n".join(["time,price", *rows]))
+    keys = {"start": start, "end": times[-1], "cycles": None} | changes
+    return case_at(folder, {f"contract.{name}": value for name, value in keys.items()})
+
+
 def plant(**changes: Any) -> EnergyCase:
     """The template of a power plant, keys of `[contract]` changed."""
     named = {f"contract.{name}": value for name, value in changes.items()}
@@ -62,6 +85,31 @@ def exact(case: EnergyCase, forward: bool = False, finer: int = 2) -> float:
     problem = bare_problem(case)
     factors = None if forward else factors_of(problem)
     return lattice(case.contract.layout, problem.schedule, factors, finer=finer).value
+
+
+class ValuedRule(NamedTuple):
+    """A case made ready, the rule that its training begins with, and the engine of its value."""
+
+    problem: Problem
+    rule: Policy
+    engine: Engine
+
+
+def rule_between(case: EnergyCase, below: float, above: float) -> ValuedRule:
+    """The rule of the fitted value: its value is at least `below` times that on the lattice, and
+    the bound at most `above` times, each within three standard errors."""
+    problem = bare_problem(case)
+    best = refined(case.contract.layout, problem.schedule, factors_of(problem)).value
+    setup = make_setup(case, "native")
+    assert isinstance(setup.policy, UnitValuePolicy)
+    problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
+    result = bound(problem, rule, relaxation=EnergyRelaxation(problem), engine=engine, paths=2048)
+    lower, upper = result.lower, result.upper
+    assert lower.value >= best * below - 3 * lower.standard_error
+    assert lower.value <= best + 3 * lower.standard_error
+    assert best - 3 * upper.standard_error <= upper.value
+    assert upper.value <= best * above + 3 * upper.standard_error
+    return ValuedRule(problem, rule, engine)
 
 
 def plain(tree):

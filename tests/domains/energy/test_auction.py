@@ -1,13 +1,19 @@
 """Flows of a battery that are fixed at auctions, a block of hours at a time."""
 
 import datetime
-import shutil
 from itertools import product
 from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
-from tests.domains.energy.energy_cases import HOME, battery, best_plan, case_at, exact
+from tests.domains.energy.energy_cases import (
+    HOME,
+    battery,
+    battery_with_prices,
+    best_plan,
+    case_at,
+    exact,
+)
 from tests.domains.gas_storage.references.linear_program import black_call
 
 from snapo.case.error import CaseError
@@ -22,13 +28,7 @@ FIRST = 24  # hours from the valuation date to the first decision of `with_curve
 
 def with_curve(folder, prices, **changes):
     """The template from its second day on, with these prices; keys of `[contract]` changed."""
-    shutil.copytree(HOME / "template_battery", folder, dirs_exist_ok=True)
-    start = datetime.datetime(2026, 5, 5)
-    times = [start + datetime.timedelta(hours=n) for n in range(len(prices) + 1)]
-    rows = [f"{time:%Y-%m-%dT%H:%M},{price}" for time, price in zip(times, prices)]
-    (folder / "curve.csv").write_text("\n".join(["time,price", *rows]))
-    keys = {"start": start, "end": times[-1], "cycles": None} | changes
-    return case_at(folder, {f"contract.{name}": value for name, value in keys.items()})
+    return battery_with_prices(folder, datetime.datetime(2026, 5, 5), prices, **changes)
 
 
 def by_lattice(case):

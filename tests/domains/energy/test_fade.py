@@ -1,24 +1,27 @@
 """Fade of a battery: the energy that it can hold falls with the energy taken."""
 
 import datetime
-import shutil
 from itertools import groupby
 
 import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
-from tests.domains.energy.energy_cases import HOME, battery, case_at, exact
+from tests.domains.energy.energy_cases import (
+    battery,
+    battery_with_prices,
+    case_at,
+    exact,
+    rule_between,
+)
 
 from snapo.case.error import CaseError
 from snapo.case.quantity import numbers_in
 from snapo.domains.energy.core.policy import UnitValuePolicy
 from snapo.domains.energy.methods.grid import check_nodes
-from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.lattice import refined
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
 from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
-from snapo.solver.bound import bound
 from snapo.solver.derivatives.by_block import DerivativePass
 
 START = datetime.datetime(2026, 5, 4)
@@ -26,12 +29,7 @@ START = datetime.datetime(2026, 5, 4)
 
 def with_prices(folder, prices, **changes):
     """The template with these prices by the hour, and other keys."""
-    shutil.copytree(HOME / "template_battery", folder, dirs_exist_ok=True)
-    times = [START + datetime.timedelta(hours=n) for n in range(len(prices) + 1)]
-    rows = [f"{time:%Y-%m-%dT%H:%M},{float(x)!r}" for time, x in zip(times, prices)]
-    (folder / "curve.csv").write_text("\n".join(["time,price", *rows]))
-    keys = {"start": START, "end": times[-1], "cycles": None} | changes
-    return case_at(folder, {f"contract.{name}": value for name, value in keys.items()})
+    return battery_with_prices(folder, START, prices, **changes)
 
 
 def best_plan(case):
@@ -217,17 +215,7 @@ VOLATILE = [
 def test_the_policy_is_near_the_lattice_and_below_the_bound(changes):
     """And never charges beyond the limit, on any path."""
     case = battery(**DAY | changes)
-    problem = bare_problem(case)
-    best = refined(case.contract.layout, problem.schedule, factors_of(problem)).value
-    setup = make_setup(case, "native")
-    assert isinstance(setup.policy, UnitValuePolicy)
-    problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
-    result = bound(problem, rule, relaxation=EnergyRelaxation(problem), engine=engine, paths=2048)
-    lower, upper = result.lower, result.upper
-    assert lower.value >= best * 0.999 - 3 * lower.standard_error
-    assert lower.value <= best + 3 * lower.standard_error
-    assert best - 3 * upper.standard_error <= upper.value
-    assert upper.value <= best * 1.001 + 3 * upper.standard_error
+    problem, rule, engine = rule_between(case, 0.999, 1.001)
 
     draws = problem.sources.evaluation.draws(np.arange(512), problem.simulator)
     rollout = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY)

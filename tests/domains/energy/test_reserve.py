@@ -8,21 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
-from tests.domains.energy.energy_cases import HOME, battery, case_at, exact
+from tests.domains.energy.energy_cases import HOME, battery, case_at, exact, rule_between
 
 from snapo.case.error import CaseError
 from snapo.case.quantity import numbers_in
 from snapo.domains.energy.contracts.battery import BatteryContract
 from snapo.domains.energy.core.gains import FlowRows
-from snapo.domains.energy.core.policy import UnitValuePolicy
 from snapo.domains.energy.core.tables import LevelRows, UnitValues
 from snapo.domains.energy.methods.grid import check_nodes
-from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.lattice import refined
-from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
+from snapo.domains.energy.setup import bare_problem, factors_of
 from snapo.engine import TRAJECTORY
 from snapo.problem.smooth import Exact
-from snapo.solver.bound import bound
 from snapo.solver.derivatives.by_block import DerivativePass
 
 START = datetime.datetime(2026, 5, 4)
@@ -183,17 +180,7 @@ def test_the_policy_is_near_the_lattice_and_below_the_bound(changes):
     """And keeps stock and flows in reserve on every path; the derivative with respect to the price
     of reserve is that of the lattice, by central differences."""
     case = battery(**DAY, **changes)
-    problem = bare_problem(case)
-    best = refined(case.contract.layout, problem.schedule, factors_of(problem)).value
-    setup = make_setup(case, "native")
-    assert isinstance(setup.policy, UnitValuePolicy)
-    problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
-    result = bound(problem, rule, relaxation=EnergyRelaxation(problem), engine=engine, paths=2048)
-    lower, upper = result.lower, result.upper
-    assert lower.value >= best * 0.997 - 3 * lower.standard_error
-    assert lower.value <= best + 3 * lower.standard_error
-    assert best - 3 * upper.standard_error <= upper.value
-    assert upper.value <= best * 1.008 + 3 * upper.standard_error
+    problem, rule, engine = rule_between(case, 0.997, 1.008)
 
     draws = problem.sources.evaluation.draws(np.arange(512), problem.simulator)
     rollout = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY)

@@ -40,6 +40,7 @@ MATERIAL = 0.01  # of the derivative: a smaller difference of the sides is not l
 SIGNIFICANT = 4.0  # standard errors between the sides: no false alarm among twenty inputs
 # Of the gap between the sides, at half the move: a kink leaves 1/2, a bend 1/4, a jump all of it.
 CORNER, JUMP = 0.375, 0.75
+REBUILT = 2  # problems that are rebuilt at once: each has its own tables
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
 
 
@@ -201,8 +202,8 @@ class _Bumper:
 
         Objects built from the inputs are first held fixed, which is fast: if that shows no
         reaction, rebuilt ones, at a near-optimal policy, have none to first order either. Problems
-        are rebuilt in threads, while other inputs are valued; of long paths, whose tables are
-        large, one at a time.
+        are rebuilt in two threads, while other inputs are valued; in one if paths are long, as
+        their tables are large.
         """
         problem, table = self.problem, {}
         waiting: list[tuple[str, Future[Problem]]] = []
@@ -213,7 +214,7 @@ class _Bumper:
             del rebuilt  # so that its memory is free after its last use
             table[name] = self._moved(name, by, held[name], self.few, mirrored=True, more=more)
 
-        threads = 1 if rebuilt_once(problem) else cores()
+        threads = 1 if rebuilt_once(problem) else min(REBUILT, cores())
         pool = ThreadPoolExecutor(threads, "rebuild")
         try:
             for name, by in moves.items():

@@ -110,12 +110,11 @@ def check_nodes(case: Any, schedule: Any) -> None:
     if _nodes(layout, terms, intervals, start, 1, None, idle)[2]:
         return
     measure = measures_of(layout, terms, start)[0]
-    divisor = "none" if measure is None else f"{measure:.6g} {case.volume_unit}"
+    divisor = "there is none" if measure is None else f"it is {measure:.6g} {case.volume_unit}"
     count = int(_combinations(len(case.days)))
     message = (
-        f"{_VOLUMES[limited]} need a larger common divisor, of which the levels are multiples, "
-        "so that there are "
-        f"at most about {count:,} combinations of levels {_LEVELS[limited]}; it is {divisor}"
+        f"{_VOLUMES[limited]} need a larger common divisor: {divisor}, and at most about {count:,} "
+        f"combinations of levels {_LEVELS[limited]}, in multiples of it, are possible"
     )
     raise CaseError(str(case.file), "contract", None, message)
 

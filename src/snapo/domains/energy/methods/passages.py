@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..core.contract import ContractLayout
+from ..core.contract import ContractLayout, FallingLimit
 from .corners import corners
 
 
@@ -62,7 +62,7 @@ def _by_falls(terms, t: int, limits, change, before, near: float) -> list:
     """The limits of a volume, one for each number of falls of a limit that binds it."""
     if terms.falling is None or change[0] <= 0:
         return [limits]
-    falling, result = type(terms.falling)(*(x[t] for x in terms.falling)), []
+    falling, result = FallingLimit(*(x[t] for x in terms.falling)), []
     near = 8 * near  # limits are met with half of it
     counted = before[-1] + change[-1]
     for falls in np.unique(falling.falls(counted, near, np)):
