@@ -77,7 +77,7 @@ const quotient = (top, per) => (per === "1" ? top : per.startsWith(`${top}/`) ? 
 
 // Where the derivative of an input comes from, unless it is that with the decisions held fixed.
 const reported = (input) => ({
-  "through the policy": " A bump refuted the derivative with the decisions held fixed. At the run's inputs the number shown is that of the bump; at other inputs it changes as much as the derivative with the decisions held fixed.",
+  "through the policy": " A bump contradicted the derivative with the decisions held fixed. At the run's inputs the number shown is that of the bump; at other inputs it changes as much as the derivative with the decisions held fixed.",
   "range": " At the run's inputs an increase and a decrease of this input have different effects: the interval contains both.",
   "not known": " The derivative with respect to this input is not known.",
 })[input.source] ?? "";

@@ -39,7 +39,7 @@ CAVEAT = (
     "simulator with the "
     "decisions held fixed; this is correct if decisions are optimal, depend on the full state and "
     "cause no jump. Through the policy: from a bump of the exact simulator by one percent, or by "
-    "the step of the input, with the policy reacting; it is reported if it refutes the "
+    "the step of the input, with the policy reacting; it is reported if it contradicts the "
     "derivative with decisions held fixed (at a level of 1 % for all inputs together). Range: at "
     "a kink, between the "
     "derivatives for a decrease and for an increase of the input. The 95 % interval adds the "
