@@ -270,7 +270,7 @@ def test_a_server_that_starts_again_offers_the_inputs_of_before(browser, tmp_pat
         page.goto(server.address.rstrip("/"))  # an address without its last slash
         page.locator("#deltas").wait_for()
         page.goto(f"http://127.0.0.1:{server.port}/{running.split('/')[3]}/")
-        assert "Ask `snapo open RUN` again" in page.inner_text("body")
+        assert "Run `snapo open RUN` again" in page.inner_text("body")
 
 
 def test_a_page_whose_server_has_ended_says_what_to_do(browser, tmp_path, held):

@@ -237,10 +237,10 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
     notes.error(
         where,
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
-        "A jump (a comparison, rounding, argmax) that bumps cross, stop_gradient on part of the "
-        "way, or a derivative written by hand. A parameter of whole-numbered noise that is "
-        "created in prepare or in the step is correct only in the mean over paths: name it, def "
-        f"in_mean(self): return ({pair.entry.name!r},).",
+        "Likely causes: a jump (comparison, rounding, argmax) that bumps cross, stop_gradient on "
+        "part of the way, a derivative written by hand. A parameter of whole-numbered noise that "
+        "is created in prepare or in the step is correct only in the mean over paths: name it, "
+        f"def in_mean(self): return ({pair.entry.name!r},).",
     )
     return True
 

@@ -350,7 +350,7 @@ def _write_table(notes: Notes, method: str, result: TraceTable, precision: str) 
     text = f" In: {result.line.text}" if result.line else ""
     notes.error(
         where,
-        f"A table of shape {result.shape} is {result.dtype}, but all else is {precision}.{text}",
+        f"A table of shape {result.shape} is {result.dtype}, but the others are {precision}.{text}",
         TABLE,
     )
 

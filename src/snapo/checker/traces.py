@@ -154,8 +154,8 @@ def lost_derivatives(notes: Notes, simulator: Simulator, inputs: PyTree) -> None
         texts = " In: " + "; ".join(line.text for line in lines) if lines else ""
         notes.warning(
             f"input {name}" + (f" ({positions})" if positions else ""),
-            "Its derivative is lost: on every way to the outputs it is rounded, made a whole "
-            "number or compared. The derivative is then 0 on every path, and the true one is not "
+            "Its derivative is lost: it reaches the outputs only through rounding, whole numbers "
+            "or comparisons. The derivative is then 0 on every path, and the true one is not "
             f"known.{texts}",
             "Draw whole numbers with snapo.noise (Poisson, Binomial, Empirical), whose derivative "
             "is correct in the mean, use smooth.indicator and smooth.round, or leave it "

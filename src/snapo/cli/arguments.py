@@ -150,8 +150,8 @@ def add_explain(commands) -> None:
         help="split the change of value between two runs of a contract into its causes",
         epilog="snapo explain mystore/runs/2026-11-24T0800-7f3a mystore",
     )
-    explain.add_argument("first", metavar="RUN_A", type=Path, help=f"the earlier one: {RUN}")
-    explain.add_argument("second", metavar="RUN_B", type=Path, help=f"the later one: {RUN}")
+    explain.add_argument("first", metavar="RUN_A", type=Path, help=f"the earlier run: {RUN}")
+    explain.add_argument("second", metavar="RUN_B", type=Path, help=f"the later run: {RUN}")
     explain.add_argument(
         "--flows",
         metavar="FILE",

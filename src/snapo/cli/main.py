@@ -366,7 +366,7 @@ def _add_simulator(parser: argparse.ArgumentParser) -> None:
         "--simulator",
         metavar="MODULE:CLASS",
         type=simulator_class,
-        help='simulator class of a case of kind "own", next to the case or in the working folder',
+        help='simulator class of a case of kind "own", next to the case or in the current folder',
     )
 
 

@@ -139,7 +139,7 @@ POLICY = (
 )
 
 STRANDED = (
-    "The address has no token, or one of an earlier start. Ask `snapo open RUN` again, and use the "
+    "The address has no token, or one of an earlier start. Run `snapo open RUN` again, and use the "
     "address that it prints: its page offers the inputs of the previous one."
 )
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]

@@ -317,7 +317,7 @@ def _picture(
         "Differences between the policy of each seed and the best, path by path on common "
         "paths, with 95 % intervals."
     )
-    return Chart(draw("seeds-picture", f"Difference to the best: {summary}.", paint, 220), caption)
+    return Chart(draw("seeds-picture", f"Gaps to the best: {summary}.", paint, 220), caption)
 
 
 def _table(result: dict[str, Any], digits: int) -> Table:

@@ -138,7 +138,7 @@ HOLD = "✓ all 2 numerical checks hold"
          [HOLD, "✗ at the set point a limit is broken: size"]),
         ((OPTIMUM, WORSE), "ok",
          [HOLD,
-          "✗ the optimised recipe keeps all limits less often, 9.0 % for 85.0 %: keep a reserve"]),
+          "✗ the optimised recipe meets all limits less often, 9.0 % for 85.0 %: use a reserve"]),
     ],
 )  # fmt: skip
 def test_nothing_good_stands_alone_above_what_fails(entry, status, expected):

@@ -172,7 +172,7 @@ def _domain(solution: Solution, problem: Problem | None, verb: str) -> PythonDom
     problem = problem or solution.problem
     missing = f"{verb}: this solution was loaded without its"
     if problem is None:
-        raise ValueError(f"{missing} problem: give problem=problem.")
+        raise ValueError(f"{missing} problem: pass problem=problem.")
     if solution.policy is None:
         raise ValueError(f"{missing} policy: snapo.Solution.load(folder, like=policy) has it.")
     solved = SolvedProblem(

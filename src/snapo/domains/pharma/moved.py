@@ -154,7 +154,7 @@ def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> Live
         )
         for i, attribute in enumerate(case.attributes)
     ]  # fmt: skip
-    text = f"{100 * (1 - capability.joint):.4g} % of {capability.batches:,} batches keep all limits"
+    text = f"{100 * (1 - capability.joint):.4g} % of {capability.batches:,} batches meet all limits"
     facts = [(f"{row[0]}, at the set point", float(row[3]), str(row[2])) for row in rows]
     return LiveTable("Attributes and their limits", COLUMNS, rows, text, facts)
 

@@ -114,7 +114,7 @@ def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
     entries: dict[str, Any] = {
         "value": 1 - batches.joint if batches else None,
         "standard_error": batches.joint_error if batches else None,
-        "meaning": "probability that a batch keeps all limits, with the original recipe",
+        "meaning": "probability that a batch meets all limits, with the original recipe",
         "references": {"optimised_recipe": best.chance[1].probability} if best else {},
         "engine": "none: no policy is trained",
         "paths": {"evaluate": batches.batches if batches else 0},
@@ -131,7 +131,7 @@ def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
         "value": loop.value, "standard_error": loop.standard_error, "engine": loop.engine,
         "paths": loop.paths, "status": loop.status if state == "ok" else state,
         "references": references,
-        "meaning": "probability that a batch keeps all limits, under the trained policy",
+        "meaning": "probability that a batch meets all limits, under the trained policy",
         "verdict": loop.verdict,
     }  # fmt: skip
 
@@ -149,7 +149,7 @@ def kept_limits(measured: PathTotals) -> Sequence[LiveTable]:
         bounds = limits(attribute.low, attribute.high, attribute.unit)
         rows.append((attribute.name, bounds, mean, spread, 100 * share, 100 * error))
     share, error = measured.mean(measured.totals["success"])
-    text = f"{100 * share:.4g} % {plus_minus(100 * error)} of batches keep all limits (95 %)"
+    text = f"{100 * share:.4g} % {plus_minus(100 * error)} of batches meet all limits (95 %)"
     units = ["" if x.unit == "1" else x.unit for x in case.attributes]
     facts = [(f"{row[0]}, mean", float(row[2]), unit) for row, unit in zip(rows, units)]
     return [LiveTable("Attributes and their limits", COLUMNS, rows, text, facts)]

@@ -213,7 +213,7 @@ function expect() {
 
 // Buttons that cannot work say why.
 function buttons() {
-  const why = refusal ? "These inputs are refused: there is nothing to work on."
+  const why = refusal ? "These inputs are refused, so nothing can be computed."
     : !page.ready ? "The calculation is starting."
     : page.valued !== page.n ? "These inputs are being valued; please wait." : "";
   at("again").hidden = !page.about || !anything();

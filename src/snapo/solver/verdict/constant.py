@@ -74,8 +74,8 @@ def idle_advice(value: float) -> str:
     """One sentence where the trained rule does nothing."""
     return (
         f"Every path earns the same ({value:,.6g}): the decisions make no use of the randomness. "
-        "If that is not meant, try another seed, a wider exploration (exploration=0.4), or a rule "
-        "to begin from (snapo.Residual)."
+        "If that is not intended, try another seed, a wider exploration (exploration=0.4), or a "
+        "rule to begin from (snapo.Residual)."
     )
 
 

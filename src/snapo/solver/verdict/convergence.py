@@ -119,7 +119,7 @@ def ending(
         still = constant_decisions(problem.action, taken.actions)
         constant, over_constant = _over_constants(problem, exact, taken, engine)
         if still:
-            notes.append(f"{describe(still, of)}: if that is not meant, {TRY_OTHERS}.")
+            notes.append(f"{describe(still, of)}: if that is not intended, {TRY_OTHERS}.")
         if len(still) < of and not over_constant.is_significant:
             notes.append(_as_well(problem, constant, over_constant))
         if unused := never_taken(problem.action, taken.actions):

@@ -309,7 +309,7 @@ def test_a_weight_that_never_leaves_its_bound_is_a_sentence_on_its_class():
         low=np.zeros(6), high=np.array([0.3, 0.7, 0.6, 0.3, 0.6, 0.2]),
     )  # fmt: skip
     case = SimpleNamespace(assets=assets)
-    advice = ": if that is not meant, try starts=4."
+    advice = ": if that is not intended, try starts=4."
     one = f"Decision 1 of 8 never changes (0.0005499, at its limit){advice}"
     assert in_classes(one, case) == "Cash stays at its lower bound of 0\xa0%."
     two = f"2 of 8 decisions never change: 1 (0, at its limit), 4 (0.3, at its limit){advice}"

@@ -41,8 +41,8 @@ def no_flat_volumes(layout: ContractLayout) -> str:
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()
     if layout.moves or not (len(layout.flows) == 1 or opposite) or len(layout.levels) > 1:
         return (
-            "this method is for contracts of at most one level, of one flow or two opposite, and "
-            "without a choice of moves"
+            "this method is for contracts with at most one level, one flow or two opposite ones, "
+            "and no choice of moves"
         )
     return ""
 

@@ -34,7 +34,7 @@ class PowerTable(CaseTable):
     min: CaseInput = POWER("minimum power in an hour on", 0.0, name="power_min")
     max: CaseInput = POWER("largest power in an hour on", range=POSITIVE, name="power_max")
     ramp: CaseInput | None = POWER(
-        "largest change of the power from an hour on to the next", None, range=POSITIVE, name="ramp"
+        "largest change of the power from one hour to the next", None, range=POSITIVE, name="ramp"
     )
 
 

@@ -172,8 +172,8 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
     caption = (
         f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % interval, sampling"
         " error and error of the policy together. The sum over the months is not the gas in store:"
-        " the rule buys at low prices and sells at high ones, and each volume has the weight of"
-        " its price over the forward price."
+        " the rule buys at low prices and sells at high ones, and each volume is weighted by its"
+        " price over the forward price."
     )
     days = _daily(run, deltas.deltas_daily)
     return [Chart(svg, caption), _month_table(run, months), *days, _parts_table(run, months)]

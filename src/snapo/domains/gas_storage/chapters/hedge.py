@@ -28,10 +28,10 @@ MEASURED, FITTED = 259, 260  # streams of the evaluation: of the table, and of t
 LEVEL = 0.95  # of value at risk
 UNHEDGED, PLAN, SOLD = "None", "Today's plan", "Today's deltas"
 TEXT = (
-    "Money of the contract and of its hedge, both decided without foresight, on the same simulated "
-    "paths. Volumes are sold forward after the flow of a day; delivery settles at the spot price, "
-    "and each unit traded costs half the bid-offer. The share not hedged is the variance over that "
-    "of the contract without a hedge."
+    "Cash flow of the contract and of its hedge, both decided without foresight, on the same "
+    "simulated paths. Volumes are sold forward after the flow of a day; delivery settles at the "
+    "spot price, and each unit traded costs half the bid-offer. The share not hedged is the "
+    "variance over that of the contract without a hedge."
 )
 BY_PRODUCT = (
     "How much of the variance is left with the positions in one product only, and in all products "

@@ -99,7 +99,7 @@ class ModelHistory:
         settings = {"spot": "spot.csv", "season": self.plan.season}
         table = parse(HistoryTable, settings, str(self.file), "history")
         if not prices:
-            raise CaseError(str(self.file), "history", None, "there is no price until then")
+            raise CaseError(str(self.file), "history", None, "there is no price up to that date")
         section = TableContext(self.observed.folder, "history", [])
         return calibration_of(section, table, self.kind, self.shift, prices)
 

@@ -40,8 +40,8 @@ TAIL = 0.025  # of simulated histories, below or above which the realised cash f
 COLOURS = ("withdraw", "good", "inject", "limit", "other")  # of the hedges in a chart
 FEW = len(COLOURS)  # hedges that a chart can show
 METHOD = (
-    "Each day was decided with the prices until then. The expectation is the mean of the same rule "
-    "on histories that the model draws on the valuation date; one history may be far from it."
+    "Each day was decided with the prices up to that day. The expectation is the mean of the same "
+    "rule on histories that the model draws on the valuation date; one history may be far from it."
 )
 
 
@@ -119,7 +119,7 @@ def _marks(result: StoreBacktest, case: StorageCase, digits: int) -> list[Mark]:
     marks = [Mark(probable, f"{where} the range of 95 % of simulated histories")]
     if result.rolling is not None and result.rolling > result.realised:
         more = money(result.rolling - result.realised, case.currency, digits)
-        marks.append(Mark(False, f"rolling intrinsic brought {more} more"))
+        marks.append(Mark(False, f"rolling intrinsic earned {more} more"))
     return marks
 
 
@@ -203,7 +203,7 @@ def _cash(result: StoreBacktest, case: StorageCase) -> Section:
     caption = (
         "Cash flow so far: realised, and its mean on simulated histories with a band of 90 %"
         + ("; with the gains of hedges so far." if gains else ".")
-        + " The value of gas left and fixed costs are not in it."
+        + " It includes neither the value of gas left nor fixed costs."
     )
     blocks: list[Block] = [Chart(draw("cash", alt, paint, 300), caption)]
     if len(result.marks) > 1:
@@ -357,7 +357,7 @@ def _estimates(result: StoreBacktest) -> Section:
     unchanged = [x for x in result.estimates if x.reason and not x.parameters]
     blocks: list[Block] = []
     if rows:
-        caption = "The model, estimated again from the prices until each date"
+        caption = "The model, estimated again from the prices up to each date"
         blocks.append(table(rows, columns, caption, by_row=True, folded=_folded(len(rows))))
     blocks += [Text(f"{_day(x.date)}: the previous model is used: {x.reason}.") for x in unchanged]
     return Section("estimates", "Estimates of the model", "Model", blocks)

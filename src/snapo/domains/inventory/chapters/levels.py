@@ -135,7 +135,7 @@ def show(run: RunFiles, result: OrderCurves) -> Sequence[Block]:
         unit_above(axes, f"Order, {plural(unit)}")
         legend_above(axes)
 
-    alt = f"Orders fall from {number(curves[0].orders[0], 1)} at the least stock to none."
+    alt = f"Orders fall from {number(curves[0].orders[0], 1)} at the smallest stock to none."
     caption = "The order of the trained rule for each stock, in the first period that counts" + (
         ", if outstanding orders are spread evenly over the lead time."
         if (case.lead_time or 0) > 1
@@ -163,7 +163,7 @@ def _table(result: OrderCurves, unit: str) -> Table:
     for i in np.unique(lines):
         amounts = [stock[i], *(x for curve in curves for x in (curve.orders[i], curve.levels[i]))]
         rows.append([number(x, digits) for x in amounts])
-    return Table(head, rows, "Orders and the level up to which they go", 0, folded="All numbers")
+    return Table(head, rows, "Orders and order-up-to levels", 0, folded="All numbers")
 
 
 LEVELS = Chapter(

@@ -313,11 +313,11 @@ def show_variance(run: PensionRun, result: tuple[SourceVariance, ...]) -> Sequen
         (row.source, points(row.mean, 1), points(row.deviation, 1), points(row.explained, 0))
         for row in result
     ]
-    head = [("", ""), ("Mean F", "%"), ("Standard deviation", "points"), ("Variance gone", "%")]
+    head = [("", ""), ("Mean F", "%"), ("Standard deviation", "points"), ("Variance removed", "%")]
     caption = (
-        f"The funding ratio {run.horizon} on the same paths with the volatilities of one source"
-        " at zero, the trained policy deciding. Shares need not add up to 100 %: sources offset"
-        " each other. A source with a negative share offsets the others."
+        f"The funding ratio {run.horizon} on the same paths with the volatilities of one source at "
+        "zero and the decisions of the trained policy. Shares need not add up to 100 %: sources "
+        "offset each other. A source with a negative share offsets the others."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]
 

@@ -199,7 +199,7 @@ def assumptions(run: PensionRun) -> Section:
 
 def _glossary() -> Table:
     rows = [
-        ("P, Q", "real-world and risk-neutral scenarios; shown next to all that is simulated"),
+        ("P, Q", "real-world and risk-neutral scenarios; shown next to all simulated numbers"),
         ("Funding ratio F", "assets over liability, both at the same instant"),
         ("Certainty equivalent", "the certainty-equivalent ratio of the policy"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),

@@ -171,7 +171,7 @@ def show(run: PensionRun, policies: tuple[PolicyWorth, ...]) -> Sequence[Block]:
     text = ("Median pension", "Below today's") if run.personal else ("Median F", "P(F < 1)")
     head += [(text[0], "%"), ("5 % quantile", "%"), (text[1], "%"), ("PV contributions", unit)]
     caption = (
-        "All policies are on the same fresh paths. The classical ones are tuned on the same"
+        "All policies are valued on the same fresh paths. The classical ones are tuned on the same"
         " objective within the same bounds; the present mix is not tuned. Advantages are paired"
         " path by path."
     )

@@ -148,7 +148,7 @@ def show(run: PensionRun, result: PotsOutcome) -> Sequence[Block]:
     """The pots of today, the pensions of the cohorts and the reserve."""
     reserve = result.reserve[:, 1]
     facts = [
-        ("Pension today over that earned", share(result.level), "pots over annuities"),
+        ("Pension today over the accrued one", share(result.level), "pots over annuities"),
         ("Solidarity reserve", share(reserve[0]),
          f"median {share(reserve[-1])} a year before the end"),
         ("Into the reserve", run.large(result.filled), "mean over the horizon, from excess return"),

@@ -176,7 +176,7 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
                 raise row.error(name, message)
         if minimum < 0 and row.cells.get("max_sale"):
             message = (
-                "a class whose low is below 0 can be sold short, so that it has no largest sale"
+                "a class whose low is below 0 can be sold short, so its sales have no limit"
             )
             raise row.error("max_sale", message)
     return low, high

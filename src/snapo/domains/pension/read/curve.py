@@ -77,7 +77,7 @@ def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -
     """
     if curve.extrapolation != "smith-wilson":
         if curve.quote == "swap":
-            message = 'a column "swap" goes with "smith-wilson"'
+            message = 'a column "swap" is allowed with "smith-wilson" only'
             raise section.error("extrapolation", curve.extrapolation, message)
         return curve
     last = float(curve.tenor[-1])

@@ -47,7 +47,7 @@ NOTIONAL = AMOUNT.of("overlay").in_column(
     "notional", "the notional held today, before the first trade", range=ANY
 )
 SWAP_COST = FEE.of("overlay", unit="1").in_column(
-    "cost", "the share of the notional traded that trading swaps costs"
+    "cost", "the cost of trading swaps, as a share of the notional traded"
 )
 
 

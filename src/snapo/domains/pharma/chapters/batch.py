@@ -189,7 +189,7 @@ def _over_time(charts: Charts, unit: str) -> Callable[[RunFiles, BatchResult], l
         blocks: list[Block] = []
         for name, trajectory in result.trajectories.items():
             blocks += charts(name, trajectory, result.solubility.get(name))
-        return blocks or [Missing(f"No {unit}'s trajectory is in this run.")]
+        return blocks or [Missing(f"This run has no trajectory of a {unit}.")]
 
     return show
 

@@ -158,7 +158,7 @@ def _in_words(result: SpaceMap) -> Text:
             "all of them within the limits."
         )
     if result.box is None:
-        return Text(text + " No box around the set point keeps the required probability.")
+        return Text(text + " No box around the set point has the required probability.")
     sides = [
         f"{name} {location(low)} to {location(high, unit)}"
         for name, unit, low, high in zip(result.axes, result.units, result.box.low, result.box.high)
@@ -175,14 +175,14 @@ def _map(result: SpaceMap, at: Any, position: str, names: list[str]) -> Chart:
         _binding(lower, result, result.binding[at].astype(int), names)
 
     key = position.replace(" ", "").replace(".", "-").replace("\N{NO-BREAK SPACE}", "")
-    svg = draw(f"space{key}", "Probability that all limits hold, with contours; below, the "
+    svg = draw(f"space{key}", "Probability that all limits are met, with contours; below, the "
                "attribute that most often breaks its limits.", paint, 560, (1.2, 1.0))  # fmt: skip
     where = f" at {position}" if position else ""
     caption = (
-        f"Above: probability that a batch keeps all limits{where}, darker is better, with its "
-        "contours; the boundary of the required probability lies between the dotted lines at 95 %: "
-        "it is certain within the inner one, and possible up to the outer one. Below: the "
-        "attribute that most often breaks its limits."
+        f"Above: probability that a batch meets all limits{where}, with its contours (darker is "
+        "better); at 95 % the boundary of the required probability lies between the dotted lines: "
+        "all points within the inner line have this probability, none outside the outer one. "
+        "Below: the attribute that most often breaks its limits."
     )
     return Chart(svg, caption)
 
@@ -200,8 +200,8 @@ def boundary(result: SpaceMap, names: list[str]) -> list[Block]:
     required = number(result.required)
     if not rows:
         text = (
-            f"On the lines of the map next to the set point the probability crosses {required} "
-            "nowhere: the space contains all or none of the studied ranges there."
+            "On the lines of the map next to the set point the probability does not cross "
+            f"{required}: the space contains all or none of the studied ranges there."
         )
         return [Text(text + f" {ENDS} has the other lines." * bool(result.ends))]
     head = ("Along", "At", "Ends", "Limit beyond it", "Boundary", "95 % interval")

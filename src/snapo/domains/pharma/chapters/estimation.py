@@ -285,17 +285,17 @@ def validation(run: RunFiles) -> Section:
         return Section("validation", title, short, [reason])
     if result.validation is None:
         text = (
-            "No batch was held out of a fit: `held_out = true` of an experiment under "
-            "`[[estimation.experiments]]` keeps it for this."
+            "No batch was held out from a fit: set `held_out = true` for an experiment "
+            "under `[[estimation.experiments]]`."
         )
         return Section("validation", title, short, [Missing(text)])
     tests, level = result.validation, percent(result.level, 0)
     low, high = percent(tests.low, 0), percent(tests.high, 0)
     blocks: list[Block] = [
         Text(
-            f"Of {len(tests.measured)} measurements of batches held out of the fit "
+            f"Of {len(tests.measured)} measurements of batches held out from the fit "
             f"{percent(tests.coverage)} lie within their {level} prediction intervals ({low} to "
-            f"{high} as of independent points). An interval combines the measurement error and the "
+            f"{high} for independent points). An interval combines the measurement error and the "
             "uncertainty of the fit; the errors of points of one batch are correlated, which the "
             "chi² of the batch takes into account."
         ),
@@ -327,7 +327,7 @@ def _batches(batches: Sequence[Agreement]) -> Table:
 def _points(tests: Validation) -> Chart:
     """Measured minus predicted over the half width of the interval: inside is -1 to 1."""
     share = (tests.measured - tests.predicted) / tests.half
-    svg = draw("validation", "Prediction errors of the batches held out.",
+    svg = draw("validation", "Prediction errors of the batches that were held out.",
                lambda axes: pictures.residuals(axes, share), 200)  # fmt: skip
     worst = number(float(np.abs(share).max()), 2)
     caption = (

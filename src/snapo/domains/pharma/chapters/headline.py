@@ -120,7 +120,7 @@ def headline(run: RunFiles) -> Section:
     else:
         blocks.append(
             Headline(
-                label="Probability that a batch keeps all limits", value=percent(value),
+                label="Probability that a batch meets all limits", value=percent(value),
                 error=plus_minus(None if error is None else 100 * error, 1), note=_note(run),
                 marks=marks(run),
             )
@@ -174,7 +174,7 @@ def _against(run: RunFiles) -> list[str]:
         before, after = recipe.chance
         if after.probability < before.probability - 3 * after.error:
             pair = f"{percent(after.probability)} for {percent(before.probability)}"
-            text = f"the optimised recipe keeps all limits less often, {pair}: keep a reserve"
+            text = f"the optimised recipe meets all limits less often, {pair}: use a reserve"
             verdicts.append(text)
     return verdicts
 
@@ -301,7 +301,7 @@ def _made_with(run: RunFiles, case: Statement, made: Making) -> Table | Missing:
         rows.append(("Versions", ", ".join(f"{name} {x}" for name, x in names.items())))
     rows += [(f"SHA-256 of {name}", text) for name, text in (made.hashes or {}).items()]
     if not rows:
-        return Missing("Seed, versions and hashes are not in this run.")
+        return Missing("This run has no record of seed, versions and hashes.")
     return Table([], rows, "How to get these numbers again", 2)
 
 

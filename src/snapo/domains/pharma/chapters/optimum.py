@@ -252,7 +252,7 @@ def _goal(result: BestRecipe) -> str:
     goal = _sum(result.terms)
     if result.per:
         goal = f"({goal}) / ({_sum(result.per)})"
-    selected = "all limits of the nominal model are kept"
+    selected = "all limits of the nominal model are met"
     if result.reserve:
         selected += f", with {number(result.reserve)} margins to spare"
     if result.deviations:
@@ -281,7 +281,7 @@ def _facts(result: BestRecipe) -> Facts:
     ]
     for name, probability in zip(("as given", "best recipe"), result.chance):
         error = plus_minus(100 * probability.error, 1)
-        facts.append((f"All limits kept, {name}", percent(probability.probability), error))
+        facts.append((f"All limits met, {name}", percent(probability.probability), error))
     return Facts(facts)
 
 

@@ -94,7 +94,7 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class DesignSpace:
-    """Where the probability of keeping all limits is mapped.
+    """Where the probability of meeting all limits is mapped.
 
     - `axes`: two or three names of `Parameter`s, over their `low` to `high`; `points`: per axis.
     - `samples`: draws of the uncertainty per point, the same at every point.
