@@ -135,7 +135,7 @@ def test_spaces_of_others_take_what_they_can():
         (spaces.Box(-1, 1, (3,)), snapo.Box(-np.inf, np.inf, 2)),
         (spaces.Text(3), snapo.Box(-np.inf, np.inf)),
     ):
-        with pytest.raises(ValueError, match="have no place in the space"):
+        with pytest.raises(ValueError, match="do not fit into the space"):
             writer(space, action)
     with pytest.raises(ValueError, match="decisions of the policy is 3, but that of options is 2"):
         writer(spaces.Discrete(2))(best)

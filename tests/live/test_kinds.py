@@ -163,7 +163,7 @@ def test_a_process_in_closed_loop_is_valued_as_solve_does(tmp_path):
     assert found["value"]["standard_error"] == again["standard_error"]
     (section,) = found["sections"]
     assert [row[0] for row in section["rows"]] == ["product", "impurity"]
-    assert "keep all limits" in section["description"]
+    assert "meet all limits" in section["description"]
 
 
 @pytest.mark.prove

@@ -163,7 +163,7 @@ def check(
     - `problem`: a `Problem`, or a simulator followed by its `inputs`, with `objective`, `scenarios`
       and `constraints` as keywords.
     - `scenarios`: by default standard normals; `Supplied` for any other noise.
-    - `paths`, `temperature`: their number and temperature in the rollouts, whose limits are smooth.
+    - `paths`, `temperature`: of the rollouts, whose limits are smooth.
     """
     simulator: Any = problem
     if isinstance(problem, Problem):

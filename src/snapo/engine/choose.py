@@ -65,7 +65,7 @@ def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     if isinstance(requested, Engine):
         train, evaluate = (replace(requested, precision=item) for item in ("float32", "float64"))
         name = type(requested).__name__.lower()
-        return Engines(train, evaluate, name, f"{requested}, as it was given")
+        return Engines(train, evaluate, name, f"{requested}, as requested")
     if requested not in NAMES:
         allowed = ", ".join(NAMES)
         raise ValueError(f"engine: got {requested!r}; it must be an engine, or one of {allowed}.")
@@ -75,12 +75,12 @@ def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     missing = unavailable()
     if missing is not None:
         if requested == "native":
-            raise ValueError(f"engine: native cannot run here, as {missing}")
+            raise ValueError(f"engine: native cannot run here, because {missing}")
         return _xla(devices, missing)
     reason = unsupported(problem.simulator, problem.schedule, policy, Smooth(np.float32(0.1)))
     if reason is None:
         why = "it was asked for" if requested == "native" else "it can compile this simulator"
-        return Engines(Native("float32"), Native("float64"), "native", f"native, as {why}")
+        return Engines(Native("float32"), Native("float64"), "native", f"native, because {why}")
     if requested == "native":
         raise ValueError(f"engine: native cannot run this simulator: {reason}")
     return _xla(devices, f"the native engine cannot run this simulator: {reason}")
@@ -88,5 +88,5 @@ def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
 
 def _xla(devices, why: str) -> Engines:
     kind = devices[0].platform.upper()
-    reason = f"XLA on {len(devices)} {kind} device{'s' * (len(devices) > 1)}, as {why}"
+    reason = f"XLA on {len(devices)} {kind} device{'s' * (len(devices) > 1)}, because {why}"
     return Engines(Xla("float32", devices=devices), Xla("float64", devices=devices), "xla", reason)

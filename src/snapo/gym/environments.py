@@ -224,7 +224,7 @@ def play(
     environment: "str | Callable[[], Any]",
     starts: int | Sequence[int] = 2000,
 ) -> Played:
-    """Plays one episode from every start, all episodes side by side.
+    """Plays one episode from every start, all episodes in parallel.
 
     **Arguments:**
 
@@ -276,7 +276,7 @@ def made(environment: "str | Callable[[], Any]"):
 
 
 class VectorEnvironment(gymnasium.vector.VectorEnv):
-    """`num_envs` paths of the exact simulator side by side (see `Environment`).
+    """`num_envs` paths of the exact simulator in parallel (see `Environment`).
 
     A path that has ended restarts at its next step, whose action is not used and whose reward
     is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` holds [N] of every output and, under its

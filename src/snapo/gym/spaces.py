@@ -130,6 +130,6 @@ def _option(decided: np.ndarray, options: int) -> np.ndarray:
 
 def _refuse(space: Space, action: Actions | None) -> NoReturn:
     raise ValueError(
-        f"Agent: decisions in {action} have no place in the space {space}; give "
+        f"Agent: decisions in {action} do not fit into the space {space}; give "
         "snapo.gym.Agent(policy, action=…) a function from decisions [N, size] to its elements."
     )

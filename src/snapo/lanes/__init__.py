@@ -1,8 +1,8 @@
-"""A compiler from jaxprs to machine code for vectors of paths. It knows nothing of snapo.
+"""A compiler from jaxprs to machine code for vectors of paths, independent of snapo.
 
 The input is a function of one path, as JAX traces it; the output is code that runs it, and its
-transpose, for a block of paths at once, one path per lane of a vector. The rooms, in the order in
-which a function passes through them (imports go from the later to the earlier):
+transpose, for a block of paths at once, one path per lane of a vector. The packages, in the order
+in which a function passes through them (imports go from the later to the earlier):
 
     program     straight-line programs: tracing, cutting, flattening, rewriting, the two sweeps
     emit        a writer of LLVM IR: vectors, loops, memory; which array lies where

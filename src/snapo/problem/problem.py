@@ -255,7 +255,7 @@ class Problem:
         return other if self.rebuild is None else self.rebuild(other)
 
     def with_inputs(self, values: list[Any]) -> "Problem":
-        """The same problem with other values of all inputs, in the order of `named`."""
+        """The same problem with other values of all inputs, in the order of `inputs_by_name`."""
         remaining = iter(values)
 
         def put(leaf):

@@ -53,7 +53,7 @@ class Scenarios(abc.ABC):
         return self.describe(paths)
 
     def world(self, simulator: Simulator) -> tuple[Hashable, ...]:
-        """Path p is the same world in all simulators for which this is equal."""
+        """Path p is the same scenario in all simulators for which this is equal."""
         return (repr(self), simulator.noise_size, _counted_from(simulator), *simulator.calendar)
 
     @abc.abstractmethod

@@ -50,7 +50,7 @@ class Simulator(eqx.Module):
       default. `initial_steps`: `initial` receives the noise of this number of first steps of the
       calendar, one after another, and uses those before `first_step`. If there are fewer, its
       noise is drawn separately, and steps are counted from the simulator's own start.
-      `calendar`: path p is the same world only in simulators for which it is equal.
+      `calendar`: path p is the same scenario only in simulators for which it is equal.
     - `fully_observed`: declared by an author who knows that the observation has all of the state
       that matters to a decision; it is then not examined (`problem.unseen`).
     """

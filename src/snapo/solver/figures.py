@@ -116,7 +116,7 @@ class Figures:
         return f"the figures of a solution: {names}"
 
     def tornado(self, *, ax: Any = None, count: int = BARS) -> Any:
-        """The change of the value that a move of an input causes, largest first, 95 % whiskers.
+        """The change of the value by a move of each input, largest first, with 95 % intervals.
 
         All numbers of an input are moved by its `move`, by default 1 %. To first order, with the
         reported derivative.
@@ -203,8 +203,8 @@ class Figures:
     ) -> Any:  # fmt: skip
         """The decision at a `step` against a number of the state, the others at their means.
 
-        Every action as a line; with a second number, `other`, a map of one `action`. The range is
-        that of all paths at all steps; `problem` as in `fan`.
+        Every action is a line; with a second number, `other`, the figure is a map of one `action`.
+        The range is that of all paths at all steps; `problem` as in `fan`.
 
         **Raises:** `KeyError` for a name that is not a state, `ValueError` as for `fan`.
         """

@@ -134,7 +134,7 @@ class LimitFound(NamedTuple):
     - `name`, `level` of the limit; `value`, `standard_error`, `low`, `high` of the measure.
     - `price`, `price_error`: the shadow price, the change of the objective per unit of the level
       (negative for a lower limit); zero if the limit does not bind: if its multiplier in training
-      is zero, or the measure is far enough from the level. `multiplier`: its last one.
+      is zero, or the measure is far enough from the level. `multiplier`: its last value.
     - `met`: "met", "not met", or "met nearly": missed by less than the half width of the interval,
       a thousandth of one path's deviation, or round-off.
     """

@@ -63,7 +63,7 @@ def test_an_untested_jax_is_a_reason(monkeypatch):
     monkeypatch.setattr(jax_private, "TESTED", ((0, 1), (0, 2)))
     engines = choose("auto", problem, policy)
     assert engines.name == "xla" and "0.1 to below 0.2" in engines.reason
-    with pytest.raises(ValueError, match=r"native cannot run here, as jax .* not among"):
+    with pytest.raises(ValueError, match=r"native cannot run here, because jax .* not among"):
         choose("native", problem, policy)
 
 

@@ -184,7 +184,7 @@ const isCompiled = () => !Object.keys(chosen()).length || compiled.has(JSON.stri
 
 // Why the numbers on the page are not of its inputs.
 function reason() {
-  if (refusal) return "for the previous inputs, as the present ones are refused";
+  if (refusal) return "for the previous inputs: the present ones are refused";
   if (!page.ready) return "for the previous inputs; the calculation is starting";
   if (page.valued === page.n) return "for the previous inputs; the present ones are valued next";
   const time = seconds() >= LONG ? `, ${seconds()} s` : "";

@@ -109,7 +109,7 @@ class Stop(Actions):
     of stopping here if not before. A path then does not stop but fades: the simulator's state has
     the weight that is still alive, and the payoff is paid on the part that stops. That is the
     expectation over the time of stopping, without any jump, so that its derivative is correct.
-    (Training with an indicator of "stop now" instead ends at stopping at once.)
+    (With an indicator of "stop now" instead, training converges to stopping at once.)
 
         def initial(…):   state = {…, "right": self.action.initial()}
         def step(…):      right, used = self.action.use(state["right"], action)
@@ -141,8 +141,8 @@ class Stop(Actions):
         """(1 + u / (1 + u^2)^.5) / 2, where the score u is raw, shifted by the untrained hazard's
         score, over temperature * scale; exact: 1 if it is above 0.
 
-        Not the logistic curve: its slope vanishes like the hazard itself, so that a training whose
-        first steps all lower the hazard never recovers.
+        It is not the logistic curve, whose slope vanishes like the hazard itself, so that training
+        whose first steps all lower the hazard never recovers.
         """
         return self._hazard(raw + _score(self.hazard), smooth)
 

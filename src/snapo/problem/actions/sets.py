@@ -44,10 +44,10 @@ class Actions(eqx.Module):
 
     @abc.abstractmethod
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """An action of the set after an unbounded correction, again in the set."""
+        """`base` plus an unbounded correction, mapped back into the set."""
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """The action of the exact set nearest to one of the smooth set; in training, itself."""
+        """The action of the exact set nearest to one of the smooth set; in training, unchanged."""
         return action
 
     @property

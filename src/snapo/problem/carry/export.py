@@ -35,7 +35,7 @@ def decision_table(
     names: Sequence[str] | None = None,
     observe: Callable[[Any], Any] | None = None,
 ) -> TableDecisions:
-    """The exact decision at every pair of values of two observed numbers, x slowest.
+    """The exact decision at every pair of values of two observed numbers; x varies slowest.
 
     **Arguments:**
 

@@ -26,7 +26,7 @@ class Markov(Noise):
 
     Regimes have no order, so that a path has no derivative with respect to the probabilities.
     `likelihood` is the number 1, with the derivative of the log probability; carried along as here,
-    it makes the derivative of the mean correct (likelihood ratio). Without: `draw(noise[:1],
+    it makes the derivative of the mean correct (likelihood ratio). Without it: `draw(noise[:1],
     state["regime"])`.
 
     **Arguments:**

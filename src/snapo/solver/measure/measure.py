@@ -314,12 +314,12 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
         return []
     notes = [
         f"Paths have more than {LONG:,} steps: derivatives were measured on {run.held_paths:,} of "
-        f"them, which together have at most as many steps as the requested paths with {LONG:,}."
+        f"them, with as many steps in total as the requested paths would have with {LONG:,} each."
     ]
     if run.evaluation.judge_paths:
         notes.append(
             "The part of the intervals of derivatives that is due to the policy was measured on "
-            f"{run.effort.fewest} paths ({FEWEST} if they were shorter)."
+            f"{run.effort.fewest} paths (with shorter paths on {FEWEST})."
         )
         if rebuilt_once(run.problem):
             notes.append(

@@ -119,7 +119,7 @@ MISTAKES = {
     ),
     "moments apart": (
         lambda: with_crystalliser(separate=True),
-        f'{HERE}.separate: got true; method "finite-volumes" keeps no moments apart and has no '
+        f'{HERE}.separate: got true; method "finite-volumes" has no separate moments and has no '
         "such key.",
     ),
     "nuclei of their own": (

@@ -75,8 +75,7 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
     """The tables of the stores, from their files; `market`: the table of the case."""
     if len(table.stores) != STORES:
         message = (
-            f"there must be {STORES} stores, as the methods count their inventories and the "
-            "joint flow"
+            f"there must be {STORES} stores: the methods count their inventories and the joint flow"
         )
         raise where.error("stores", ", ".join(table.stores), message)
     opened = [_open(where, name, market) for name in table.stores]

@@ -254,7 +254,7 @@ class _ContractChain(ChangeChain):
             keys = first.case.contract.keys_at(state.levels, state.mode, index)
         except ValueError as error:
             date = other.valuation_date
-            message = f"on {date} the plan of {first.folder} leads to a state in which no case can begin"
+            message = f"on {date} the plan of {first.folder} leads to an invalid initial state"
             raise CaseError(str(first.file), "contract", None, f"{message}: {error}") from None
         for name, value in keys.items():
             *tables, key = name.split(".")

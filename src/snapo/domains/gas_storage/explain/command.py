@@ -153,10 +153,9 @@ CAPTION = (
     "at zero."
 )
 METHOD = (
-    "Each part is a revaluation after the changes of all parts above it, on the same paths. "
-    "Decisions are those of the first run's policy, whose marginal values adapt to the new "
-    "numbers; in the part “policy” the second run's policy takes over. Whiskers and ± are 95 % "
-    "intervals."
+    "Each part is a revaluation after those above it, on the same paths. Decisions are "
+    "those of the first run's policy, whose marginal values adapt to the new numbers; in the part "
+    "“policy” the second run's policy takes over. Whiskers and ± are 95 % intervals."
 )
 ORDERS = (
     "First order is delta times move with the decisions of the old curve. Second order is half of "

@@ -175,9 +175,7 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
                 message = "it must be at most 1, unless a low below 0 lets some class be sold short"
                 raise row.error(name, message)
         if minimum < 0 and row.cells.get("max_sale"):
-            message = (
-                "a class whose low is below 0 can be sold short, so its sales have no limit"
-            )
+            message = "a class whose low is below 0 can be sold short, so its sales have no limit"
             raise row.error("max_sale", message)
     return low, high
 

@@ -265,7 +265,7 @@ class PharmaProcess:
         """Many batches by the native engine, or by its substitute."""
         if key not in self._natives:
             if self.case.numerics.method != "mesh":
-                raise Unsupported("The native engine steps on a mesh; these steps are free.")
+                raise Unsupported("The native engine needs a fixed mesh of steps.")
             self._natives[key] = Marches(self, *key)
         return self._natives[key]
 

@@ -116,8 +116,8 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
         raise section.error("equation", table.equation, message)
     if gap > ROUND_OFF:
         notes.append(
-            f"Reaction {name} conserves mass to {gap:.1e} only, as its molar masses are given; the "
-            "balance of mass shows this as produced by the reaction."
+            f"Reaction {name} conserves mass to {gap:.1e} only, with the molar masses of the case; "
+            "the balance of mass shows this as produced by the reaction."
         )
     order = left.copy()
     for item, exponent in table.order.items():

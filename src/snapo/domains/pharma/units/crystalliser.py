@@ -326,7 +326,7 @@ def _edges(read: Reader, seed: Seed) -> np.ndarray | None:
         return None
     if table.sizes is None:
         raise read.section.error("sizes", None, f'method "{method}" needs this key')
-    for name, owned in (("separate", "keeps no moments apart"),
+    for name, owned in (("separate", "has no separate moments"),
                         ("nuclei_size", "has nuclei of the smallest size")):  # fmt: skip
         if name in table.model_fields_set:
             message = f'method "{method}" {owned} and has no such key'
