@@ -207,7 +207,7 @@ def show(
 def _fan(run: RunFiles, anchor: str, series: BandSeries, step: str, paths: str) -> Chart | Text:
     name, lines = run.title_of(series.name), series.lines
     if "mean" not in lines:
-        return Text(f"{name} is not finite on any path.", caveat=True)
+        return Text(f"{name} is non-finite on all paths.", caveat=True)
     when, times, dates = np.arange(float(len(lines["mean"]))), run.step_times, ""
     if times.local_times and (times.step == "day" or times.step == "hour"):
         steps_a_day, dates = 24 if times.step == "hour" else 1, times.step
