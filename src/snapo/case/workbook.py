@@ -118,7 +118,7 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
                 raise Unreadable(f"{key} appears twice")
         else:
             if not isinstance(here, dict):
-                raise Unreadable(f"{key}: an entry of a list has a number, [0]")
+                raise Unreadable(f"{key}: write an entry of a list with its number, such as [0]")
             if last and step in here:
                 raise Unreadable(f"{key} appears twice")
             here.setdefault(step, empty)

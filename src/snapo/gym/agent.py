@@ -52,7 +52,7 @@ class Agent:
         return actions if values.ndim > 1 else element(actions, 0)
 
     def reset(self, began: np.ndarray | None = None) -> None:
-        """Resets the memory of all episodes, or of those of N that restart: `began` [N] is true for
+        """Resets the memory of all episodes, or of those that restart: `began` [N] is true for
         these."""
         if began is None or self.memory is None:
             self.memory = None

@@ -228,8 +228,8 @@ def play(
 
     **Arguments:**
 
-    - `agent`: an `Agent`, a policy, or any function from observations [N, k] to N actions. A policy
-      writes its actions for the environment's space (see `Agent`); a memory is reset.
+    - `agent`: an `Agent`, a policy, or any function from observations [N, k] to N actions. The
+      actions of a policy are converted to the environment's space (see `Agent`); a memory is reset.
     - `environment`: a name such as "Pendulum-v1", or a function that makes an environment.
     - `starts`: seeds of `environment.reset(seed=…)`, or a number n for the seeds 0 … n - 1: the
       same ones for every agent, so that agents are compared on common starts.

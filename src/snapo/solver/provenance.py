@@ -134,7 +134,7 @@ def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, eng
     lost = np.flatnonzero(~finite(totals, invalid))[:FEW]
     position = _first(problem, policy, only(draws, lost), smooth)
     if position is None:
-        return f"{stopped} {summary}, by its terminal part or the sum over steps. {advice}"
+        return f"{stopped} {summary}, in its terminal part or in the sum over steps. {advice}"
     return (
         f"{stopped} {summary}, first at step {position.step} of the {problem.simulator.horizon} "
         f"of a path, in {position.name}. {advice}"

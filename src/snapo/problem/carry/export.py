@@ -191,7 +191,7 @@ def traced_graph(
     if count is None:
         raise ValueError(
             f"{verb}: the number of features is unknown for this policy; specify features=, the "
-            "length of one observation (of one raw vector, if you give observe=)."
+            "length of one observation (with observe=, of one raw vector)."
         )
     graph = Graph(count, dtype)
 

@@ -204,6 +204,6 @@ def _within(where: TableContext, key: str, raw: dict | None, days: Sequence[date
         raise where.error(f"{key}.last", window.last, f"it must be {window.first} or later")
     inside = np.array([window.first <= day <= window.last for day in days], bool)
     if not inside.any():
-        message = f"it must be a day from {days[0]} to {days[-1]}, on which the contract decides"
+        message = f"it must be a decision day of the contract, {days[0]} to {days[-1]}"
         raise where.error(f"{key}.first", window.first, message)
     return inside

@@ -242,7 +242,7 @@ def _factor_grid(
     selected = selected_factors(factors)
     count = coordinates(factors, selected)
     if count > 2:
-        raise ValueError(f"a lattice supports one or two price factors, and {count} move prices")
+        raise ValueError(f"a lattice supports one or two price factors, but prices have {count}")
     return factor_grid(factors, selected, SPACINGS[count] / finer, slow)
 
 
@@ -254,7 +254,7 @@ def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | No
     of_levels = partial(lattice, layout, schedule, factors, slow=slow)
     first = of_levels()
     if len(layout.levels) > 2 and not first.grid.exact:
-        raise ValueError("there is no lattice of three levels without a practical common divisor")
+        raise ValueError("a lattice of three levels needs a practical common divisor")
     of_prices = partial(of_levels, grid=first.grid)
     finer: list[Callable[[int], Lattice]] = []
     if not first.grid.exact:

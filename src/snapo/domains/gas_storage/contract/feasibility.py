@@ -60,7 +60,7 @@ def check_feasible(case: StorageCase) -> None:
     for t in np.flatnonzero((forced[0] > 0) & (forced[1] > 0))[:1]:
         message = (
             f"on {case.days[t]} an injection of {forced[0][t]:g} and a withdrawal of "
-            f"{forced[1][t]:g} are both forced, and a day has one or the other"
+            f"{forced[1][t]:g} are both forced, but a day can have only one of them"
         )
         raise _error(case, "min_injection", float(forced[0][t]), message)
     attainable(case)

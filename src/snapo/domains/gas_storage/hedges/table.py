@@ -25,7 +25,8 @@ class HedgeTable(CaseTable):
     """`[hedge]`: sets of products, each a hedge."""
 
     deltas: list[list[str]] | None = Field(
-        None, description=f"{SETS}: each product hedges its exposure; by default all, then fewer"
+        None,
+        description=f"{SETS}: each product hedges its exposure; by default several",
     )
     least_variance: list[list[str]] | None = Field(
         None, description=f"{SETS}: the first product of each, with the least variance of a day"

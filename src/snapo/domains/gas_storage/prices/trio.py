@@ -52,7 +52,7 @@ class FuelWithCertificates(NamedTuple):
         **Raises:** `ValueError` if it depends on the factor of certificates too.
         """
         if not self.one_factor:
-            raise ValueError("a lattice supports one or two price factors, and 3 move prices")
+            raise ValueError("a lattice supports one or two price factors, but prices have 3")
         rows = self.rows
         fuel = SecondCommodity(rows.fuel, self.carry).price(of, t, g)
         return fuel + rows.share[t] * rows.certificate.forward[t]
