@@ -387,7 +387,7 @@ def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
         path, leaf = jax.tree.leaves_with_path(schedule.steps)[other.index(True)]
         raise ValueError(
             f"engine: schedule.steps{jax.tree_util.keystr(path)} has shape {leaf.shape}; its "
-            f"first axis is that of the {horizon} steps."
+            f"first axis must have {horizon} steps."
         )
 
 

@@ -258,7 +258,7 @@ def test_a_schedule_of_another_length_is_refused(days):
     schedule = Store(horizon=days).prepare(None)
     draws = Pseudo().draws(np.arange(4), simulator)
     for engine in (Native(), Xla()):
-        with pytest.raises(ValueError, match="first axis is that of the 9 steps"):
+        with pytest.raises(ValueError, match="first axis must have 9 steps"):
             engine.values(simulator, Tanh((4, 14, 2)), schedule, draws, Smooth(0.2))
 
 

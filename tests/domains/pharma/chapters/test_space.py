@@ -48,7 +48,7 @@ def test_an_unknown_end_of_the_interval_stands_on_its_own_side():
 
 def test_a_space_without_an_end_says_so():
     (words,) = boundary(replace(ending(), ends=()), NAMES)
-    assert isinstance(words, Text) and "nowhere" in words.text
+    assert isinstance(words, Text) and "does not cross" in words.text
     assert not boundary(replace(ending(), ends=None), NAMES)
 
 

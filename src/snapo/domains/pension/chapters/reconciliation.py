@@ -42,8 +42,8 @@ CAVEAT = (
     "shares specified in the case."
 )
 RECOVERY = (
-    "Recovery: the trained policy's paths with contributions, indexation and cuts by the plan's"
-    " rules, against the required ratio of today."
+    "Recovery compares the trained policy's paths, with contributions, indexation and cuts by the"
+    " plan's rules, with the required ratio of today."
 )
 FUNDING = (
     "Every basis discounts the same expected payments at annual rates of the curve plus its"
