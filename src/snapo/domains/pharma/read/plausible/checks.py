@@ -53,7 +53,7 @@ def check_decided(case: PharmaCase) -> None:
                 f"{name}: a policy decides fields that change over time: {', '.join(profiles)}"
             )
         elif name in needed:
-            message = f"{name} runs before a unit over whose time a policy decides or measures"
+            message = f"{name} comes before a unit in which a policy decides or measures over time"
         else:
             continue
         raise CaseError(str(case.file), f"control.manipulated[{i}].of", item.input, message)
