@@ -332,7 +332,7 @@ def _course(result: ControlCourse) -> Chart:
     svg = draw(f"course-{result.input}", "A control over time: the policy's median and its band "
                "over batches, the best fixed recipe, and the original recipe.", paint,
                220)  # fmt: skip
-    text = "The band holds the middle four fifths of the policy's decisions over batches."
+    text = "The band contains the middle four fifths of the policy's decisions over batches."
     return Chart(svg, f"{result.input}: {text}")
 
 
