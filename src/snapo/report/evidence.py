@@ -126,7 +126,7 @@ def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
         "change the value"
     )
     if run.get("bound") is not None:
-        meaning = f"{meaning}; the upper bound limits by how much"
+        meaning = f"{meaning}; the upper bound limits this change"
     return [("Policy gradient", f"{number(norm / noise, 1)} times its noise", meaning)]
 
 

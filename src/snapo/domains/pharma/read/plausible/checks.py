@@ -217,7 +217,7 @@ RANGES = (
     Plausible(0.01, 1.5, "a sphere has 0.52 and a cube 1", unit="1", endings=(".shape",)),
     Plausible(1.0, 6.048e5, "units mostly run from seconds to a week; is it in hours or minutes?",
               unit="s", endings=(".duration", ".time")),
-    Plausible(1e-9, 0.01, "crystals and films are mostly nanometres to millimetres", unit="m",
+    Plausible(1e-9, 0.01, "crystals and films mostly measure nanometres to millimetres", unit="m",
               endings=(".size", "_size", ".film")),
     Plausible(1e3, 1e6, "energies of activation and heats are mostly 1 to 1,000 kJ/mol",
               unit="J/mol", by_size=True),
