@@ -296,7 +296,7 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
 def _picture(
     result: dict[str, Any], displayed: list[dict[str, Any]], unit: str, digits: int
 ) -> Chart:
-    """Differences to the best, which are known far better than the values themselves."""
+    """Differences from the best, which are known far better than the values themselves."""
     names = [str(row["seed"]) for row in displayed]
     below = [-row["below_best"] for row in displayed]
     errors = [charts.INTERVAL * (finite(row["below_best_error"]) or 0.0) for row in displayed]

@@ -49,7 +49,7 @@ class SeedRow(NamedTuple):
     """One seed in the table.
 
     - `value`, `standard_error`: on the paths that all seeds share; None if training failed.
-    - `below_best`, `below_best_error`: the difference to the best, paired path by path.
+    - `below_best`, `below_best_error`: the difference from the best, paired path by path.
     - `within`: whether all limits of the problem are met, or nearly, on the run's paths.
     """
 

@@ -112,7 +112,7 @@ class _Loops:
     def _pi(self, section: TableContext, table, unit: str, manipulated: str, setpoint: Any) -> PI:
         sensor = _among(section, "measure", table.measure, self.states, "measurement")
         if table.measure.partition(".")[0] != unit:
-            message = f"a loop measures in the unit that it moves, {unit}"
+            message = f"a loop must measure a state of the unit that it controls, {unit}"
             raise section.error("measure", table.measure, message)
         local, gain, integral, nodes = self.units[table.measure], None, None, None
         if table.gain is not None:
