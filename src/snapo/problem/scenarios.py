@@ -299,7 +299,7 @@ class Sources:
     def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
         """The sources for an argument of a caller: by default fresh normals of `seed`.
 
-        Scenarios of normals are those of the evaluation. Supplied paths are divided: the first
+        Scenarios of normals are used for the evaluation. Supplied paths are divided: the first
         three fifths train, the next fifth validates, the last evaluates.
         """
         if isinstance(values, Sources):

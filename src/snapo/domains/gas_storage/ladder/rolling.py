@@ -1,7 +1,7 @@
 """Rolling intrinsic: on each trading day the plan in traded products that gains most.
 
 On every path the store (or swing) is planned against that day's forward curve in the products that
-trade then, and the difference from the positions held is traded at once. Each unit traded, also of a
+trade then, and the difference from the positions is traded at once. Each unit traded, also of a
 position that is unwound, costs half the spread between bid and offer. The flow of the day is
 delivered, and the next day the plan is made again. Source: J. Gray, P. Khandelwal, "Towards a
 realistic gas storage model", Commodities Now 7 (2004).
