@@ -46,7 +46,7 @@ def simulated_series(problem: Problem, policy: Policy, paths: int = PATHS) -> di
 def series_named(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
     """One of the series. **Raises:** `KeyError` for an unknown name."""
     if name not in series:
-        raise KeyError(f"plot.{subject}: nothing is called {name!r}; there are {sorted(series)}.")
+        raise KeyError(f"plot.{subject}: there is no {name!r}; available are {sorted(series)}.")
     return series[name]
 
 

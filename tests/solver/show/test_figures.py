@@ -80,7 +80,7 @@ def test_a_fan_holds_nine_tenths_of_the_paths_and_a_policy_is_drawn_against_its_
     state = next(each for each in series if len(series[each]) == max(map(len, series.values())))
     (axes,) = solution.plot.policy(state, step=1).axes
     assert np.isfinite(axes.get_lines()[0].get_ydata()).all()
-    with pytest.raises(KeyError, match="nothing is called 'cash'"):
+    with pytest.raises(KeyError, match="there is no 'cash'"):
         solution.plot.fan("cash")
     with pytest.raises(ValueError, match="needs a"):
         replace(solution, problem=None).plot.fan(name)

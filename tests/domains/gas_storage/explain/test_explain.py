@@ -161,7 +161,7 @@ def test_a_day_later(tmp_path):
     assert rows["policy"].amount == 0
     assert rows["spot prices"].amount == pytest.approx(-0.5 * flow.taken)
     numbers = first.case, setup.problem, setup.policy, 1, inventory, 1
-    with pytest.raises(CaseError, match="in store, and the second run has"):
+    with pytest.raises(CaseError, match="in store, but the second run has"):
         passed_days(*numbers, {FIRST_DAY: TakenFlow(day.planned, day.price)})  # pyright: ignore
     with pytest.raises(CaseError, match="this day lies between the two valuation dates"):
         passed_days(*numbers, {})  # pyright: ignore

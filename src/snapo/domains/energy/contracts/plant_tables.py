@@ -168,8 +168,8 @@ def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) ->
 def _too_many(where: TableContext, power: PowerTable) -> CaseError:
     """The error of a plant with too many modes on."""
     ramp = None if power.ramp is None else float(power.ramp.values[0])
-    message = f"the plant has more than {MODES} states on, by hours and power; a larger ramp, or a "
-    return where.error("power.ramp", ramp, f"{message}smaller min_up, has fewer")
+    message = f"the plant has more than {MODES} running states, by hours and power; a larger "
+    return where.error("power.ramp", ramp, f"{message}ramp, or a smaller min_up, has fewer")
 
 
 def _by_class(

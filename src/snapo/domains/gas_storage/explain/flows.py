@@ -132,7 +132,7 @@ def passed_days(
         rows.append(DayFlow(day.isoformat(), forward, spot, planned[t], taken, *money))
         taken_level = taken_level * keep + taken
     if abs(taken_level - inventory) > 1e-6 * max(abs(inventory), abs(levels[0]), 1.0):
-        message = f"they leave {taken_level:,.6g} in store, and the second run has {inventory:,.6g}"
+        message = f"they leave {taken_level:,.6g} in store, but the second run has {inventory:,.6g}"
         raise CaseError("--flows", "volume", None, message)
     return PassedDays(tuple(rows), planned_inventory)
 
