@@ -148,7 +148,7 @@ def _vegas(run: StorageRun) -> Table | Missing:
     """The model's numbers; those of more than a few labels (volatility by day) in parallel."""
     lines = run.group(*MODEL)
     if not lines:
-        return Missing("Vegas are not in this run (supplied price paths have no model numbers).")
+        return Missing("This run has no vegas (supplied price paths have no model parameters).")
     many = {name for name, count in Counter(line.input for line in lines).items() if count > 12}
     rows = [_row(run, [item]) for item in lines if item.input not in many]
     rows += [_row(run, [entry for entry in lines if entry.input == name]) for name in sorted(many)]

@@ -76,7 +76,7 @@ class Splitter(Instant):
         return {}
 
     def equations(self):
-        return ["every amount divides in the same shares"]
+        return ["every amount is divided in the same shares"]
 
     def deliver(self, network, inlets, inputs):
         return LedgerFinish(self.split(inlets[0], inputs), {}, ledger(len(network.species)))
