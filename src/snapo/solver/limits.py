@@ -216,7 +216,7 @@ def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
 
 def _note(limit: LimitFound) -> str:
     if limit.met == "not met":
-        return f"Limit not met on fresh paths: {limit}. Try more steps; or no policy may meet it."
+        return f"Limit not met on fresh paths: {limit}. Try more steps; possibly no policy meets it."
     if limit.binds:
         return ""
     if limit.multiplier and limit.at_level:

@@ -238,7 +238,7 @@ def test_supplied_paths_are_solved_whole(tmp_path):
     assert found["references"]["dynamic_programming"] is None
     assert details_of(tmp_path / "run")["certificate"]["homogeneity"] is None
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert "Supplied price paths" in page and "Vegas are not in this run" in page
+    assert "Supplied price paths" in page and "This run has no vegas" in page
 
 
 @pytest.mark.prove
