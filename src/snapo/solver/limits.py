@@ -216,7 +216,7 @@ def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
 
 def _note(limit: LimitFound) -> str:
     if limit.met == "not met":
-        return f"Limit not met on fresh paths: {limit}. Try more steps; possibly no policy meets it."
+        return f"Limit not met on fresh paths: {limit}. Try more steps; it may be infeasible."
     if limit.binds:
         return ""
     if limit.multiplier and limit.at_level:
