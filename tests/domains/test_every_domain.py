@@ -19,7 +19,9 @@ LABELS = {"own": ("week",), "inventory": ("period",)}
 
 
 # Kinds whose miniature is not solved in the quick suite: they run the code that the others run.
-SLOW = ("battery", "control", "park-and-loan", "pension", "plant", "stores", "swing")
+SLOW = (
+    "battery", "control", "park-and-loan", "pension", "pharma", "plant", "stores", "swing"
+)  # fmt: skip
 
 
 @pytest.fixture(

@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Text
+from tests.miniatures import MINIATURES
 
 from snapo.report.bands import Swing, scatter, tornado
 from snapo.report.charts import histogram
@@ -286,7 +287,18 @@ def reported(kind, folder):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("kind", ["store", "fund", "back-test"])
 def test_a_report_fits_every_screen_and_can_be_read(kind, scheme, browser, tmp_path):
-    file = reported(kind, tmp_path)
+    fits_and_can_be_read(reported(kind, tmp_path), scheme, browser)
+
+
+@pytest.mark.prove
+@pytest.mark.skipif(CHROMIUM is None, reason="this machine has no Chromium")
+@pytest.mark.parametrize("kind", sorted(MINIATURES))
+def test_the_report_of_every_kind_fits_every_screen_and_can_be_read(kind, solved, browser):
+    for scheme in ("light", "dark"):
+        fits_and_can_be_read(solved(kind) / "run" / "report.html", scheme, browser)
+
+
+def fits_and_can_be_read(file, scheme, browser):
     context = browser.new_context(color_scheme=scheme)
     page = context.new_page()
     page.goto(file.as_uri())

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.checker.check import first_mistakes
+from snapo.checker.check import problem_mistakes
 from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
@@ -129,12 +129,12 @@ def test_one_limit_needs_no_tuple():
 
 
 def test_an_action_outside_of_its_set_is_named():
-    found = first_mistakes(problem(), Five())
+    found = problem_mistakes(problem(), Five())
     assert len(found.errors) == 1 and "Action 0 is 5, outside of 0 to 1" in str(found)
 
 
 def test_a_problem_without_mistakes_passes():
-    assert first_mistakes(problem(), MLP(hidden=(4,))).ok
+    assert problem_mistakes(problem(), MLP(hidden=(4,))).ok
 
 
 @pytest.mark.parametrize("kind", ["table", "product"])

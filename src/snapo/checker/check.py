@@ -44,18 +44,11 @@ KEPT = 64
 _faultless: OrderedDict[Hashable, Shapes] = OrderedDict()  # by form, of snapo's simulators
 
 
-def first_mistakes(problem: Problem, policy: Policy) -> Findings:
-    """Mistakes in declarations, shapes, totals, outputs that objective and limits name, slices,
-    indices, tables, loops, numbers drawn in Python, and actions; it never raises.
-
-    It takes tenths of a second; `snapo.check` looks at much more.
-    """
-    of_simulator = simulator_mistakes(problem.simulator, problem.inputs)
-    return of_simulator if of_simulator.errors else of_simulator + problem_mistakes(problem, policy)
-
-
 def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
-    """The mistakes of a simulator and its inputs."""
+    """Mistakes of a simulator and its inputs: declarations, shapes, slices, indices, tables, loops
+    and numbers drawn in Python. It never raises, and takes tenths of a second; `snapo.check` looks
+    at much more.
+    """
 
     def look(notes: Notes) -> None:
         declared(notes, simulator, inputs)
@@ -80,7 +73,10 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
 
 
 def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
-    """Mistakes in an objective, limits and a policy for a simulator that has none."""
+    """Mistakes in an objective, limits and the actions of a policy for a simulator that has none.
+
+    It never raises.
+    """
 
     def look(notes: Notes) -> None:
         form = _library_form(problem.simulator, problem.inputs, problem.schedule)

@@ -27,6 +27,8 @@ from snapo.study import commands
 from snapo.study.chapter import Chapter
 from snapo.testing.miniature import quiet
 
+pytestmark = pytest.mark.prove
+
 
 @pytest.fixture(scope="module")
 def folder(solved) -> Path:
@@ -127,7 +129,6 @@ def test_every_result_reads_back_as_its_type(whole):
     assert MODEL.of(files) is not None and MAKING.of(files) is not None
 
 
-@pytest.mark.prove
 def test_a_resumed_run_gives_the_same_numbers(folder, whole, tmp_path):
     """Parts whose files are lost are done again, on what the others left."""
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))
@@ -141,7 +142,6 @@ def test_a_resumed_run_gives_the_same_numbers(folder, whole, tmp_path):
     assert {name: json.loads(file.read_text()) for name, file in lost.items()} == before
 
 
-@pytest.mark.prove
 def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
     def broken(*_):
         raise FloatingPointError("made to fail")
@@ -168,7 +168,6 @@ def test_the_template_runs(tmp_path):
     assert zero[0, 4:].all() and zero[2, 1:4].all() and not zero[3, 5]
 
 
-@pytest.mark.prove
 def test_a_process_is_what_the_template_says():
     """The values of the flagship chain, through the file, at tolerances of the publication."""
     values = PharmaProcess(template(pairs=None)).values()

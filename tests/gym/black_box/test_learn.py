@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.checker.check import first_mistakes
+from snapo.checker.check import problem_mistakes, simulator_mistakes
 from snapo.solver import statistics
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -86,7 +86,8 @@ def test_the_result_tells_both_values_and_their_gap(line):
 def test_the_model_is_a_simulator_as_any_other(line):
     """Without a mistake, and the same in both engines."""
     problem = snapo.Problem(line.model, line.inputs, snapo.Mean("reward"))
-    assert not first_mistakes(problem, line.policy).errors
+    assert not simulator_mistakes(line.model, line.inputs).errors
+    assert not problem_mistakes(problem, line.policy).errors
     firsts = np.linspace(-1, 1, 5)[:, None]
     found = [value(line.model, line.inputs, line.policy, firsts, each, 0) for each in ENGINES]
     assert found[0].shape == (5,) and np.allclose(*found, rtol=1e-4)

@@ -25,7 +25,7 @@ from snapo.domains.pension.people.liability import people
 from snapo.domains.pension.people.longer_life import life_expectancy, year_of_life
 from snapo.domains.pension.people.mortality import hazard, log_survival, rounded_age
 from snapo.domains.pension.records.inputs import pension_inputs
-from snapo.domains.pension.records.people import FEMALE, MALE, PENSIONER
+from snapo.domains.pension.records.people import FEMALE, MALE, PENSIONER, Mortality
 from snapo.problem.inputs import plain
 
 TABLE = Path(__file__).parents[4] / "shared" / "data" / "ssa_period_life_table_2017.csv"
@@ -134,14 +134,28 @@ def published() -> np.ndarray:
     )
 
 
-def test_annuities_of_the_published_table():
+def published_law() -> Mortality:
+    """That table, without improvement."""
     table = published()
-    law = replace(
+    return replace(
         mortality(table=table),
         first_age=0,
         multiplier=given("mortality_multiplier", [1.0], np.zeros(table.shape, int)),
         improvement=nothing("improvement", table.shape),
     )
+
+
+def test_expectations_of_life_of_the_published_table():
+    """Its own column of them: the agency publishes two decimals, its l_x being rounded."""
+    case = people_case(mortality=published_law())
+    inputs = plain(pension_inputs(case))
+    for sex, at_birth, at_65 in ((MALE, 75.97, 17.92), (FEMALE, 80.96, 20.49)):
+        assert life_expectancy(case, inputs, sex, 0) == pytest.approx(at_birth, abs=0.01)
+        assert life_expectancy(case, inputs, sex, 65) == pytest.approx(at_65, abs=0.01)
+
+
+def test_annuities_of_the_published_table():
+    table, law = published(), published_law()
     for sex, expected in ANNUITIES.items():
         count = len(expected)
         lives = members(

@@ -1,10 +1,10 @@
-"""A year of life as a move of the mortality that a case gives."""
+"""Expectation of life, and one more year of it as a move of the mortality that a case gives."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.problem.record.arrays import jax
+from snapo.problem.record.either import with_numpy
 
 from ..records.case import PensionCase
 from ..records.people import FEMALE, MALE, PAYMENT_YEARS
@@ -16,12 +16,11 @@ MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is searched f
 
 
 def life_expectancy(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> float:
-    """Complete expectation of life of who is `age` at time 0, years, improvement included.
+    """Complete expectation of life at `age` today, years, improvement included.
 
     The sum over whole years of the probability to be alive, plus a half.
     """
-    with jax.enable_x64(True):
-        return _expectancy(_life(case, inputs, sex, age))
+    return _expectancy(_life(case, inputs, sex, age))
 
 
 def year_of_life(case: PensionCase, inputs: dict[str, Any], sex: int) -> float:
@@ -45,16 +44,16 @@ def year_of_life(case: PensionCase, inputs: dict[str, Any], sex: int) -> float:
     return (low + high) / 2
 
 
+@with_numpy
 def _life(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> Yearly:
     """Each year from now on of who is `age` now."""
     years = np.arange(PAYMENT_YEARS)
-    with jax.enable_x64(True):
-        return jax.tree.map(np.asarray, yearly(case, inputs, np.array(sex), age + years, years))
+    return yearly(case, inputs, np.array(sex), age + years, years)
 
 
+@with_numpy
 def _expectancy(life: Yearly, factor: float = 1.0) -> float:
-    with jax.enable_x64(True):
-        return float(np.exp(-np.cumsum(np.asarray(life.hazard(factor)))).sum()) + 0.5
+    return float(np.exp(-np.cumsum(life.hazard(factor))).sum()) + 0.5
 
 
 class LongerLife(NamedTuple):

@@ -43,6 +43,13 @@ def test_every_case_has_its_words(name, tmp_path):
     assert all("nan" not in line and "None" not in line for line in lines)
 
 
+def test_the_expectation_of_life_shows_deaths_that_are_twice_as_many(tmp_path):
+    data = {key: entry for key, entry in CASES["index-linked"].items() if entry is not None}
+    twice = data | {"mortality": data["mortality"] | {"multiplier": 1.9}}
+    assert "expectation of life at 65: men 19.2 years, women 22.9" in said(tmp_path, **data)
+    assert "expectation of life at 65: men 13.5 years, women 16.9" in said(tmp_path, **twice)
+
+
 @pytest.mark.prove
 def test_a_loading_reserves_a_share_of_every_payment_and_pays_none_of_it():
     rate, loading = given("liability_rate", 0.0), given("liability_expense_loading", 0.03)

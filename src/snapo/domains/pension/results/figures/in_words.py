@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from ...people.longer_life import AT_AGE, life_expectancy
 from ...records.case import PensionCase
+from ...records.inputs import input_values
+from ...records.people import FEMALE, MALE
 from ...records.plan import Indexation, PensionPlan
 
 MONTHS = (
@@ -92,10 +95,14 @@ def _mortality(case: PensionCase) -> str:
         text += f", closed to {last}" if end < last else ""
     else:
         text = "a Gompertz-Makeham formula"
-    if not law.improvement.used().any():
-        return f"{text}, without improvement"
-    since = f"{law.since:.3g} years" if law.since else "none"
-    return f"{text}, improvement up to the valuation date: {since}"
+    if law.improvement.used().any():
+        since = f"{law.since:.3g} years" if law.since else "none"
+        text += f", improvement up to the valuation date: {since}"
+    else:
+        text += ", without improvement"
+    inputs = input_values(case)
+    men, women = (life_expectancy(case, inputs, sex, AT_AGE) for sex in (MALE, FEMALE))
+    return f"{text}; expectation of life at {AT_AGE}: men {men:.1f} years, women {women:.1f}"
 
 
 def _valuation(case: PensionCase) -> str:
