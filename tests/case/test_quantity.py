@@ -20,7 +20,6 @@ from snapo.case.quantity import (
     POSITIVE,
     Quantity,
     Range,
-    choice,
     numbers_in,
     on_dates,
     quantity_of,
@@ -42,7 +41,7 @@ class Example(CaseTable):
     cost: CaseInput = COST("per unit", 0.0)
     share: CaseInput = SHARE("of the volume")
     cap: CaseInput | None = Quantity("{volume}", POSITIVE)("the largest volume", None)
-    rule: str = choice("linear", "step")
+    rule: Literal["linear", "step"] = "linear"
 
 
 def read(data, folder=Path(), notes=None):
