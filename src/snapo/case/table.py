@@ -199,7 +199,8 @@ class CaseTable(pydantic.BaseModel):
         for name, entry in cls.model_fields.items():
             key = table["properties"][entry.alias or name]
             key.pop("title", None)
-            key["description"] = hover(entry)
+            if text := hover(entry):
+                key["description"] = text
             if key.get("default") in (None, ""):
                 key.pop("default", None)
         return reference

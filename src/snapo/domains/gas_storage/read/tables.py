@@ -38,7 +38,7 @@ ValuationDay = Annotated[
 VolumeUnit = Annotated[Nonempty, doc("unit of all volumes", "MWh", 'a name such as "MWh"')]
 Currency = Annotated[Nonempty, doc("currency of all money", "EUR", 'a name such as "EUR"')]
 NominationKey = Annotated[
-    dict | None, doc("days from a nomination to its flow", None, "a table like { days = 1 }")
+    dict | None, doc("how long before its date a flow is fixed", None, "a table like { days = 1 }")
 ]
 END_VALUES = "a CSV file with columns inventory,value"
 CURVE = (
