@@ -82,7 +82,7 @@ class TasksTable(CaseTable):
         "derivatives: of unstressed values, of all, or of none", "base"
     )
     judge: Annotated[float, Range(0, 1)] = doc(
-        "share of contracts whose derivatives are tested by bumps", 0.1
+        "share of contracts with derivatives tested by bumps", 0.1
     )
     paths: Annotated[int, Range(64, 2**24)] = doc("paths of a value", 16384)
     exposure: bool = doc("whether the mean of every output by day is computed, unstressed", True)
@@ -108,7 +108,7 @@ class BookTable(CaseTable):
         "grid of contracts, one for every combination of values", [], "tables [[axis]]"
     )
     stress: list[dict[str, Any]] = doc("other numbers for all contracts", [], "tables [[stress]]")
-    tasks: dict[str, Any] = doc("what is computed", {}, "a table")
+    tasks: dict[str, Any] = doc("tasks of the book", {}, "a table")
     run: dict[str, Any] = doc("seed and processor", {}, "a table")
 
 

@@ -41,9 +41,7 @@ class ReportTable(CaseTable):
     """`[report]`: title, author, note and logo of the page."""
 
     title: str | None = doc("heading of the page", None, SHORT, max_length=200)
-    author: str | None = doc(
-        "who answers for the run, on the first page", None, SHORT, max_length=200
-    )
+    author: str | None = doc("author of the run, on the first page", None, SHORT, max_length=200)
     note: str | None = doc(
         "remark on the run",
         None,

@@ -29,9 +29,7 @@ class TrainingTable(CaseTable):
     """`[training]`: how the policy is trained, with the fields of `snapo.Training`."""
 
     steps: Annotated[int, Range(0, MAX_STEPS)] = doc("training steps", 240)
-    paths: Annotated[int, IN_MEMORY._replace(low=2)] = doc(
-        "fresh paths simulated in a training step", 512
-    )
+    paths: Annotated[int, IN_MEMORY._replace(low=2)] = doc("fresh paths in a training step", 512)
     learning_rate: Positive = doc("peak learning rate of the optimiser, Adam", 0.01)
     warmup: Annotated[int, STEPS._replace(low=0, high=MAX_STEPS)] = doc(
         "steps in which the learning rate rises from zero to its peak", 20
@@ -43,16 +41,12 @@ class TrainingTable(CaseTable):
     temperature_end: Positive = doc(
         "temperature of the smoothed rules in the last quarter of the steps", 0.005
     )
-    average: Annotated[float, UP_TO_ONE] = doc(
-        "share of the steps over which the policy is averaged", 0.05
-    )
+    average: Annotated[float, UP_TO_ONE] = doc("share of the steps that the policy averages", 0.05)
     validation_paths: Annotated[int, IN_MEMORY] = doc(
         "fresh paths of a validation, which measures the exact value and selects the best policy",
         4096,
     )
-    validation_every: Annotated[int, EVERY] | None = doc(
-        "steps from one validation to the next", None
-    )
+    validation_every: Annotated[int, EVERY] | None = doc("steps between two validations", None)
     patience: Annotated[int, Range(1, noun="a number of validations")] | None = doc(
         "validations without a new best after which training stops, by default never", None
     )
@@ -71,9 +65,7 @@ class TrainingTable(CaseTable):
     starts: Annotated[int, Range(1, noun="a number of initial weights")] = doc(
         "initial weights from which training begins, of which it continues with the better ones", 1
     )
-    seed: Annotated[int, Range(0, 2**63 - 1)] = doc(
-        "seed of the initial weights and of all scenarios", 0
-    )
+    seed: Annotated[int, Range(0, 2**63 - 1)] = doc("seed of initial weights and scenarios", 0)
 
 
 @optional(
@@ -117,7 +109,7 @@ class EvaluationTable(CaseTable):
         "paths of the final choice between the trained policies and the starting rule", 16384
     )
     scenarios: Literal["pseudo-random", "sobol"] = doc(
-        "random numbers of the valuation", "pseudo-random"
+        "random numbers in valuation", "pseudo-random"
     )
 
 
@@ -134,9 +126,7 @@ class ObjectiveTable(CaseTable):
         'risk aversion: of "mean-variance" and "entropic" in 1/currency, of "crra" a pure number',
         None,
     )
-    wealth: Positive | None = doc(
-        'wealth that "crra" adds to the total of a path, in currency', None
-    )
+    wealth: Positive | None = doc('wealth added to a path under "crra", in currency', None)
     target: float | None = doc('total that "target" aims at, in currency', None, "a number")
 
     @property

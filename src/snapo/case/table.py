@@ -192,7 +192,7 @@ class CaseTable(pydantic.BaseModel):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, source: Any, handler: Any) -> dict[str, Any]:
-        """Every key with its text for an editor; None and "" stand for no default."""
+        """Every key with its text for an editor; None and "" are no defaults."""
         reference = handler(source)
         table = handler.resolve_ref_schema(reference)
         del table["title"]

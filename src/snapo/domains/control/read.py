@@ -56,7 +56,7 @@ class ControlFile(CaseTable):
         "standard deviations of the disturbance of a step, by state", {}, "a table, [noise]"
     )
     measurement: dict[str, Any] = doc(
-        "standard deviations of the errors of measurement, by state", {}, "a table, [measurement]"
+        "standard deviations of the measurement errors, by state", {}, "a table, [measurement]"
     )
     policy: dict[str, Any] = doc("network of the policy", {}, "a table, [policy]")
     report: ReportKey

@@ -72,9 +72,7 @@ class InputTable(CaseTable):
     value: NumberArray | None = doc(
         "numbers of the input", None, "a number, or an array of numbers"
     )
-    file: str | None = doc(
-        "file with the numbers", None, "the name of a .csv file next to the case"
-    )
+    file: str | None = doc("file of numbers", None, "the name of a .csv file next to the case")
     column: str | None = doc("column of the numbers", None, "the name of a column of the file")
     label: str | None = doc(
         "column of the labels of the numbers",
@@ -91,9 +89,7 @@ class InputTable(CaseTable):
     move: float | None = doc(
         "standard move, whose effect reports show", None, "a number other than 0, in the unit"
     )
-    trade_unit: str = doc(
-        "unit in which reports show the input", "", "text: the unit that its user prefers"
-    )
+    trade_unit: str = doc("unit in reports", "", "text: the unit that its user prefers")
     trade_factor: Annotated[float, Range(0, endpoints="()", note=FACTOR)] = doc(
         "number of trade units in one unit", 1.0
     )

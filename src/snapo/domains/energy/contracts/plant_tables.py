@@ -64,9 +64,7 @@ class EmissionTable(CaseTable):
 class StartTable(CaseTable):
     """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
 
-    off: int = doc(
-        "smallest number of hours off before such a start", allowed=HOURS, ge=1, le=LONGEST
-    )
+    off: int = doc("smallest number of hours off before it", allowed=HOURS, ge=1, le=LONGEST)
     money: CaseInput = MONEY("money paid for a start", 0.0, name="start_money")
     fuel: CaseInput = FUEL("fuel for a start", 0.0, name="start_fuel")
 
@@ -98,9 +96,7 @@ class PowerPlantTable(HourlyContractTable):
         "a table like { per_fuel = 0.2, price = 70.0 }",
     )
     other_cost: CaseInput = BY_MWH("other costs for each MWh of power", 0.0)
-    starts: list[Any] = doc(
-        "classes of starts by hours off; without them starts are free", [], STARTS
-    )
+    starts: list[Any] = doc("classes of starts by hours off; without them free", [], STARTS)
     min_up: int = doc("smallest number of hours on after a start", 1, HOURS, ge=1, le=LONGEST)
     min_down: int = doc("smallest number of hours off after a stop", 1, HOURS, ge=1, le=LONGEST)
     most_starts: int | None = doc(

@@ -39,7 +39,7 @@ class StoresTable(CaseTable):
     )
     net_injection: CaseInput | None = JOINT("largest joint flow into the stores", None)
     net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
-    transfers: bool = doc("whether one store may inject what the other withdraws on a day", True)
+    transfers: bool = doc("whether one store may inject gas that the other withdraws", True)
     inventory: list[float] | None = doc(
         "gas in store today in one store after the other, in volume_unit", None,
         "a list like [2000.0, 8000.0]; by default as in their files",

@@ -24,9 +24,7 @@ class AuctionTable(CaseTable):
         "00:00",
         'a full hour of local time such as "00:00"',
     )
-    step: Literal["1h", "2h", "3h", "4h", "6h", "8h", "12h", "24h"] = doc(
-        "time from one auction to the next"
-    )
+    step: Literal["1h", "2h", "3h", "4h", "6h", "8h", "12h", "24h"] = doc("time between auctions")
 
 
 def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:

@@ -51,9 +51,7 @@ class HourlyContractTable(CaseTable):
     currency: Currency
     start: Any = doc("first hour with a decision, in local time", allowed=TIME)
     end: Any = doc("first hour without a decision, in local time", allowed=TIME)
-    time_zone: Nonempty = doc(
-        "time zone of start, end and curves", "UTC", 'a name such as "Europe/Berlin"'
-    )
+    time_zone: Nonempty = doc("time zone of all hours", "UTC", 'a name such as "Europe/Berlin"')
 
 
 class HourlyMarketTable(CaseTable):

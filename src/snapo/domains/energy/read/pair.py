@@ -47,7 +47,7 @@ class PairMarketTable(CaseTable):
     power: dict = subtable("market of the power", "market.power")
     gas: dict = subtable("market of the gas", "market.gas")
     co2: dict | None = doc(
-        "market of the certificates", None, "the table [market.co2], if emissions need it"
+        "market of certificates", None, "the table [market.co2], if emissions need it"
     )
 
 

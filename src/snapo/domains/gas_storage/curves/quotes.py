@@ -30,9 +30,7 @@ class QuotedCurveTable(CaseTable):
         "smoothness of the curve: of daily prices, or of a spline", "daily"
     )
     end: Literal["flat", "free"] = doc("slope of a spline at its ends, zero or any", "flat")
-    factors: dict[Weekday, Positive] = doc(
-        "price of a day of the week relative to the smooth curve", {}
-    )
+    factors: dict[Weekday, Positive] = doc("prices by day of the week, relative to the curve", {})
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,9 +22,7 @@ SETS = 'a list of lists of the keys of [products], like [["months"], ["months", 
 class HedgeTable(CaseTable):
     """`[hedge]`: sets of products, each a hedge."""
 
-    deltas: list[list[str]] | None = doc(
-        "sets of products, of which all hedge their exposures", None, SETS
-    )
+    deltas: list[list[str]] | None = doc("sets of products that hedge exposures", None, SETS)
     least_variance: list[list[str]] | None = doc(
         "sets of products: in the first of every family, the variance of the next day is hedged",
         None,

@@ -49,10 +49,8 @@ class HistoryTable(CaseTable):
         "forward prices by time to delivery", None,
         "a CSV file with a column date, and one for each number of months ahead",
     )  # fmt: skip
-    first: DateKey | None = doc(
-        "first date that is used", None, f"{DATE}: earlier prices are left out"
-    )
-    last: DateKey | None = doc("last date that is used", None, f"{DATE}: later prices are left out")
+    first: DateKey | None = doc("first date used", None, f"{DATE}: earlier prices are left out")
+    last: DateKey | None = doc("last date used", None, f"{DATE}: later prices are left out")
     step: Positive = doc("time from one date to the next, in years")
     exact: list[str] | None = doc(
         "series without a measurement error", None, 'names of series, such as ["spot"]'

@@ -61,9 +61,7 @@ FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 
 class ProductsTable(CaseTable):
     """`[products]`: the traded products; a family that is left out does not trade."""
 
-    day_ahead: dict = doc(
-        "the day itself, at its spot price", {}, "a table like { bid_offer = 0.05 }"
-    )
+    day_ahead: dict = doc("spot market of the day itself", {}, "a table like { bid_offer = 0.05 }")
     balance_of_month: dict | None = doc(
         "the days of the month after the trading day", None, "a table like { lot = 10.0 }"
     )

@@ -44,9 +44,7 @@ SIZE = Quantity(
 class JumpTable(SingleFactorTable):
     """`[model]` of kind "one-factor-jumps"."""
 
-    kind: Literal["one-factor-jumps"] = doc(
-        "one mean-reverting factor, and at most one upward spike a day"
-    )
+    kind: Literal["one-factor-jumps"] = doc("one factor, and at most one upward spike a day")
     jump_intensity: CaseInput = INTENSITY("spikes per year")
     jump_size: CaseInput = SIZE("mean spike of ln S")
     jump_mean_reversion: CaseInput = REVERSION("speed at which a spike dies out")
@@ -213,7 +211,7 @@ class PoissonJumpTable(JumpTable):
     """`[model]` of kind "one-factor-poisson-jumps"."""
 
     kind: Literal["one-factor-poisson-jumps"] = doc(  # pyright: ignore[reportIncompatibleVariableOverride]
-        "one mean-reverting factor, and upward spikes at any time of the day"
+        "one factor, and upward spikes at any time"
     )
 
 

@@ -25,12 +25,8 @@ class SuppliedTable(CaseTable):
 
     kind: Literal["supplied"] = doc("price paths of your own")
     training_paths: Nonempty = doc("price paths of the training, [path, day]", allowed=PATHS)
-    evaluation_paths: Nonempty = doc(
-        "other price paths, on which the policy is valued", allowed=PATHS
-    )
-    rescale_to_curve: bool = doc(
-        "whether paths are scaled so that their mean is the forward curve", False
-    )
+    evaluation_paths: Nonempty = doc("other price paths, for the valuation", allowed=PATHS)
+    rescale_to_curve: bool = doc("whether the mean of the paths is moved to the curve", False)
 
 
 @dataclass(frozen=True, eq=False)

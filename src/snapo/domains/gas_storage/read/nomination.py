@@ -20,12 +20,8 @@ class NominationTable(CaseTable):
     """
 
     days: Annotated[int, Range(1, 60)] = doc("days from the nomination of a flow to its date", 1)
-    calendar: Literal["every-day", "business"] = doc(
-        "days that count, all or business days", "every-day"
-    )
-    holidays: list[DateKey] = doc(
-        "dates that are not business days", [], "a list of dates like [2026-12-25]"
-    )
+    calendar: Literal["every-day", "business"] = doc("days that count in `days`", "every-day")
+    holidays: list[DateKey] = doc("days without business", [], "a list of dates like [2026-12-25]")
 
 
 def nominated_on(

@@ -102,12 +102,8 @@ class OnDate(CaseTable):
 class MonthsAfter(CaseTable):
     """{ months = 1, day = 20 }: that day, this number of months after the month of delivery."""
 
-    months: Annotated[int, Range(0, 1200)] = doc(
-        "months from the month of delivery to that of the payment"
-    )
-    day: Annotated[int, Range(1, 31)] = doc(
-        "day of the month of the payment, the last one in a shorter month"
-    )
+    months: Annotated[int, Range(0, 1200)] = doc("months from delivery to payment")
+    day: Annotated[int, Range(1, 31)] = doc("day of the month of the payment")
 
 
 CostSettlement = Literal["flow", "gas"] | str | AfterDays | OnDate | MonthsAfter

@@ -29,16 +29,16 @@ from .tables import (
     COST,
     HOLDING,
     OTHER_LEADS,
-    Currency,
     HorizonKey,
     HorizonTable,
     InventoryTable,
     ItemReportTable,
     ItemTable,
     LeadTime,
-    Period,
+    MoneyName,
+    PeriodName,
     SeasonTable,
-    Unit,
+    UnitName,
     WholeOrders,
 )
 
@@ -51,13 +51,11 @@ PLACE = "a name of letters, digits, - and _ that starts with a letter, at most 4
 class NetworkTable(CaseTable):
     """`[network]`"""
 
-    unmet: Literal["lost", "waits"] = doc(
-        "whether demand that finds no stock is lost or waits", "waits"
-    )
+    unmet: Literal["lost", "waits"] = doc("whether unmet demand is lost or waits", "waits")
     whole: WholeOrders
-    currency: Currency
-    unit: Unit
-    period: Period
+    currency: MoneyName
+    unit: UnitName
+    period: PeriodName
 
 
 class PlaceTable(CaseTable):

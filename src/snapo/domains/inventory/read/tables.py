@@ -41,9 +41,9 @@ def whole_number(
     return doc(meaning, default, text, ge=low, le=high)
 
 
-Currency = Annotated[ItemName, doc("currency of all money", "EUR", NAME)]
-Unit = Annotated[ItemName, doc("unit of stock and demand", "piece", NAME)]
-Period = Annotated[ItemName, doc("time from one decision to the next", "week", NAME)]
+MoneyName = Annotated[ItemName, doc("currency of all money", "EUR", NAME)]
+UnitName = Annotated[ItemName, doc("unit of stock and demand", "piece", NAME)]
+PeriodName = Annotated[ItemName, doc("time from one decision to the next", "week", NAME)]
 WholeOrders = Annotated[
     bool | None,
     doc("whether orders are whole units, by default if demand is", None),
@@ -83,10 +83,10 @@ def _coming(raw: Any, key: KeyContext) -> CaseInput | None:
 class ItemTable(CaseTable):
     """`[item]`"""
 
-    currency: Currency
-    unit: Unit
-    period: Period
-    unmet: Literal["lost", "waits"] = doc("whether demand that finds no stock is lost or waits")
+    currency: MoneyName
+    unit: UnitName
+    period: PeriodName
+    unmet: Literal["lost", "waits"] = doc("whether unmet demand is lost or waits")
     lead_time: LeadTime
     holding: CaseInput = HOLDING("cost of a unit in stock, each period", name="holding_cost")
     shortage: CaseInput = HOLDING(
@@ -109,7 +109,7 @@ class HorizonTable(CaseTable):
 
     periods: int = whole_number("periods that count", 2, 2000, 100)
     warm_up: int | None = whole_number(
-        "periods before these, by default 10 (lead time + 1)", 0, 2000, None
+        "periods before, by default 10 (lead time + 1)", 0, 2000, None
     )
     discount: CaseInput = DISCOUNT("discount factor of a period", 1.0)
 

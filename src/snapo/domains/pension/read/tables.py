@@ -113,9 +113,7 @@ class CurveTable(CaseTable):
         "tenor,zero (or tenor,forward or tenor,swap)",
     )
     measure: Literal["P", "Q"] = doc("measure of the scenarios, real-world or risk-neutral", "P")
-    compounding: Literal["continuous", "annual"] = doc(
-        "compounding of all rates of the case", "continuous"
-    )
+    compounding: Literal["continuous", "annual"] = doc("compounding of all rates", "continuous")
     extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = doc(
         "curve beyond the last node", "flat-forward"
     )
@@ -149,14 +147,12 @@ class RatesTable(CaseTable):
 class InflationTable(CaseTable):
     """`[inflation]`: break-evens, expected inflation, prices and wages."""
 
-    break_evens: Nonempty = csv(
-        "break-even inflation, by tenor in years", "tenor,rate (or tenor,forward)"
-    )
+    break_evens: Nonempty = csv("break-evens, by tenor in years", "tenor,rate (or tenor,forward)")
     compounding: Literal["continuous", "annual"] | None = doc(
         "compounding of the break-evens", None, '"continuous" or "annual", by default as in [curve]'
     )
     extrapolation: Literal["flat-forward", "ultimate"] = doc(
-        "break-evens beyond the last node", "flat-forward"
+        "curve beyond the last node", "flat-forward"
     )
     ultimate: CaseInput | None = RATE(FAR_OUT, None, group="model", name="ultimate_break_even")
     speed: Annotated[float, ULTIMATE] = plain(
@@ -203,9 +199,7 @@ class CreditTable(CaseTable):
 class CurrenciesTable(CaseTable):
     """`[currencies]`"""
 
-    file: Nonempty = csv(
-        "foreign currencies", "currency,market,volatility,premium,hedge_ratio,hedge_cost"
-    )
+    file: Nonempty = csv("currencies", "currency,market,volatility,premium,hedge_ratio,hedge_cost")
 
 
 class CorrelationsTable(CaseTable):
@@ -244,10 +238,8 @@ class ScenariosTable(CaseTable):
 class PolicyTable(CaseTable):
     """`[policy]`: the observation, and the widths of the hidden layers."""
 
-    observation: list[str] | None = doc("what the policy observes", None, "a list of names")
-    hidden: HiddenLayers = doc(
-        "widths of the hidden layers", [32, 32], "a list of widths, such as [32, 32]"
-    )
+    observation: list[str] | None = doc("observations of the policy", None, "a list of names")
+    hidden: HiddenLayers = doc("hidden layers", [32, 32], "a list of widths, such as [32, 32]")
 
 
 class SensitivityTable(CaseTable):
@@ -289,21 +281,15 @@ class RegulationTable(CaseTable):
         [],
         "funding ratios at the ends of the last months, the newest last",
     )
-    insurance_risk: float = plain(
-        "required capital for insurance risk", _share_of("the liability"), 0.0
-    )
-    active_risk: float = plain("required capital for active risk", _share_of("the assets"), 0.0)
+    insurance_risk: float = plain("capital for insurance risk", _share_of("the liability"), 0.0)
+    active_risk: float = plain("capital for active risk", _share_of("the assets"), 0.0)
 
 
 class PotsTable(CaseTable):
     """`[pots]`: personal pots by cohort, with a solidarity reserve."""
 
-    rules: Nonempty = doc(
-        "law of the pots", allowed='"dutch-wtp", or the name of a TOML file of rules'
-    )
-    allocation: Nonempty = csv(
-        "protection and share in the excess return, by age", "age,protection,exposure"
-    )
+    rules: Nonempty = doc("law of pots", allowed='"dutch-wtp", or the name of a TOML file of rules')
+    allocation: Nonempty = csv("protection and exposure by age", "age,protection,exposure")
     reserve: CaseInput = RESERVE(
         "solidarity reserve today", 0.0, range=_share_of("the assets"), name="reserve_today"
     )
@@ -334,9 +320,7 @@ class FundingTable(CaseTable):
         "rules of the scheme", allowed='"uk", or the name of a TOML file of rules'
     )
     technical_provisions: float = plain("discount rate of technical provisions", OVER_GILTS)
-    low_dependency: float | None = plain(
-        "discount rate of the low dependency basis", OVER_GILTS, None
-    )
+    low_dependency: float | None = plain("discount rate of low dependency", OVER_GILTS, None)
     buy_out: float = plain("discount rate of a buy-out", OVER_GILTS)
     recovery_years: float | None = plain("length of the recovery plan, in years", POSITIVE, None)
 
@@ -352,9 +336,7 @@ class PensionTable(CaseTable):
     inflation: dict = subtable("break-evens, and models of inflation and wages", "inflation")
     assets: dict = subtable("classes of assets", "assets")
     credit: dict | None = subtable("spreads and defaults of credit by rating", "credit", None)
-    currencies: dict | None = subtable(
-        "currencies of the assets, and their hedges", "currencies", None
-    )
+    currencies: dict | None = subtable("currencies of assets, and hedges", "currencies", None)
     correlations: dict | None = subtable("correlations of the shocks", "correlations", None)
     overlay: dict | None = subtable("receiver swaps by tenor", "overlay", None)
     members: dict = subtable("members, or their cash flows", "members")
@@ -369,9 +351,7 @@ class PensionTable(CaseTable):
     reconcile: dict | None = subtable(
         "figures of the actuary, with which the model is compared", "reconcile", None
     )
-    scenarios: dict | None = subtable(
-        "ready-made scenarios instead of the models", "scenarios", None
-    )
+    scenarios: dict | None = subtable("ready-made scenarios", "scenarios", None)
     policy: dict = subtable("observation and network of the policy", "policy", {})
     objective: dict | list = doc(
         "statistics of the paths that are maximised",

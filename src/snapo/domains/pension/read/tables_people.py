@@ -170,9 +170,7 @@ class MembersTable(CaseTable):
 class MortalityTable(CaseTable):
     """`[mortality]`: death probabilities or a formula, with improvement and multipliers."""
 
-    kind: Literal["table", "gompertz-makeham"] = doc(
-        "death probabilities of a table, or of a formula"
-    )
+    kind: Literal["table", "gompertz-makeham"] = doc("source of the death probabilities")
     file: Annotated[Nonempty | None, _of_mortality("table")] = csv(
         "death probabilities", "sex,age,q", None
     )
@@ -221,9 +219,7 @@ class PlanTable(CaseTable):
         "age at which pensions begin, in years", Range(40.0, 90.0, noun="an age"), 67.0
     )
     accruing: Annotated[bool, PROMISED] = doc("whether members in service earn new rights", True)
-    open: Annotated[bool, COHORTS] = doc(
-        "whether new members replace those who retire or die", False
-    )
+    open: Annotated[bool, COHORTS] = doc("whether new members replace leavers", False)
     entry_age: Annotated[float, COHORTS, OPEN, ACCRUING] = plain(
         "age of new members, in years", Range(15.0, 90.0, noun="an age"), 25.0
     )
@@ -262,9 +258,7 @@ class IndexationTable(CaseTable):
     kind: Literal["none", "fixed", "full", "capped", "conditional"] = doc(
         "rule of the increases", "none"
     )
-    rate: Annotated[CaseInput | None, _increase("rate")] = PLAN_RATE(
-        "rate of fixed indexation", None
-    )
+    rate: Annotated[CaseInput | None, _increase("rate")] = PLAN_RATE("fixed indexation", None)
     month: Annotated[int, INCREASING] = plain(
         "calendar month of increases, cuts and pots", Range(1, 12, noun="a month"), 1
     )
@@ -279,9 +273,7 @@ class IndexationTable(CaseTable):
     upper_ratio: Annotated[CaseInput, _increase("upper_ratio")] = RATIO(
         "funding ratio above which there is full indexation", 1.3
     )
-    required_ratio: Annotated[CaseInput, CUTS] = RATIO(
-        "funding ratio below which rights are cut", 1.0
-    )
+    required_ratio: Annotated[CaseInput, CUTS] = RATIO("funding ratio that avoids cuts", 1.0)
     cut_years: Annotated[int, PROMISED] = plain(
         "years over which a cut is spread, 0 for no cuts", Range(0, 50, noun=WHOLE), 0
     )

@@ -51,9 +51,7 @@ class ProfileTable(CaseTable):
         None,
         "shares of the unit's duration, rising from 0 to 1",
     )
-    kind: Literal["linear", "constant"] = doc(
-        "values between the nodes, or held up to the next", "linear"
-    )
+    kind: Literal["linear", "constant"] = doc("values between the nodes", "linear")
     ramp: Any = doc(
         "fastest change, by default any", None, 'a quantity in quotation marks, such as "0.5 K/min"'
     )

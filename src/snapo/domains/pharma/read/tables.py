@@ -27,9 +27,7 @@ class ReactionTable(CaseTable):
     """`[[reactions]]`"""
 
     name: TextKey = doc("name of the reaction", allowed="a name")
-    equation: TextKey = doc(
-        "equation of the reaction", allowed='an equation such as "A + 2 B -> C"'
-    )
+    equation: TextKey = doc("reaction equation", allowed='an equation such as "A + 2 B -> C"')
     prefactor: Any = quantity("prefactor of the rate", '"2.65e4 L/mol/s"')
     activation: Any = quantity("activation energy", '"40 kJ/mol"')
     heat: Any = quantity("heat of reaction", '"-50 kJ/mol"', "0 J/mol")
@@ -51,9 +49,7 @@ ConnectionTable = pydantic.create_model("ConnectionTable", __base__=CaseTable, *
 class DistributionTable(CaseTable):
     """{ kind = "lognormal", spread = 0.1 }"""
 
-    kind: Literal["normal", "lognormal", "uniform"] = doc(
-        "distribution around the value of the case"
-    )
+    kind: Literal["normal", "lognormal", "uniform"] = doc("distribution around the value")
     spread: Any = doc(
         "standard deviation, or half of the width of a uniform one",
         allowed='a number, or a quantity such as "0.5 K"',
@@ -83,9 +79,7 @@ class AttributeTable(CaseTable):
     """`[[attributes]]`"""
 
     name: TextKey = doc("name of the quality attribute", allowed="a name")
-    measure: TextKey = doc(
-        "measure of a unit that it is", allowed='a measure such as "dryer.solvent"'
-    )
+    measure: TextKey = doc("measure that it is", allowed='a measure such as "dryer.solvent"')
     unit: str = doc("unit of the attribute in all tables", allowed='a unit such as "um", or "1"')
     low: Any = quantity("lower limit", '"80 um"', None)
     high: Any = quantity("upper limit", '"100 um"', None)
@@ -108,9 +102,7 @@ class UncertaintyTable(CaseTable):
     when: Literal["batch", "step"] = doc(
         "whether it is drawn for a batch, or for every decision step", "batch"
     )
-    between_batches: bool = doc(
-        "whether it differs from batch to batch, or is one unknown number", False
-    )
+    between_batches: bool = doc("whether it differs between batches", False)
 
 
 class CorrelationTable(CaseTable):
@@ -156,20 +148,14 @@ class ControlTable(CaseTable):
         allowed="decisions per unit, such as { crystalliser = 12 }",
     )
     substeps: int = whole("integration steps within one decision", 1, 64, default=32)
-    solubility_margin: Any = doc(
-        "largest relative supersaturation, by default any", None, "a number above 0"
-    )
-    rules: list[dict] = doc(
-        "controllers that are compared with the policy", [], "tables [[control.rules]]"
-    )
+    solubility_margin: Any = doc("largest relative supersaturation", None, "a number above 0")
+    rules: list[dict] = doc("controllers for comparison", [], "tables [[control.rules]]")
 
 
 class GoalTable(CaseTable):
     """`[goal]`"""
 
-    kind: Literal["mean", "cvar", "probability"] = doc(
-        "statistic that the policy maximises", "probability"
-    )
+    kind: Literal["mean", "cvar", "probability"] = doc("maximised statistic", "probability")
     attribute: str = doc("attribute of a mean or CVaR", "", "the name of an attribute")
     sense: Literal["maximise", "minimise"] = doc(
         "whether the attribute is maximised or minimised", "maximise"
@@ -187,9 +173,7 @@ class DesignSpaceTable(CaseTable):
         min_length=2,
         max_length=3,
     )
-    points: int = whole(
-        "points along every axis", 3, 201, default=17, note=", of points along each axis"
-    )
+    points: int = whole("points of an axis", 3, 201, default=17, note=", of points along each axis")
     samples: int = whole(
         "draws of the uncertain numbers at every point",
         16,
@@ -221,9 +205,7 @@ class ExperimentTable(CaseTable):
     """`[[estimation.experiments]]`"""
 
     name: TextKey = doc("name of the measured batch", allowed="a name")
-    data: TextKey = doc(
-        "measurements of the batch", allowed="a CSV file with columns time,state,value,error"
-    )
+    data: TextKey = doc("measurements", allowed="a CSV file with columns time,state,value,error")
     settings: dict[str, Any] = doc(
         "numbers that were different in the batch",
         {},
@@ -239,7 +221,7 @@ class EstimationTable(CaseTable):
     experiments: list[dict] = tables("measured batches", "[[estimation.experiments]]")
     level: float = within("confidence level of the intervals", PROBABILITY, 0.95)
     errors: Literal["known", "relative"] = doc(
-        "whether errors of measurement are known, or only their ratios", "known"
+        "whether measurement errors are known, or only their ratios", "known"
     )
     starts: int = whole(
         "points from which the search begins",
@@ -277,9 +259,7 @@ class PharmaTable(CaseTable):
     kind: Literal["pharma"] = doc("kind of the case")
     title: Title = "Pharmaceutical process"
     purpose: str = doc("purpose of the model", "", "a sentence on the purpose of the model")
-    assumptions: list[str] = doc(
-        "additional sentences for the report", [], "sentences for the report"
-    )
+    assumptions: list[str] = doc("additional assumptions", [], "sentences for the report")
     held: list[TextKey] = doc(
         "numbers without a sensitivity", [], "numbers of the case that get no sensitivity"
     )
@@ -300,9 +280,7 @@ class PharmaTable(CaseTable):
     feeds: dict = doc("material that enters", allowed="tables [feeds.NAME]")
     units: dict = doc("unit operations", allowed="tables [units.NAME]")
     connections: list[dict] = doc("connections of feeds and units", [], "tables [[connections]]")
-    parameters: list[dict] = tables(
-        "process parameters, with the ranges that are studied", "[[parameters]]"
-    )
+    parameters: list[dict] = tables("process parameters and their ranges", "[[parameters]]")
     attributes: list[dict] = tables("quality attributes, with their limits", "[[attributes]]")
     uncertainty: list[dict] = doc("uncertain numbers", [], "tables [[uncertainty]]")
     correlations: list[dict] = doc(
@@ -314,7 +292,7 @@ class PharmaTable(CaseTable):
         'pairs of parameters, such as [["T_R", "W"]]',
     )
     control: dict | None = subtable("control by a policy within a batch", "control", None)
-    goal: dict = subtable("what the policy maximises", "goal", {})
+    goal: dict = subtable("goal of the policy", "goal", {})
     design_space: dict | None = subtable(
         "ranges that meet all limits with a probability", "design_space", None
     )

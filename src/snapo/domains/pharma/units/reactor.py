@@ -69,9 +69,7 @@ class Reactor(Timed):
     cells: int | None = key(
         whole("stirred cells in series of a plug flow, by default a tube", 1, 1000, default=None)
     )
-    filled: Literal["feed", "solvent"] = key(
-        doc("content of a continuous reactor at the start", "feed")
-    )
+    filled: Literal["feed", "solvent"] = key(doc("content at the start", "feed"))
     elements: int = ELEMENTS
 
     type = "reactor"

@@ -26,9 +26,7 @@ class Kinetics(TableRecord):
 
     growth: CaseInput = RATE("growth rate at a supersaturation of 1", example="5 um/s")
     growth_order: CaseInput = ORDER("order of growth in the supersaturation")
-    dissolution: CaseInput = RATE(
-        "dissolution rate at an undersaturation of 1", "0 m/s", example="1 um/s"
-    )
+    dissolution: CaseInput = RATE("dissolution at undersaturation 1", "0 m/s", example="1 um/s")
     dissolution_order: CaseInput = ORDER("order of dissolution in the undersaturation", 1.0)
     primary: CaseInput = NUCLEI(
         "primary nucleation at a supersaturation of 1", "0 1/m^3/s", example="3e8 1/m^3/s"
@@ -39,9 +37,7 @@ class Kinetics(TableRecord):
     )
     secondary_order: CaseInput = ORDER("order of secondary nucleation in the supersaturation", 1.0)
     crystal_order: CaseInput = ORDER("order of secondary nucleation in the volume of crystals", 1.0)
-    rounding: float = ORDER.number(
-        "width of the rounding of rates at saturation", 5e-6, range=POSITIVE
-    )
+    rounding: float = ORDER.number("rounding of rates at saturation", 5e-6, range=POSITIVE)
 
     heading = "`[units.NAME.kinetics]`"
 

@@ -28,9 +28,7 @@ class Seed(TableRecord):
     lognormal distribution; None if all are of one size.
     """
 
-    loading: CaseInput | None = CONCENTRATION(
-        "mass of seed per volume", None, example="0.02 kg/m^3"
-    )
+    loading: CaseInput | None = CONCENTRATION("seed per volume", None, example="0.02 kg/m^3")
     size: CaseInput | None = LENGTH("mean size of the seed by number", None)
     moments: CaseInput | None = None
     spread: CaseInput | None = UnitQuantity(range=POSITIVE, example="0.3")(
