@@ -124,14 +124,14 @@ HOVERS = {  # {kind: table, key, text}
         'Tip speed of the rotor. Allowed: a quantity in quotation marks of at least 0, such as '
         '"20 m/s", or { nodes = ["20 m/s", "20 m/s"] }.'),
     "inventory": ("ItemTable", "unmet",
-        'Whether demand that finds no stock is lost or waits. Allowed: "lost" or "waits".'),
+        'Whether unmet demand is lost or waits. Allowed: "lost" or "waits".'),
     "control": ("NormalStart", "deviation",
         "Standard deviation of the initial state. Allowed: a number above 0, or a list of them."),
     "own": ("FollowingTable", "temperature_end",
         "Temperature of the smoothed rules in the last quarter of the steps. Allowed: a number "
         "above 0."),
     "book": ("TasksTable", "judge",
-        "Share of contracts whose derivatives are tested by bumps. Allowed: a number from 0 to 1."),
+        "Share of contracts with derivatives tested by bumps. Allowed: a number from 0 to 1."),
     "calibration": ("HistoryTable", "season",
         "Number of waves in the season of a year. Allowed: 0, 1 or 2."),
 }  # fmt: skip

@@ -137,29 +137,19 @@ class Mixture(TableRecord):
         ),
         "solvent_masses": (
             Any,
-            doc(
-                "molar masses of the solvents", None, 'their molar masses, such as ["46.07 g/mol"]'
-            ),
+            doc("masses of the solvents", None, 'their molar masses, such as ["46.07 g/mol"]'),
         ),
         "composition": (
             Any,
-            doc(
-                "composition of the solvents by mole",
-                None,
-                "their shares by mole, such as [0.8, 0.2]",
-            ),
+            doc("composition of the solvents", None, "their shares by mole, such as [0.8, 0.2]"),
         ),
         "a": (
             list[list[float]] | None,
-            _matrix(
-                "constant part of the binary parameter tau of NRTL", "numbers a_ij of tau", None
-            ),
+            _matrix("constant part of NRTL's parameter tau", "numbers a_ij of tau", None),
         ),
         "b": (
             list[list[float]],
-            _matrix(
-                "part of tau in proportion to 1 / temperature, in K", "numbers b_ij of tau in K"
-            ),
+            _matrix("part of tau that falls with temperature, in K", "numbers b_ij of tau in K"),
         ),
         "alpha": (list[list[float]], _matrix("non-randomness alpha of NRTL", "non-randomness")),
     }
@@ -300,10 +290,7 @@ class Solubility(TableRecord):
 
     heading = "`[units.NAME.solubility]`"
     more_keys: ClassVar = {
-        "kind": (
-            SolubilityKind,
-            doc("form of the solubility", "polynomial"),
-        ),
+        "kind": (SolubilityKind, doc("form of the solubility", "polynomial")),
         "coefficients": (
             list[float] | None,
             doc(
@@ -314,10 +301,7 @@ class Solubility(TableRecord):
             ),
         ),
         "unit": (TextKey, doc("unit of the solubility", "kg/m^3", 'a unit such as "kg/m^3"')),
-        "scale": (
-            Literal["K", "degC"],
-            doc("temperature scale of the coefficients", "K"),
-        ),
+        "scale": (Literal["K", "degC"], doc("temperature scale of the coefficients", "K")),
         "antisolvent": (
             list[float] | None,
             doc(
