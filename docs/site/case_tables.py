@@ -3,7 +3,7 @@
     ```{case-tables} snapo.domains.pension
     ```
 
-A description is the text that an error message quotes as allowed; it is written once, in the code.
+Meanings, and the texts that error messages quote as allowed, are written once, in the code.
 """
 
 import importlib
@@ -53,13 +53,14 @@ def described(table: type[CaseTable]) -> Iterator[str]:
     """Title, sentence and keys of one table, as Markdown."""
     title, _, words = _flat(inspect.getdoc(table) or table.__name__).partition(": ")
     yield from (f"## {title}", "", words[:1].upper() + words[1:], "")
-    yield from ("| key | allowed | default |", "|---|---|---|")
+    yield from ("| key | meaning | allowed | default |", "|---|---|---|---|")
     for key, field in table.model_fields.items():
         allowed = field.description or _kind(field.annotation)
         if only := ", and ".join(each.when for each in conditions(field)):
             allowed += f"; only {only}"
         allowed = _cell(allowed)
-        yield f"| `{field.alias or key}` | {allowed} | {_default(field)} |"
+        meaning = _cell(field.title or "")
+        yield f"| `{field.alias or key}` | {meaning} | {allowed} | {_default(field)} |"
     yield ""
 
 

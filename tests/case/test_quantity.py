@@ -20,7 +20,6 @@ from snapo.case.quantity import (
     POSITIVE,
     Quantity,
     Range,
-    choice,
     numbers_in,
     on_dates,
     quantity_of,
@@ -42,7 +41,7 @@ class Example(CaseTable):
     cost: CaseInput = COST("per unit", 0.0)
     share: CaseInput = SHARE("of the volume")
     cap: CaseInput | None = Quantity("{volume}", POSITIVE)("the largest volume", None)
-    rule: str = choice("linear", "step")
+    rule: Literal["linear", "step"] = "linear"
 
 
 def read(data, folder=Path(), notes=None):
@@ -174,7 +173,10 @@ def replace_index(numbers: CaseInput) -> CaseInput:
 def test_a_table_of_declarations_has_a_schema_and_a_documentation():
     schema = Example.model_json_schema()["properties"]
     assert schema["share"] | {"type": "number", "minimum": 0.0} == schema["share"]
-    assert schema["share"]["description"] == "a number of at least 0 and below 1"
+    assert schema["share"]["description"] == (
+        "Of the volume. Allowed: a number of at least 0 and below 1."
+    )
+    assert schema["cost"]["description"].startswith("Per unit, in money/volume. Allowed: a number")
     fields = Example.model_fields
     assert quantity_of(fields["cost"]) is not None and quantity_of(fields["rule"]) is None
     assert fields["cost"].description == (
@@ -219,7 +221,8 @@ class Chosen(Settings):
 def test_a_key_is_described_by_its_type():
     fields, schema = Settings.model_fields, Settings.model_json_schema()["properties"]
     for key, text in DESCRIPTIONS.items():
-        assert fields[key].description == schema[key]["description"] == text
+        assert fields[key].description == text
+        assert schema[key]["description"] == f"Allowed: {text}."
     assert fields["name"].description is None and "description" not in schema["name"]
     assert (schema["paths"]["minimum"], schema["paths"]["maximum"]) == (2, 10_000)
     assert schema["keep"]["anyOf"][0] == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 1.0}

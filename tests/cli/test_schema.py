@@ -3,12 +3,13 @@
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
+from importlib import import_module
 from typing import Any
 
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.cli.completion import schema_of_kind
+from snapo.cli.completion import OTHER_FILES, schema_of_kind
 from snapo.cli.main import main
 from snapo.study import commands
 from snapo.study.domain import find, installed
@@ -100,23 +101,77 @@ def test_mistakes_in_a_storage_case_are_found(tmp_path):
     ]  # fmt: skip
 
 
-def test_a_description_of_a_key_is_that_of_its_table():
-    from snapo.domains.gas_storage.read.tables import ContractTable
+FILES = [*installed(), *OTHER_FILES]
+HOVERS = {  # {kind: table, key, text}
+    "gas-storage": ("ContractTable", "injection_cost",
+        "Cost per unit injected, in currency/volume_unit. Allowed: a number, or the name of a CSV "
+        "file with columns date,value."),
+    "swing": ("AnnualTable", "max",
+        "Maximum volume of a contract year, in volume_unit/year. Allowed: a number of at least 0."),
+    "battery": ("FadeTable", "every",
+        "Energy taken after which the store can hold less, in MWh. Allowed: a number above 0: MWh "
+        "taken."),
+    "park-and-loan": ("WindowTable", "last",
+        "Last day on which gas may flow. Allowed: a date from 1900 to 2200, YYYY-MM-DD."),
+    "stores": ("StoresTable", "net_injection",
+        "Largest joint flow into the stores, in volume_unit/day. Allowed: a number of at least 0, "
+        "or the name of a CSV file with columns date,value."),
+    "plant": ("PowerPlantTable", "min_up",
+        "Smallest number of hours on after a start. Allowed: a whole number of hours, 1 to 72."),
+    "pension": ("IndexationTable", "lower_ratio",
+        "Funding ratio below which there is no indexation. Allowed: a number of at least 0."),
+    "pharma": ("WetMillTable", "speed",
+        'Tip speed of the rotor. Allowed: a quantity in quotation marks of at least 0, such as '
+        '"20 m/s", or { nodes = ["20 m/s", "20 m/s"] }.'),
+    "inventory": ("ItemTable", "unmet",
+        'Whether unmet demand is lost or waits. Allowed: "lost" or "waits".'),
+    "control": ("NormalStart", "deviation",
+        "Standard deviation of the initial state. Allowed: a number above 0, or a list of them."),
+    "own": ("FollowingTable", "temperature_end",
+        "Temperature of the smoothed rules in the last quarter of the steps. Allowed: a number "
+        "above 0."),
+    "book": ("TasksTable", "judge",
+        "Share of contracts with derivatives tested by bumps. Allowed: a number from 0 to 1."),
+    "calibration": ("HistoryTable", "season",
+        "Number of waves in the season of a year. Allowed: 0, 1 or 2."),
+}  # fmt: skip
 
-    contract = schema_of_kind("gas-storage")["$defs"]["ContractTable"]["properties"]
-    for key, field in ContractTable.model_fields.items():
-        assert contract[key]["description"] == field.description
+
+@pytest.mark.parametrize("kind", FILES)
+def test_an_editor_shows_the_meaning_of_a_key_with_its_values(kind):
+    table, key, text = HOVERS[kind]
+    assert schema_of_kind(kind)["$defs"][table]["properties"][key]["description"] == text
 
 
-@pytest.mark.parametrize("kind", installed())
+@pytest.mark.parametrize("kind", FILES)
+def test_every_key_has_a_meaning_and_only_defaults_that_a_case_could_have(kind):
+    schema = schema_of_kind(kind)
+    for name, table in schema["$defs"].items():
+        assert "title" not in table
+        for key, item in table["properties"].items():
+            meaning, _, allowed = item["description"].partition(". Allowed: ")
+            assert len(meaning) > 3 and not meaning.startswith("Allowed"), (name, key)
+            assert meaning.lower() != allowed.removesuffix(".").lower(), (name, key)
+            assert "title" not in item
+            if "default" in item:
+                assert list(mistakes(item["default"], item, schema)) == [], (name, key)
+
+
+def tables_of(kind):
+    """Every table of a kind of file."""
+    formats: Any = import_module(OTHER_FILES[kind]).FORMATS if kind in OTHER_FILES else None
+    for tables in (formats or find(kind, "").formats()).values():  # pyright: ignore
+        yield from [tables] if isinstance(tables, type) else tables
+
+
+@pytest.mark.parametrize("kind", FILES)
 def test_every_table_that_a_schema_names_is_a_part_of_the_file(kind):
     """A name that no parent has would be left out without a word."""
-    schema, formats = schema_of_kind(kind), find(kind, "").formats()  # pyright: ignore
+    schema = schema_of_kind(kind)
     text = json.dumps({key: x for key, x in schema.items() if key != "$defs"})
     text += json.dumps([x.get("properties", {}) for x in schema["$defs"].values()])
-    for tables in formats.values():
-        for table in [tables] if isinstance(tables, type) else tables:
-            assert table.__name__ in text
+    for table in tables_of(kind):
+        assert table.__name__ in text
 
 
 def test_the_command_prints_it(capsys):

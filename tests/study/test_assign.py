@@ -46,6 +46,25 @@ def test_tables_are_made_and_the_last_one_counts():
         ("=3", "write it like contract.inventory=2000"),
         ("contract..inventory=3", "write it like contract.inventory=2000"),
         ("title=Other", "text needs quotation marks; in a shell: --set 'title=\"Other\"'"),
+        (
+            "contract.start=2021-13-01",
+            "contract.start: got 2021-13-01; this is not a date: there is "
+            "no month 13; a date is YYYY-MM-DD and a time hh:mm:ss, without quotation marks.",
+        ),
+        (
+            "contract.start=2021-02-29",
+            "got 2021-02-29; this is not a date: February 2021 has 28 days",
+        ),
+        (
+            "contract.start=2021-01-01T24:00:00",
+            "this is not a date: there is no hour 24; a date is",
+        ),
+        ("auction.at=07:60:00", "got 07:60:00; this is not a time: there is no minute 60; a date"),
+        ("contract.start=31.12.2024", "got 31.12.2024; this is not a date; a date is YYYY-MM-DD"),
+        (
+            "holidays=[2021-01-01, 2021-04-31]",
+            "got 2021-04-31; this is not a date: April 2021 has 30",
+        ),
         ("contract.inventory=", "got nothing; this is not a value as TOML writes it"),
         ("contract.rates=[1,", "this is not a value as TOML writes it"),
         ("contract.inventory=1\nkind = 2", "this is not a value as TOML writes it"),

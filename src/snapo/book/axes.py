@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.error import CaseError
-from snapo.case.table import CaseTable, parse
+from snapo.case.table import CaseTable, doc, parse
 from snapo.case.toml import one_value
 from snapo.study.assign import value_at
 
@@ -32,11 +32,11 @@ SCALARS = (bool, int, float, str, datetime.date)
 class AxisTable(CaseTable):
     """`[[axis]]`"""
 
-    key: CaseKey = Field(description='a key of the cases, "contract.max_inventory"')
-    values: str | list[bool | float | str | datetime.date] = Field("", description=VALUES)
-    range: str = Field("", description='first and last number of Sobol points, "5:35"')
-    sobol: int | None = Field(
-        None, ge=1, le=MAX_POINTS, description="how many Sobol points, 1 or more"
+    key: CaseKey = doc("key of the axis", allowed='a key of the cases, "contract.max_inventory"')
+    values: str | list[bool | float | str | datetime.date] = doc("values of the key", "", VALUES)
+    range: str = doc("range of Sobol points", "", 'first and last number of Sobol points, "5:35"')
+    sobol: int | None = doc(
+        "number of Sobol points", None, "how many Sobol points, 1 or more", ge=1, le=MAX_POINTS
     )
 
 

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.csv import Row
-from snapo.case.error import CaseError, counted
+from snapo.case.error import CaseError, Unquoted, counted
 from snapo.case.load import load
 from snapo.case.table import parse
+from snapo.case.toml import impossible_moment
 from snapo.solver.statistics import plus_minus
 from snapo.solver.tables import write_text
 from snapo.study.assign import OPTION, assigned
@@ -165,6 +166,8 @@ def _axes(assignments: Sequence[str], sobol: int | None) -> tuple[list[dict[str,
         values: list[Any] = []
         with suppress(tomllib.TOMLDecodeError):
             values = tomllib.loads(f"values = [{written}]")["values"]
+        if match is None and not values and (moment := impossible_moment(written)):
+            raise CaseError(OPTION, key, Unquoted(moment[0]), moment[1])
         if match is not None and match[3] is None and sobol is not None:
             entries.append({"key": key, "range": written, "sobol": sobol})
         elif match is not None:

@@ -9,20 +9,18 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
-
-from pydantic import Field
+from typing import Annotated, Any, Literal, NamedTuple
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError, Unquoted
 from snapo.case.load import load
-from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
+from snapo.case.table import CaseTable, Range, TableContext, Title, doc, parse, subtable
 from snapo.study.assign import assigned, key_as_in
 from snapo.study.domain import find
 from snapo.study.run_folder import case_files, tables_named
 
-from .axes import MAX_POINTS, Axis, Design, read_design
-from .stress import BookStress, read_stresses
+from .axes import MAX_POINTS, Axis, AxisTable, Design, read_design
+from .stress import BookStress, BookStressTable, read_stresses
 
 BASE = "base"  # the name of the unstressed point
 NAME = re.compile(r"[^\x00-\x1f/\\]{1,80}")
@@ -49,57 +47,80 @@ RESERVED = (
 class CasesTable(CaseTable):
     """`[cases]`"""
 
-    template: str = Field("", description='the folder of a case, relative to the book: "store"')
-    files: str = Field("", description='cases by a pattern, "contracts/*/case.toml"')
-    table: str = Field("", description='the CSV of the contracts, "contracts.csv"')
-    by: list[str] = Field([], description="columns of the table by which values are summed")
+    template: str = doc(
+        "case of which every contract is a copy", "",
+        'the folder of a case, relative to the book: "store"',
+    )  # fmt: skip
+    files: str = doc("cases of the book", "", 'cases by a pattern, "contracts/*/case.toml"')
+    table: str = doc(
+        "contracts, a copy of the template in a row",
+        "",
+        'the CSV of the contracts, "contracts.csv"',
+    )
+    by: list[str] = doc(
+        "labels by which values are summed", [], "columns of the table by which values are summed"
+    )
 
 
 class BookMarketTable(CaseTable):
     """`[markets.NAME]`"""
 
-    file: str = Field(description="a TOML file with [market], and [model] if it has one")
+    file: str = doc(
+        "market of contracts, instead of their own",
+        allowed="a TOML file with [market], and [model] if it has one",
+    )
 
 
 class TasksTable(CaseTable):
     """`[tasks]`"""
 
-    policy: Literal["contract", "stress", "shape"] = Field(
+    policy: Literal["contract", "stress", "shape"] = doc(
+        "training: of a contract, again under a stress, or of similar contracts together",
         "contract",
-        description="trained once for each contract, again under each stress, or once for similar "
-        "contracts",
     )
-    deltas: Literal["base", "all", "none"] = Field("base", description="at which points")
-    judge: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="the share of contracts whose derivatives are tested by bumps, 0 to 1",
+    deltas: Literal["base", "all", "none"] = doc(
+        "derivatives: of unstressed values, of all, or of none", "base"
     )
-    paths: int = Field(16384, ge=64, le=2**24, description="paths of every value, 64 or more")
-    exposure: bool = Field(True, description="the mean of every output by day, unstressed")
+    judge: Annotated[float, Range(0, 1)] = doc(
+        "share of contracts with derivatives tested by bumps", 0.1
+    )
+    paths: Annotated[int, Range(64, 2**24)] = doc("paths of a value", 16384)
+    exposure: bool = doc("whether the mean of every output by day is computed, unstressed", True)
 
 
 class RunTable(CaseTable):
     """`[run]`"""
 
-    seed: int = Field(0, ge=0, le=2**32 - 1, description="of all contracts, 0 or more")
-    processor: Literal["", "x86-64-v2", "x86-64-v3", "x86-64-v4"] = Field(
-        "", description="the processor for which all workers compile; default: that of this machine"
+    seed: Annotated[int, Range(0, 2**32 - 1)] = doc("seed of all contracts", 0)
+    processor: Literal["", "x86-64-v2", "x86-64-v3", "x86-64-v4"] = doc(
+        "processor for which all workers compile, by default that of this machine", ""
     )
 
 
 class BookTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["book"]
-    title: Title = Field("Book", description=TITLE)
-    cases: dict[str, Any] = Field(description="the table [cases]")
-    markets: dict[str, dict[str, Any]] = Field({}, description="tables [markets.NAME]")
-    axis: list[dict[str, Any]] = Field([], description="tables [[axis]]")
-    stress: list[dict[str, Any]] = Field([], description="tables [[stress]]")
-    tasks: dict[str, Any] = Field({}, description="a table")
-    run: dict[str, Any] = Field({}, description="a table")
+    kind: Literal["book"] = doc("kind of the file")
+    title: Title = "Book"
+    cases: dict[str, Any] = subtable("contracts of the book", "cases")
+    markets: dict[str, dict[str, Any]] = doc("markets by name", {}, "tables [markets.NAME]")
+    axis: list[dict[str, Any]] = doc(
+        "grid of contracts, one for every combination of values", [], "tables [[axis]]"
+    )
+    stress: list[dict[str, Any]] = doc("other numbers for all contracts", [], "tables [[stress]]")
+    tasks: dict[str, Any] = doc("tasks of the book", {}, "a table")
+    run: dict[str, Any] = doc("seed and processor", {}, "a table")
+
+
+FORMATS = {
+    "": BookTable,
+    "cases": CasesTable,
+    "markets.*": BookMarketTable,
+    "axis[]": AxisTable,
+    "stress[]": BookStressTable,
+    "tasks": TasksTable,
+    "run": RunTable,
+}
 
 
 class Origin(NamedTuple):

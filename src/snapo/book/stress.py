@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import SourceNumbers
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, TableContext, doc, parse
 from snapo.case.toml import one_value
 from snapo.problem.inputs import Input
 from snapo.study.assign import assigned
@@ -31,16 +30,21 @@ PERIOD = re.compile(r"(\d{4}-\d{2}(?:-\d{2})?)/(\d{4}-\d{2}(?:-\d{2})?)", re.ASC
 class BookStressTable(CaseTable):
     """`[[stress]]`"""
 
-    name: str = Field("", description="a name")
-    scale: dict[CaseKey, float] = Field(
-        {}, description='factors, { "market.forward_curve" = 1.10 }'
+    name: str = doc("name of the stress", "", "a name")
+    scale: dict[CaseKey, float] = doc(
+        "factors on numbers of the cases", {}, 'factors, { "market.forward_curve" = 1.10 }'
     )
-    shift: dict[CaseKey, float] = Field({}, description='amounts, { "market.forward_curve" = 2.0 }')
-    set: dict[CaseKey, Any] = Field(
-        {}, description='other values of keys, { "contract.injection_cost" = 0.05 }'
+    shift: dict[CaseKey, float] = doc(
+        "amounts added to numbers, in their unit", {}, 'amounts, { "market.forward_curve" = 2.0 }'
     )
-    when: str = Field("", description='months or days, the last included: "2026-12/2027-02"')
-    table: str = Field("", description="a file with a stress in each row")
+    set: dict[CaseKey, Any] = doc(
+        "other values of keys", {}, 'other values of keys, { "contract.injection_cost" = 0.05 }'
+    )
+    when: str = doc(
+        "period that is moved, by default all", "",
+        'months or days, the last included: "2026-12/2027-02"',
+    )  # fmt: skip
+    table: str = doc("stresses, one in a row", "", "a file with a stress in each row")
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,18 @@
 
 import re
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .error import CaseError
+from .error import CaseError, Unquoted
 from .table import not_utf8
+from .toml import impossible_moment
 from .workbook import unpacked
 
 DEEPEST = 20  # levels of tables and lists
+KEY = re.compile(r"\s*([\w.\"' -]+?)\s*=")
+HEADER = re.compile(r"\s*\[\[?\s*([\w.\"' -]+?)\s*\]\]?\s*(#.*)?")
 TOO_DEEP = "the tables of this file are nested too deeply; no case needs more than a few levels"
 
 
@@ -29,6 +33,11 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
         raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
     if not text.strip():
         raise CaseError(str(file), "", None, "the file is empty; `snapo new` writes a case")
+    return file, tables_of(file, text)
+
+
+def tables_of(file: Path, text: str) -> dict[str, Any]:
+    """The tables of a text in TOML. **Raises:** `CaseError` with the line of a mistake."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -37,7 +46,7 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
         raise CaseError(str(file), "", None, TOO_DEEP) from None
     if is_deep(data):
         raise CaseError(str(file), "", None, TOO_DEEP)
-    return file, data
+    return data
 
 
 def is_deep(data: Any) -> bool:
@@ -53,6 +62,19 @@ def _not_toml(file: Path, text: str, message: str) -> CaseError:
     """The parser's complaint, with the line that it is about."""
     result = re.search(r"line (\d+)", message)
     number = int(result[1]) if result else len(text.rstrip().splitlines())  # "at end of document"
-    got = text.splitlines()[number - 1].strip()
+    lines = text.splitlines()[:number]
+    got = lines[-1].strip()
+    if moment := impossible_moment(got.partition("=")[2] if KEY.match(got) else got):
+        where = ", ".join(filter(None, (f"line {number}", _key_at(lines))))
+        return CaseError(str(file), where, Unquoted(moment[0]), moment[1])
     subject = f"this is not valid TOML ({message.partition(' (at ')[0]})"
     return CaseError(str(file), f"line {number}", got, subject)
+
+
+def _key_at(lines: Sequence[str]) -> str:
+    """The key of the last line, with its table; "" if there is none."""
+    keys = [(i, match[1]) for i, line in enumerate(lines) if (match := KEY.match(line))]
+    if not keys:
+        return ""
+    headers = [match[1] for line in lines[: keys[-1][0]] if (match := HEADER.fullmatch(line))]
+    return ".".join([*headers[-1:], keys[-1][1]])

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from .error import CaseError, nearest
+from .table import doc
 
 PartNames = list[Annotated[str, Field(min_length=1)]]
 
@@ -14,7 +15,7 @@ PartNames = list[Annotated[str, Field(min_length=1)]]
 def names_of_parts(example: str) -> Any:
     """The field `parts: Names` of a domain's table `[report]`."""
     message = f'names of parts such as ["{example}"]; the parts that they need are run too'
-    return Field([], description=message)
+    return doc("parts of the run that are computed, by default all", [], message)
 
 
 def known_parts(

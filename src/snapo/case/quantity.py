@@ -18,7 +18,7 @@ from datetime import date
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationInfo
+from pydantic import BaseModel, ValidationInfo
 from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
 
@@ -26,7 +26,7 @@ from .csv import FileReference, Row, ordinals, read_rows, rising_dates
 from .error import CaseError
 from .given import CaseInput
 from .plausible import Plausible
-from .table import LARGEST, TOO_LARGE, CaseTable, Range, TableContext
+from .table import LARGEST, TOO_LARGE, CaseTable, Range, TableContext, doc
 
 ANY, NOT_NEGATIVE, POSITIVE = Range(), Range(0.0), Range(0.0, endpoints="()")
 FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")
@@ -72,6 +72,11 @@ class Quantity:
         """The values that the key may have, as text."""
         file = f", or the name of a CSV file with columns {self.by},{self.column}"
         return self.text or f"{self.range}{file if self.by else ''}"
+
+    @property
+    def title(self) -> str:
+        """The meaning with the unit, in which names of other keys replace their values."""
+        return self.meaning + f", in {self.unit.format_map(_Values())}" * (self.unit != "1")
 
     def read(self, raw: Any, key: "KeyContext") -> CaseInput | None:
         """The number of a key, or the numbers of the CSV that it names."""
@@ -188,15 +193,21 @@ class Custom(NamedTuple):
         return {"type": list(self.types)}
 
 
-def custom(read: ReadKey, allowed: str, default: Any = ..., types: Sequence[str] = ("string",)):
+def custom(
+    meaning: str,
+    read: ReadKey,
+    allowed: str,
+    default: Any = ...,
+    types: Sequence[str] = ("string",),
+) -> Any:
     """A field of a `Table` that a function reads; `allowed`: its values, as text."""
-    return declared(Custom(read, tuple(types)), default, allowed)
+    return declared(Custom(read, tuple(types)), default, meaning, allowed)
 
 
-def declared(declaration: Any, default: Any, allowed: str = "") -> Any:
+def declared(declaration: Any, default: Any, meaning: str = "", allowed: str = "") -> Any:
     """A field whose type is a declaration: a `Quantity`, or a `Custom` reader."""
-    text = allowed or declaration.allowed
-    field = Field(default, description=text, validate_default=True)
+    texts = meaning or declaration.title, allowed or declaration.allowed
+    field = doc(texts[0], default, texts[1], validate_default=True)
     assert isinstance(field, FieldInfo)
     field.metadata.append(declaration)
     return field
@@ -205,12 +216,6 @@ def declared(declaration: Any, default: Any, allowed: str = "") -> Any:
 def quantity_of(field: FieldInfo) -> Quantity | None:
     """The declaration of a field; None if it is not a quantity."""
     return next((item for item in field.metadata if isinstance(item, Quantity)), None)
-
-
-def choice(*options: str, default: str = "") -> Any:
-    """A field for one of a few texts, the first by default."""
-    text = " or ".join(f'"{option}"' for option in options)
-    return Field(default or options[0], description=text)
 
 
 def _validator(read: ReadKey) -> core_schema.CoreSchema:

@@ -4,13 +4,14 @@ import base64
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, ValidationInfo
 
-from .table import CaseTable
+from .table import CaseTable, doc, subtable
 
 PNG = b"\x89PNG\r\n\x1a\n"
 LARGEST_LOGO = 1_000_000  # bytes, which a page holds in full
 TEXTS = ("title", "author", "note", "logo")  # keys that no number depends on
+SHORT = "a text of at most 200 characters"
 ALLOWED = "the name of a PNG or SVG file next to the case, of at most 1 MB"
 # Elements that run, load or contain something else; an attribute that begins with "on" does too.
 ACTIVE = (
@@ -33,15 +34,23 @@ def _checked(name: str, info: ValidationInfo) -> str:
     raise table.error("logo", name, f"{reason}; it must be {ALLOWED}")
 
 
+ReportKey = Annotated[dict[str, Any], subtable("texts and logo of the page of a run", "report", {})]
+
+
 class ReportTable(CaseTable):
     """`[report]`: title, author, note and logo of the page."""
 
-    title: str | None = Field(None, max_length=200, description="a text of at most 200 characters")
-    author: str | None = Field(None, max_length=200, description="a text of at most 200 characters")
-    note: str | None = Field(
-        None, max_length=2_000, description="a text of at most 2,000 characters, for the first page"
+    title: str | None = doc("heading of the page", None, SHORT, max_length=200)
+    author: str | None = doc("author of the run, on the first page", None, SHORT, max_length=200)
+    note: str | None = doc(
+        "remark on the run",
+        None,
+        "a text of at most 2,000 characters, for the first page",
+        max_length=2_000,
     )
-    logo: Annotated[str, AfterValidator(_checked)] | None = Field(None, description=ALLOWED)
+    logo: Annotated[str, AfterValidator(_checked)] | None = doc(
+        "picture at the head of the page", None, ALLOWED
+    )
 
 
 def logo(folder: Path, name: str) -> str:

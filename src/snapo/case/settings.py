@@ -1,12 +1,10 @@
 """The tables that every case has: `[training]`, `[evaluation]` and `[objective]`."""
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Literal, TypeVar
-
-from pydantic import Field
+from typing import Annotated, Any, Literal, TypeVar
 
 from .error import CaseError
-from .table import CaseTable, Positive, Range, optional, parse
+from .table import CaseTable, Positive, Range, doc, optional, parse, subtable
 
 MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
 MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
@@ -16,6 +14,11 @@ EVERY = STEPS._replace(
     note="; by default 50, 10 for a fitted rule, or a quarter of the steps if they are few"
 )
 UP_TO_ONE = Range(0, 1, "(]")
+ObjectiveKey = Annotated[
+    dict[str, Any], subtable("statistic of the paths that is maximised", "objective", {})
+]
+TrainingKey = Annotated[dict[str, Any], subtable("how the policy is trained", "training", {})]
+EvaluationKey = Annotated[dict[str, Any], subtable("how the policy is valued", "evaluation", {})]
 PathCount = Annotated[int, IN_MEMORY._replace(low=64)]
 MaxPaths = Annotated[
     int, Range(0, MAX_PATHS, note=": the largest number of paths to use; 0 for none")
@@ -25,24 +28,44 @@ MaxPaths = Annotated[
 class TrainingTable(CaseTable):
     """`[training]`: how the policy is trained, with the fields of `snapo.Training`."""
 
-    steps: Annotated[int, Range(0, MAX_STEPS)] = 240
-    paths: Annotated[int, IN_MEMORY._replace(low=2)] = 512
-    learning_rate: Positive = 0.01
-    warmup: Annotated[int, STEPS._replace(low=0, high=MAX_STEPS)] = 20
-    decay: Annotated[float, Range(0, 1e6)] = 0.0
-    temperature_start: Positive = 0.02
-    temperature_end: Positive = 0.005
-    average: Annotated[float, UP_TO_ONE] = 0.05
-    validation_paths: Annotated[int, IN_MEMORY] = 4096
-    validation_every: Annotated[int, EVERY] | None = None
-    patience: Annotated[int, Range(1, noun="a number of validations")] | None = None
-    window: Annotated[int, STEPS] | Literal["auto"] = "auto"
-    clip: Positive | Literal["auto"] = "auto"
-    keep: Annotated[float, UP_TO_ONE] | Literal["auto"] = "auto"
-    spread: Positive = 1.0
-    exploration: Annotated[float, Range(0, 1, "[)")] = 0.0
-    starts: Annotated[int, Range(1, noun="a number of initial weights")] = 1
-    seed: Annotated[int, Range(0, 2**63 - 1)] = 0
+    steps: Annotated[int, Range(0, MAX_STEPS)] = doc("training steps", 240)
+    paths: Annotated[int, IN_MEMORY._replace(low=2)] = doc("fresh paths in a training step", 512)
+    learning_rate: Positive = doc("peak learning rate of the optimiser, Adam", 0.01)
+    warmup: Annotated[int, STEPS._replace(low=0, high=MAX_STEPS)] = doc(
+        "steps in which the learning rate rises from zero to its peak", 20
+    )
+    decay: Annotated[float, Range(0, 1e6)] = doc(
+        "decay of the weights in a step, relative to the learning rate", 0.0
+    )
+    temperature_start: Positive = doc("temperature of the smoothed rules at the first step", 0.02)
+    temperature_end: Positive = doc(
+        "temperature of the smoothed rules in the last quarter of the steps", 0.005
+    )
+    average: Annotated[float, UP_TO_ONE] = doc("share of the steps that the policy averages", 0.05)
+    validation_paths: Annotated[int, IN_MEMORY] = doc(
+        "fresh paths of a validation, which measures the exact value and selects the best policy",
+        4096,
+    )
+    validation_every: Annotated[int, EVERY] | None = doc("steps between two validations", None)
+    patience: Annotated[int, Range(1, noun="a number of validations")] | None = doc(
+        "validations without a new best after which training stops, by default never", None
+    )
+    window: Annotated[int, STEPS] | Literal["auto"] = doc(
+        "steps of a window of backpropagation, after which a critic estimates the rest", "auto"
+    )
+    clip: Positive | Literal["auto"] = doc("bound on the adjoint of a path at every step", "auto")
+    keep: Annotated[float, UP_TO_ONE] | Literal["auto"] = doc(
+        "share of the adjoint of a path that is passed from a step to the one before", "auto"
+    )
+    spread: Positive = doc("factor on the spread of initial states, in training only", 1.0)
+    exploration: Annotated[float, Range(0, 1, "[)")] = doc(
+        "share of a decision that is drawn at random in training; it falls with the temperature",
+        0.0,
+    )
+    starts: Annotated[int, Range(1, noun="a number of initial weights")] = doc(
+        "initial weights from which training begins, of which it continues with the better ones", 1
+    )
+    seed: Annotated[int, Range(0, 2**63 - 1)] = doc("seed of initial weights and scenarios", 0)
 
 
 @optional(
@@ -73,35 +96,38 @@ AnyTraining = TypeVar("AnyTraining", bound=TrainingTable)
 
 
 class EvaluationTable(CaseTable):
-    """`[evaluation]`: the fresh scenarios on which the exact value is measured.
+    """`[evaluation]`: the fresh scenarios on which the exact value is measured."""
 
-    `judge_paths`: the paths of the bumps that the derivatives are tested by; `search_paths`: the
-    paths of the search around the policy, which gives every interval the policy's part;
-    `selection_paths`: the paths of the final choice between the trained policies and the starting
-    rule. Each is a maximum; 0 omits the measurement.
-    """
-
-    paths: PathCount = 65536
-    sensitivity_paths: PathCount = 16384
-    judge_paths: MaxPaths = 16384
-    search_paths: MaxPaths = 16384
-    selection_paths: MaxPaths = 16384
-    scenarios: Literal["pseudo-random", "sobol"] = "pseudo-random"
+    paths: PathCount = doc("fresh paths on which the policy is valued", 65536)
+    sensitivity_paths: PathCount = doc("paths of the sensitivities", 16384)
+    judge_paths: MaxPaths = doc("paths of the bumps that the derivatives are tested by", 16384)
+    search_paths: MaxPaths = doc(
+        "paths of the search around the policy, which gives every interval its part of the policy",
+        16384,
+    )
+    selection_paths: MaxPaths = doc(
+        "paths of the final choice between the trained policies and the starting rule", 16384
+    )
+    scenarios: Literal["pseudo-random", "sobol"] = doc(
+        "random numbers in valuation", "pseudo-random"
+    )
 
 
 class ObjectiveTable(CaseTable):
-    """`[objective]`: the figure to maximise; `kind` determines which of the other keys apply.
+    """`[objective]`: the figure to maximise; `kind` determines which of the other keys apply."""
 
-    `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: the risk
-    aversion of "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`:
-    currency, added to each path's total under "crra". `target`: currency, the aim of "target".
-    """
-
-    kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = "mean"
-    level: Annotated[float, Range(0, 1, "()")] | None = None
-    risk_aversion: Positive | None = None
-    wealth: Positive | None = None
-    target: float | None = Field(None, description="a number")
+    kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = doc(
+        "statistic of the paths that is maximised", "mean"
+    )
+    level: Annotated[float, Range(0, 1, "()")] | None = doc(
+        'confidence level: "cvar" is the mean of the worst 1 - level of the paths', None
+    )
+    risk_aversion: Positive | None = doc(
+        'risk aversion: of "mean-variance" and "entropic" in 1/currency, of "crra" a pure number',
+        None,
+    )
+    wealth: Positive | None = doc('wealth added to a path under "crra", in currency', None)
+    target: float | None = doc('total that "target" aims at, in currency', None, "a number")
 
     @property
     def keeps_unit(self) -> bool:

@@ -136,6 +136,8 @@ def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
             return item.of_integers if annotation is int else str(item)
         if isinstance(item, FieldInfo) and item.description:
             return item.description
+    if annotation is bool:
+        return "true or false"
     if origin is Literal:
         *first, last = [f'"{part}"' if isinstance(part, str) else str(part) for part in parts]
         return f"{', '.join(first)} or {last}" if first else last
@@ -145,10 +147,31 @@ def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
     return None
 
 
+def doc(meaning: str, default: Any = ..., allowed: str = "", **more: Any) -> Any:
+    """A field of a `CaseTable` with its meaning, required where there is no default.
+
+    `allowed`: its values as text, where its type does not state them; `more`: as of a
+    `pydantic.Field`.
+    """
+    return Field(default, title=meaning, **({"description": allowed} if allowed else {}), **more)
+
+
+def subtable(meaning: str, name: str, default: Any = ...) -> Any:
+    """A field for a table within a table."""
+    return doc(meaning, default, f"the table [{name}]")
+
+
+def hover(field: FieldInfo) -> str:
+    """The text that an editor shows for a key: its meaning, and the values that it may have."""
+    sentences = [field.title, f"allowed: {field.description}" if field.description else None]
+    return " ".join(f"{text[0].upper()}{text[1:]}." for text in sentences if text)
+
+
 class CaseTable(pydantic.BaseModel):
     """A strict TOML table: no unknown keys, no conversions, no NaN or infinite numbers.
 
-    A key without a description is described by its type, as far as `allowed_text` can.
+    The title of a field is its meaning, and its description the values that messages quote as
+    allowed; without one it is that of its type, as far as `allowed_text` can.
     """
 
     # Built at the first use: of the tables of all kinds, a case has a few.
@@ -167,14 +190,29 @@ class CaseTable(pydantic.BaseModel):
             key.description = key.description or allowed_text(key.annotation, key.metadata)
         return handler(source)
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, source: Any, handler: Any) -> dict[str, Any]:
+        """Every key with its text for an editor; None and "" are no defaults."""
+        reference = handler(source)
+        table = handler.resolve_ref_schema(reference)
+        del table["title"]
+        for name, entry in cls.model_fields.items():
+            key = table["properties"][entry.alias or name]
+            key.pop("title", None)
+            if text := hover(entry):
+                key["description"] = text
+            if key.get("default") in (None, ""):
+                key.pop("default", None)
+        return reference
+
 
 # {name of a table: its format, or several of which a case has one}. "" is the whole file, "place[]"
 # an array of tables, "units.*" a table of tables, "place[].demand" a table in each of an array.
 Formats = Mapping[str, type[CaseTable] | Sequence[type[CaseTable]]]
 
-Title = Annotated[str, Field(max_length=200)]
-Nonempty = Annotated[str, Field(min_length=1)]
 TITLE = "a text of at most 200 characters in quotation marks"
+Title = Annotated[str, Field(title="title of reports", max_length=200, description=TITLE)]
+Nonempty = Annotated[str, Field(min_length=1)]
 Count = Annotated[int, Range(1)]
 Positive = Annotated[float, Range(0, endpoints="()")]
 NotNegative = Annotated[float, Range(0)]
@@ -193,7 +231,7 @@ def optional(*keys: str, note: str) -> Callable[[type[AnyTable]], type[AnyTable]
             field = table.model_fields[key]
             (numbers,) = field.metadata
             kind: Any = Annotated[field.annotation, numbers._replace(note=numbers.note + note)]
-            changes[key] = (kind | None, None)
+            changes[key] = (kind | None, Field(None, title=field.title))
         return pydantic.create_model(table.__name__, __base__=table, **changes)
 
     return decorated

@@ -1,12 +1,23 @@
-"""Writes the tables of a case as TOML; Python reads that format and does not write it."""
+"""Writes the tables of a case as TOML, a format that Python reads and does not write; and explains
+dates and times in it that do not exist, which Python's reader refuses without a reason.
+"""
 
+import calendar
 import datetime
 import json
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 BARE = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
+NO_VALUE = re.compile(r'"(?:\\.|[^"\\])*"|\'[^\']*\'|#.*')  # a text or a comment
+CLOCK = r"(\d\d?):(\d\d)(?::(\d\d)(?:\.\d+)?)?(?:[Zz]|[+-]\d\d:\d\d)?"
+MOMENT = re.compile(
+    rf"(?<![\w.:+-])(?:(\d{{4}})-(\d\d?)-(\d\d?)(?:[Tt ]{CLOCK})?|{CLOCK}"
+    r"|\d\d?([./])\d\d?\10\d{4}|\d{4}([./])\d\d?\11\d\d?)(?![\w.:+-])",
+    re.ASCII,
+)
 
 
 def to_toml(data: Mapping[str, Any]) -> str:
@@ -20,6 +31,36 @@ def to_toml(data: Mapping[str, Any]) -> str:
 def one_value(value: Any) -> str:
     """One value as TOML writes it behind a key; a table is an inline one."""
     return _value(value)
+
+
+def impossible_moment(text: str) -> tuple[str, str] | None:
+    """The first date or time in values of TOML that is not one, and why; None if all are."""
+    bare = NO_VALUE.sub(lambda match: " " * len(match[0]), text)
+    for match in MOMENT.finditer(bare):
+        try:
+            tomllib.loads(f"x = {match[0]}")
+        except tomllib.TOMLDecodeError:
+            reason = f": {fault}" if (fault := _fault(match)) else ""
+            kind = "time" if match[7] else "date"
+            allowed = "a date is YYYY-MM-DD and a time hh:mm:ss, without quotation marks"
+            return match[0], f"this is not a {kind}{reason}; {allowed}"
+    return None
+
+
+def _fault(match: re.Match) -> str:
+    """Why a date or time does not exist; "" if it is only written in another way."""
+    year, month, day = (int(part or 1) for part in match.group(1, 2, 3))
+    if not year:
+        return "there is no year 0000"
+    if not 1 <= month <= 12:
+        return f"there is no month {match[2]}"
+    if not 1 <= day <= (last := calendar.monthrange(year, month)[1]):
+        return f"{calendar.month_name[month]} {year} has {last} days"
+    for noun, part, last in zip(("hour", "minute", "second"), (4, 5, 6), (23, 59, 59)):
+        number = match[part] or match[part + 3]
+        if number and int(number) > last:
+            return f"there is no {noun} {number}"
+    return ""
 
 
 def _table(data: Mapping[str, Any], name: str) -> Iterator[str]:

@@ -203,7 +203,7 @@ def add_schema(commands) -> None:
     """`snapo schema`."""
     schema = commands.add_parser(
         "schema",
-        help="print the JSON schema of a kind of case, for editors",
+        help="print the JSON schema of a kind of case, or of a book, for editors",
         epilog="snapo schema gas-storage > gas-storage.schema.json",
     )
     schema.add_argument("kind", metavar="KIND", help="kind of case, such as gas-storage")

@@ -8,6 +8,7 @@ options and descriptions are those of the tables; checks that depend on other ke
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from snapo.case.error import CaseError
@@ -15,6 +16,10 @@ from snapo.case.error import CaseError
 if TYPE_CHECKING:
     from snapo.case.table import CaseTable, Formats
 
+# Kinds of files that are no cases: the modules with their tables.
+OTHER_FILES = {
+    "book": "snapo.book.file", "calibration": "snapo.domains.gas_storage.history.read"
+}  # fmt: skip
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 KINDS = (
     "gas-storage",
@@ -110,12 +115,14 @@ def _fish(commands: dict[str, argparse.ArgumentParser]) -> str:
 
 
 def schema_of_kind(kind: str) -> dict[str, Any]:
-    """The JSON schema of the cases of an installed kind.
+    """The JSON schema of the cases of an installed kind, of books, or of calibrations.
 
     **Raises:** `CaseError` if there is no such kind, or it does not list its tables.
     """
     from snapo.study.domain import find
 
+    if kind in OTHER_FILES:
+        return json_schema(kind, import_module(OTHER_FILES[kind]).FORMATS)
     domain = find(kind, "KIND", "")
     formats = getattr(domain, "formats", None)
     if formats is None:
@@ -141,11 +148,13 @@ def json_schema(kind: str, formats: "Formats") -> dict[str, Any]:
         path = name.removesuffix("[]").removesuffix(".*")
         parent, _, key = path.rpartition(".")
         for table in lists.get(parent, []) if name else []:
-            if key in (keys := properties(table)):
+            keys = properties(table)
+            if keys.get(key, {"type": "string"}).get("type") != "string":  # it may be a table
                 value = _nested(name, _either([names[inner] for inner in tables]))
                 keys[key] = _about(keys[key]) | _or_plain(keys[key], value)
     for table in lists[""]:
-        properties(table)["kind"] = {"const": kind}
+        text = f'Kind of the file. Allowed: "{kind}".'
+        properties(table)["kind"] = {"const": kind, "description": text}
     complete = _either([names[table] for table in lists[""]])
     return {"$schema": DIALECT, "title": f"A case of kind {kind}", **complete, "$defs": definitions}
 
@@ -165,12 +174,11 @@ def _nested(name: str, table: dict[str, Any]) -> dict[str, Any]:
 
 def _or_plain(schema: Mapping[str, Any], table: dict[str, Any]) -> dict[str, Any]:
     """The table of a key, or one of the plain values that its own schema allows besides a table."""
-    types = schema.get("type", [])
-    if "object" not in types or isinstance(types, str):
-        return table
-    return {"anyOf": [{"type": [name for name in types if name != "object"]}, table]}
+    types = schema.get("type", "")
+    others = [] if isinstance(types, str) else [name for name in types if name != "object"]
+    return {"anyOf": [{"type": others}, table]} if others else table
 
 
 def _about(schema: Mapping[str, Any]) -> dict[str, Any]:
     """The description of a key, without its type."""
-    return {key: schema[key] for key in ("title", "description") if key in schema}
+    return {"description": schema["description"]}

@@ -7,6 +7,7 @@ from typing import Any
 
 from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.case.load import DEEPEST, TOO_DEEP, is_deep
+from snapo.case.toml import impossible_moment
 
 OPTION = "--set"
 
@@ -41,6 +42,8 @@ def _parsed(text: str) -> tuple[str, Any]:
         raise CaseError(OPTION, "", path, TOO_DEEP)
     if list(data) != ["value"]:
         message = "this is not a value as TOML writes it: 2000, 0.5, true, 2027-04-01, [1, 2]"
+        if moment := impossible_moment(written):
+            raise CaseError(OPTION, path, Unquoted(moment[0]), moment[1])
         if written and not set(written) & set("\"'\n[]{}"):
             message = f"text needs quotation marks; in a shell: {OPTION} '{path}=\"{written}\"'"
         raise CaseError(OPTION, path, Unquoted(written or "nothing"), message)

@@ -14,17 +14,20 @@ from pydantic import Field
 from snapo.case.error import CaseError, nearest
 from snapo.case.given import positions
 from snapo.case.plausible import CaseFiles, Plausible, checked_numbers, implausible
-from snapo.case.report import ReportTable
+from snapo.case.report import ReportKey, ReportTable
 from snapo.case.settings import (
+    EvaluationKey,
     EvaluationTable,
     FollowingTable,
+    ObjectiveKey,
     ObjectiveTable,
+    TrainingKey,
     check_window,
     read_evaluation,
     read_objective,
     read_training,
 )
-from snapo.case.table import LARGEST, TITLE, CaseTable, Title, parse
+from snapo.case.table import LARGEST, CaseTable, Title, doc, parse
 
 from .inputs import flat, make_inputs
 from .kinds import KINDS, PlantKind, PlantParameter
@@ -36,54 +39,63 @@ MatrixRows = list[list[float]]
 PositiveOrNone = Annotated[float, Field(gt=0)] | None
 
 
-def _whole_number(low: int, high: int, note: str) -> Any:
-    """An optional key for a whole number from `low` to `high`, with its description."""
-    return Field(None, ge=low, le=high, description=f"a whole number from {low} to {high:,}{note}")
+def _whole_number(meaning: str, low: int, high: int, note: str) -> Any:
+    """An optional key for a whole number from `low` to `high`."""
+    return doc(meaning, None, f"a whole number from {low} to {high:,}{note}", ge=low, le=high)
 
 
 class ControlFile(CaseTable):
     """The whole file; the tables in it are read by their own records."""
 
-    kind: str
-    title: Title = Field("", description=TITLE)
-    plant: dict[str, Any] = Field(description="a table, [plant]")
-    cost: dict[str, Any] = Field({}, description="a table, [cost]")
-    start: dict[str, Any] = Field({}, description="a table, [start]")
-    noise: dict[str, Any] = Field({}, description="a table, [noise]")
-    measurement: dict[str, Any] = Field({}, description="a table, [measurement]")
-    policy: dict[str, Any] = Field({}, description="a table, [policy]")
-    report: dict[str, Any] = Field({}, description="a table, [report]")
-    objective: dict[str, Any] = Field({}, description="a table, [objective]")
-    training: dict[str, Any] = Field({}, description="a table, [training]")
-    evaluation: dict[str, Any] = Field({}, description="a table, [evaluation]")
+    kind: str = doc("kind of the case")
+    title: Title = ""
+    plant: dict[str, Any] = doc("plant and its parameters", allowed="a table, [plant]")
+    cost: dict[str, Any] = doc("weights of the costs of a step", {}, "a table, [cost]")
+    start: dict[str, Any] = doc("initial states", {}, "a table, [start]")
+    noise: dict[str, Any] = doc(
+        "standard deviations of the disturbance of a step, by state", {}, "a table, [noise]"
+    )
+    measurement: dict[str, Any] = doc(
+        "standard deviations of the measurement errors, by state", {}, "a table, [measurement]"
+    )
+    policy: dict[str, Any] = doc("network of the policy", {}, "a table, [policy]")
+    report: ReportKey
+    objective: ObjectiveKey
+    training: TrainingKey
+    evaluation: EvaluationKey
 
 
 class ControlPolicyTable(CaseTable):
     """`[policy]`: the network."""
 
-    hidden: Widths | None = Field(
-        None, description="a list of widths, [32, 32]; by default chosen from the problem"
-    )
-    memory: Literal["GRU", "Recent"] | None = Field(
+    hidden: Widths | None = doc(
+        "widths of the hidden layers",
         None,
-        description='"GRU" (a recurrent network), "Recent" (the last observations) or left out',
+        "a list of widths, [32, 32]; by default chosen from the problem",
     )
-    steps: int | None = _whole_number(2, 1000, 'with memory = "Recent", of observations')
+    memory: Literal["GRU", "Recent"] | None = doc(
+        "memory of earlier observations", None,
+        '"GRU" (a recurrent network), "Recent" (the last observations) or left out',
+    )  # fmt: skip
+    steps: int | None = _whole_number(
+        "number of last observations that the policy remembers",
+        2,
+        1000,
+        ', of observations with memory = "Recent"',
+    )
 
 
 class PlantTable(CaseTable):
     """`[plant]`: the keys of every plant in addition to its parameters."""
 
-    type: str
-    horizon: int | None = _whole_number(1, 100_000, " of steps")
-    clock: bool | None = Field(
-        None, description="true or false: whether the policy observes the remaining time"
-    )
+    type: str = doc("type of the plant")
+    horizon: int | None = _whole_number("number of steps of an episode", 1, 100_000, " of steps")
+    clock: bool | None = doc("whether the policy observes the remaining time", None)
 
 
 def plant_table(plant: type[PlantKind]) -> type[PlantTable]:
     """`[plant]` of one type."""
-    kind: Any = (Literal[plant.type], Field(description=f'"{plant.type}"'))
+    kind: Any = (Literal[plant.type], doc("type of the plant"))
     fields = {"type": kind, **_fields(plant.parameters)}
     return pydantic.create_model("PlantTable", __base__=PlantTable, **fields)
 
@@ -104,36 +116,40 @@ def _kind(parameter: PlantParameter) -> Any:
 
 
 def _field(parameter: PlantParameter) -> Any:
-    text = (
-        f"{parameter.description}, {parameter.unit}"
-        if parameter.unit not in ("", "1")
-        else parameter.description
-    )
+    text = parameter.description
     if parameter.value is None:
-        return Field(description=f"a list of rows: {parameter.description}")
+        return doc(text, allowed=f"a list of rows: {text}")
+    unit = parameter.unit if parameter.unit not in ("", "1") else ""
     above = " above 0" if parameter.positive else ""
     usual = "none" if math.isinf(parameter.value) else f"{parameter.value:g}"
-    return Field(None, description=f"a number{above} ({text}; by default {usual})")
+    allowed = f"a number{above} ({text}{f', {unit}' * bool(unit)}; by default {usual})"
+    default = {} if math.isinf(parameter.value) else {"default": parameter.value}
+    meaning = f"{text}, in {unit}" if unit else text
+    return doc(meaning, None, allowed, json_schema_extra=default)
 
 
 class At(CaseTable):
     """An initial state that is known."""
 
-    at: float | list[float] = Field(description="a number, or a list of them")
+    at: float | list[float] = doc("initial state", allowed="a number, or a list of them")
 
 
 class UniformStart(CaseTable):
     """An initial state anywhere between two numbers."""
 
-    low: float = Field(description="a number below high")
-    high: float = Field(description="a number above low")
+    low: float = doc("smallest initial state", allowed="a number below high")
+    high: float = doc("largest initial state", allowed="a number above low")
 
 
 class NormalStart(CaseTable):
     """A normally distributed initial state with independent components."""
 
-    mean: float | list[float] = Field(description="a number, or a list of them")
-    deviation: float | list[float] = Field(description="a number above 0, or a list of them")
+    mean: float | list[float] = doc(
+        "mean of the initial state", allowed="a number, or a list of them"
+    )
+    deviation: float | list[float] = doc(
+        "standard deviation of the initial state", allowed="a number above 0, or a list of them"
+    )
 
 
 FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"

@@ -7,25 +7,26 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import FilePosition, positions
 from snapo.case.objective import make_objective
 from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
-from snapo.case.report import ReportTable
+from snapo.case.report import ReportKey, ReportTable
 from snapo.case.settings import (
+    EvaluationKey,
     EvaluationTable,
     FollowingTable,
     ObjectiveTable,
+    TrainingKey,
     check_window,
     read_evaluation,
     read_objective,
     read_training,
     read_weight,
 )
-from snapo.case.table import TITLE, CaseTable, Range, TableContext, Title, parse
+from snapo.case.table import CaseTable, Range, TableContext, Title, doc, parse
 from snapo.problem.objective import Objective, Weighted
 from snapo.problem.record import Input
 from snapo.problem.simulator import Simulator
@@ -41,37 +42,57 @@ NumberArray = float | list[float] | list[list[float]]
 class OwnTable(CaseTable):
     """The whole file; the tables in it are read by their own records."""
 
-    kind: str
-    title: Title = Field("", description=TITLE)
-    step: str = Field("step", description='the word for one step of the simulator, like "week"')
-    objective: dict[str, Any] | list[dict[str, Any]] = Field(
-        {}, description="a table, [objective], or several, [[objective]]"
+    kind: str = doc("kind of the case")
+    title: Title = ""
+    step: str = doc(
+        "noun of one step of the simulator",
+        "step",
+        'the word for one step of the simulator, like "week"',
     )
-    inputs: dict[str, Any] = Field({}, description="a table, [inputs]")
-    units: dict[str, str] = Field(
-        {}, description="a table of units by name of a state, of the action or of an output"
+    objective: dict[str, Any] | list[dict[str, Any]] = doc(
+        "statistics of the paths that are maximised",
+        {},
+        "a table, [objective], or several, [[objective]]",
     )
-    report: dict[str, Any] = Field({}, description="a table, [report]")
-    training: dict[str, Any] = Field({}, description="a table, [training]")
-    evaluation: dict[str, Any] = Field({}, description="a table, [evaluation]")
-    simulator: dict[str, Any] = Field({}, description="a table, [simulator]")
+    inputs: dict[str, Any] = doc("inputs of the simulator, by name", {}, "a table, [inputs]")
+    units: dict[str, str] = doc(
+        "units in reports", {}, "a table of units by name of a state, of the action or of an output"
+    )
+    report: ReportKey
+    training: TrainingKey
+    evaluation: EvaluationKey
+    simulator: dict[str, Any] = doc(
+        "table that the simulator reads itself, by `from_case`", {}, "a table, [simulator]"
+    )
 
 
 class InputTable(CaseTable):
     """One entry of `[inputs]`: numbers in the file or a column of a CSV, and their meaning."""
 
-    value: NumberArray | None = Field(None, description="a number, or an array of numbers")
-    file: str | None = Field(None, description="the name of a .csv file next to the case")
-    column: str | None = Field(None, description="the name of a column of the file")
-    label: str | None = Field(None, description="the name of the column that labels the numbers")
-    labels: list[str] | None = Field(None, description="one text per number")
-    unit: str = Field("", description='text, like "EUR/MWh"')
-    words: str = Field("", description="text: the meaning of the input")
-    group: str = Field("", description="text: the family of risk")
-    bump: Annotated[float, Range(0, endpoints="()", note=", in the unit")] | None = None
-    move: float | None = Field(None, description="a number other than 0, in the unit")
-    trade_unit: str = Field("", description="text: the unit that its user prefers")
-    trade_factor: Annotated[float, Range(0, endpoints="()", note=FACTOR)] = 1.0
+    value: NumberArray | None = doc(
+        "numbers of the input", None, "a number, or an array of numbers"
+    )
+    file: str | None = doc("file of numbers", None, "the name of a .csv file next to the case")
+    column: str | None = doc("column of the numbers", None, "the name of a column of the file")
+    label: str | None = doc(
+        "column of the labels of the numbers",
+        None,
+        "the name of the column that labels the numbers",
+    )
+    labels: list[str] | None = doc("labels of the numbers", None, "one text per number")
+    unit: str = doc("unit of the numbers", "", 'text, like "EUR/MWh"')
+    words: str = doc("meaning of the input, in reports", "", "text: the meaning of the input")
+    group: str = doc("family of risk that the input belongs to", "", "text: the family of risk")
+    bump: Annotated[float, Range(0, endpoints="()", note=", in the unit")] | None = doc(
+        "bump by which its derivative is tested", None
+    )
+    move: float | None = doc(
+        "standard move, whose effect reports show", None, "a number other than 0, in the unit"
+    )
+    trade_unit: str = doc("unit in reports", "", "text: the unit that its user prefers")
+    trade_factor: Annotated[float, Range(0, endpoints="()", note=FACTOR)] = doc(
+        "number of trade units in one unit", 1.0
+    )
 
 
 ATTRIBUTES = {  # keys of the table that an input has, and the names that it has for them

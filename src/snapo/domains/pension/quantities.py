@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import Row
 from snapo.case.given import CaseInput, NoPosition
@@ -26,7 +25,7 @@ from snapo.case.quantity import (
     Range,
     stacked,
 )
-from snapo.case.table import CaseTable
+from snapo.case.table import CaseTable, doc
 
 from .read.cells import NEVER, TimeGrid, empty, rising, years
 
@@ -109,7 +108,7 @@ AMOUNT = FundQuantity("money", NOT_NEGATIVE)
 TIME = FundQuantity("year", POSITIVE, move=1.0, display_unit="year")
 
 
-def plain(allowed: Range, default: Any = ...) -> Any:
+def plain(meaning: str, allowed: Range, default: Any = ...) -> Any:
     """A field for a number that is not an input: it has no gradient."""
     lower, upper = (
         ("gt" if allowed.endpoints[0] == "(" else "ge"),
@@ -117,7 +116,7 @@ def plain(allowed: Range, default: Any = ...) -> Any:
     )
     limits: dict[str, Any] = {lower: allowed.low, upper: allowed.high}
     limits = {key: limit for key, limit in limits.items() if math.isfinite(limit)}
-    return Field(default, description=str(allowed), **limits)
+    return doc(meaning, default, str(allowed), **limits)
 
 
 def input_of(table: CaseTable, key: str, prefix: str, currency: str = "money") -> CaseInput:

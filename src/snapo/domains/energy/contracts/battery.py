@@ -12,11 +12,10 @@ from dataclasses import replace
 from math import ceil
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity, Range
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, TableContext, doc
 from snapo.problem.record import field
 from snapo.problem.record.arrays import Array, Bool, NumbersOf
 from snapo.problem.record.either import xp
@@ -89,18 +88,35 @@ class BatteryTable(HourlyContractTable):
 
     energy: CaseInput = ENERGY("largest energy in store")
     stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)("energy at the start", 0.0)
-    charge: dict = Field(description="a table like { power = 1.0, efficiency = 0.9 }")
-    discharge: dict = Field(description="a table like { power = 1.0, efficiency = 0.95 }")
+    charge: dict = doc(
+        "power bought, in MW, and the share of it that is stored",
+        allowed="a table like { power = 1.0, efficiency = 0.9 }",
+    )
+    discharge: dict = doc(
+        "power taken from the store, in MW, and the share of it that is sold",
+        allowed="a table like { power = 1.0, efficiency = 0.95 }",
+    )
     wear: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
         "cost of each MWh taken from the store", 0.0
     )
-    cycles: dict | None = Field(None, description="a table like { day = 1.5 }")
-    auction: dict | None = Field(None, description=AUCTION)
-    intraday: dict | None = Field(None, description="a table like { half_spread = 2.0 }")
-    reserve: dict | None = Field(
-        None, description="a table like { price = 10.0, stock = [1.0, 3.0] }"
+    cycles: dict | None = doc(
+        "largest numbers of cycles; a cycle is `energy` taken", None, "a table like { day = 1.5 }"
     )
-    fade: dict | None = Field(None, description="a table like { every = 30.0, by = 0.5 }")
+    auction: dict | None = doc("auctions that fix the flows of a block of hours", None, AUCTION)
+    intraday: dict | None = doc(
+        "trade of differences from the schedule of an auction",
+        None,
+        "a table like { half_spread = 2.0 }",
+    )
+    reserve: dict | None = doc(
+        "capacity sold as reserve by the hour or block", None,
+        "a table like { price = 10.0, stock = [1.0, 3.0] }",
+    )  # fmt: skip
+    fade: dict | None = doc(
+        "fall of the largest energy in store with the energy taken",
+        None,
+        "a table like { every = 30.0, by = 0.5 }",
+    )
 
 
 class BatteryContract(EnergyContract):

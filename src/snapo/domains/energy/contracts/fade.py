@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from snapo.case.quantity import NOT_NEGATIVE, CaseInput, Quantity
-from snapo.case.table import CaseTable, Range, TableContext
+from snapo.case.table import CaseTable, Range, TableContext, doc
 from snapo.problem.record import TreeRecord
 from snapo.problem.record.arrays import Array, Float
 from snapo.problem.record.either import xp
@@ -22,11 +22,15 @@ FADE = "fade"
 class FadeTable(CaseTable):
     """{ every = 30.0, by = 0.5 }: after every 30 MWh taken the store can hold 0.5 MWh less."""
 
-    every: Annotated[float, Range(0.0, endpoints="()", note=": MWh taken")]
+    every: Annotated[float, Range(0.0, endpoints="()", note=": MWh taken")] = doc(
+        "energy taken after which the store can hold less, in MWh"
+    )
     by: CaseInput = Quantity("MWh", NOT_NEGATIVE, "contract", move=0.1, name=FADE)(
         "usable energy lost whenever `every` is taken"
     )
-    taken: Annotated[float, Range(0.0, note=": MWh taken before the start")] = 0.0
+    taken: Annotated[float, Range(0.0, note=": MWh taken before the start")] = doc(
+        "energy taken since the store was new, in MWh", 0.0
+    )
 
 
 class StoreFade(TreeRecord):

@@ -23,16 +23,15 @@ import datetime
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, Quantity
-from snapo.case.table import CaseTable, Nonempty, TableContext
+from snapo.case.table import CaseTable, TableContext, doc
 from snapo.problem.record import field
 from snapo.problem.record.arrays import Array, Bool, NumbersOf
 from snapo.problem.record.either import xp
 
-from ...gas_storage.read.tables import DATE, PRICE, DateKey
+from ...gas_storage.read.tables import PRICE, Currency, DateKey, NominationKey, VolumeUnit
 from ..core.contract import (
     ContractLayout,
     EnergyContract,
@@ -54,26 +53,30 @@ CASH_OUT = Quantity(PRICE, NOT_NEGATIVE, "cash-out", move=0.1)
 class WindowTable(CaseTable):
     """{ first = 2026-07-01, last = 2026-07-31 }: the days on which gas may flow."""
 
-    first: DateKey = Field(description=DATE)
-    last: DateKey = Field(description=DATE)
+    first: DateKey = doc("first day on which gas may flow")
+    last: DateKey = doc("last day on which gas may flow")
 
 
 class ParkAndLoanTable(CaseTable):
     """`[contract]` of kind "park-and-loan"."""
 
-    volume_unit: Nonempty = Field("MWh", description='a name such as "MWh"')
-    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
-    start: DateKey = Field(description=DATE)
-    end: DateKey = Field(description=DATE)
+    volume_unit: VolumeUnit
+    currency: Currency
+    start: DateKey = doc("first day with a decision")
+    end: DateKey = doc("first day without a decision")
     max_park: CaseInput = LIMIT("largest volume parked at the end of a day", 0.0)
     max_loan: CaseInput = LIMIT("largest volume on loan at the end of a day", 0.0)
     max_deliver: CaseInput = RATE("largest volume delivered a day, to park or to repay")
     max_take: CaseInput = RATE("largest volume taken a day, as a loan or from the park")
-    deliver_window: dict | None = Field(
-        None, description="a table like { first = 2026-07-01, last = 2026-07-31 }"
+    deliver_window: dict | None = doc(
+        "days on which gas may be delivered",
+        None,
+        "a table like { first = 2026-07-01, last = 2026-07-31 }",
     )
-    take_window: dict | None = Field(
-        None, description="a table like { first = 2026-12-01, last = 2026-12-31 }"
+    take_window: dict | None = doc(
+        "days on which gas may be taken",
+        None,
+        "a table like { first = 2026-12-01, last = 2026-12-31 }",
     )
     balance: CaseInput = Quantity(UNIT, ANY, GROUP, move=1.0)(
         "balance at the start: parked, or below zero on loan", 0.0
@@ -84,7 +87,7 @@ class ParkAndLoanTable(CaseTable):
     completion_fee: CaseInput = FEE("fee for each unit taken back or repaid", 0.0)
     cash_out_park: CaseInput | None = CASH_OUT("price received for a unit parked at the end", None)
     cash_out_loan: CaseInput | None = CASH_OUT("price paid for a unit on loan at the end", None)
-    nomination: dict | None = Field(None, description="a table like { days = 1 }")
+    nomination: NominationKey
 
 
 class ParkAndLoanContract(EnergyContract):

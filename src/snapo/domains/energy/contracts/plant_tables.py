@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
-from pydantic import Field
-
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import ANY, NOT_NEGATIVE, POSITIVE, Quantity, stacked
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, TableContext, doc, parse
 
 from ..read.hours import HourlyContractTable, Hours
 from .plant import PlantContract, layout_of
@@ -24,13 +22,14 @@ RATE = Quantity("1", POSITIVE, GROUP, move=0.01)
 MONEY = Quantity("{currency}", NOT_NEGATIVE, COST, move=100.0)
 BY_MWH = Quantity("{currency}/MWh", ANY, COST, move=0.1, by="date")
 HOURS = f"a whole number of hours, 1 to {LONGEST}"
+ANY_HOURS = "a whole number of hours, 1 or more"
 STARTS = "a list like [{ off = 3, money = 2500.0, fuel = 60.0 }]"
 
 
 class PowerTable(CaseTable):
     """{ market = "power", min = 50.0, max = 110.0, ramp = 60.0 }: MW in an hour on."""
 
-    market: Literal["power"] = Field("power", description='"power"')
+    market: Literal["power"] = doc("market in which the power is sold", "power")
     min: CaseInput = POWER("minimum power in an hour on", 0.0, name="power_min")
     max: CaseInput = POWER("largest power in an hour on", range=POSITIVE, name="power_max")
     ramp: CaseInput | None = POWER(
@@ -41,7 +40,7 @@ class PowerTable(CaseTable):
 class FuelTable(CaseTable):
     """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: MWh of fuel burnt."""
 
-    market: Literal["gas"] = Field("gas", description='"gas"')
+    market: Literal["gas"] = doc("market in which the fuel is bought", "gas")
     idle: CaseInput = FUEL("fuel for each hour on, at any power", 0.0, name="fuel_idle")
     per_mwh: CaseInput = RATE("fuel for each MWh of power", name="fuel_per_mwh")
 
@@ -56,15 +55,16 @@ class EmissionTable(CaseTable):
     price: CaseInput | None = replace(BY_MWH, unit="{currency}", range=NOT_NEGATIVE)(
         "price of a certificate", None, name="emission_price"
     )
-    market: Literal["co2"] | None = Field(
-        None, description='"co2", where the price moves: [market.co2] and [model.co2]'
-    )
+    market: Literal["co2"] | None = doc(
+        "market of the certificates, instead of a price", None,
+        '"co2", where the price moves: [market.co2] and [model.co2]',
+    )  # fmt: skip
 
 
 class StartTable(CaseTable):
     """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
 
-    off: int = Field(ge=1, le=LONGEST, description=HOURS)
+    off: int = doc("smallest number of hours off before it", allowed=HOURS, ge=1, le=LONGEST)
     money: CaseInput = MONEY("money paid for a start", 0.0, name="start_money")
     fuel: CaseInput = FUEL("fuel for a start", 0.0, name="start_fuel")
 
@@ -72,10 +72,8 @@ class StartTable(CaseTable):
 class BeforeTable(CaseTable):
     """{ off = 12 } or { on = 6, power = 80.0 }: hours off, or on, before the first hour."""
 
-    off: int | None = Field(
-        None, ge=1, le=100_000, description="a whole number of hours, 1 or more"
-    )
-    on: int | None = Field(None, ge=1, le=100_000, description="a whole number of hours, 1 or more")
+    off: int | None = doc("hours off before the first hour", None, ANY_HOURS, ge=1, le=100_000)
+    on: int | None = doc("hours on before the first hour", None, ANY_HOURS, ge=1, le=100_000)
     power: CaseInput | None = POWER(
         "power in the hour before the first one, of a plant with a ramp", None, name="power_before"
     )
@@ -84,15 +82,31 @@ class BeforeTable(CaseTable):
 class PowerPlantTable(HourlyContractTable):
     """`[contract]` of kind "plant"."""
 
-    power: dict = Field(description='a table like { market = "power", min = 50.0, max = 110.0 }')
-    fuel: dict = Field(description='a table like { market = "gas", idle = 45.0, per_mwh = 1.6 }')
-    emission: dict | None = Field(None, description="a table like { per_fuel = 0.2, price = 70.0 }")
+    power: dict = doc(
+        "power in an hour on, in MW",
+        allowed='a table like { market = "power", min = 50.0, max = 110.0 }',
+    )
+    fuel: dict = doc(
+        "fuel for an hour on and for the power, in MWh",
+        allowed='a table like { market = "gas", idle = 45.0, per_mwh = 1.6 }',
+    )
+    emission: dict | None = doc(
+        "certificates for the fuel, and their price",
+        None,
+        "a table like { per_fuel = 0.2, price = 70.0 }",
+    )
     other_cost: CaseInput = BY_MWH("other costs for each MWh of power", 0.0)
-    starts: list[Any] = Field([], description=STARTS)
-    min_up: int = Field(1, ge=1, le=LONGEST, description=HOURS)
-    min_down: int = Field(1, ge=1, le=LONGEST, description=HOURS)
-    most_starts: int | None = Field(None, ge=1, description="a whole number of starts, 1 or more")
-    before: dict | None = Field(None, description="a table like { off = 12 } or { on = 6 }")
+    starts: list[Any] = doc("classes of starts by hours off; without them free", [], STARTS)
+    min_up: int = doc("smallest number of hours on after a start", 1, HOURS, ge=1, le=LONGEST)
+    min_down: int = doc("smallest number of hours off after a stop", 1, HOURS, ge=1, le=LONGEST)
+    most_starts: int | None = doc(
+        "largest number of starts in the term", None, "a whole number of starts, 1 or more", ge=1
+    )
+    before: dict | None = doc(
+        "hours on or off before the first hour, by default off for a long time",
+        None,
+        "a table like { off = 12 } or { on = 6 }",
+    )
 
 
 def read_plant(where: TableContext, table: PowerPlantTable, hours: Hours) -> PlantContract:

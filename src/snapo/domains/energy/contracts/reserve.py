@@ -50,7 +50,9 @@ class ReserveTable(CaseTable):
     earns this for each MW. There is no flow in it, and the energy in store is within `stock`."""
 
     price: CaseInput | str = PRICE(PRICE.meaning)
-    stock: np.ndarray = custom(_stock, STOCK, types=("array",))
+    stock: np.ndarray = custom(
+        "smallest and largest energy in store in reserve, in MWh", _stock, STOCK, types=("array",)
+    )
 
 
 class SoldReserve(TreeRecord):

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, NoPosition
 from snapo.case.load import load
 from snapo.case.quantity import NOT_NEGATIVE, Quantity
-from snapo.case.table import CaseTable, Nonempty, TableContext, parse
+from snapo.case.table import CaseTable, Nonempty, TableContext, doc, parse
 
 from ...gas_storage.read.limits import read_limits, small_move
 from ...gas_storage.read.tables import ContractTable
@@ -34,17 +33,17 @@ ZERO = "min_injection", "min_withdrawal", "inventory_loss"
 class StoresTable(CaseTable):
     """`[contract]` of kind "stores"."""
 
-    stores: list[Nonempty] = Field(
-        description='two files like ["fast.toml", "slow.toml"], each with the [contract] of a store'
+    stores: list[Nonempty] = doc(
+        "stores behind one connection",
+        allowed='two files like ["fast.toml", "slow.toml"], each with the [contract] of a store',
     )
     net_injection: CaseInput | None = JOINT("largest joint flow into the stores", None)
     net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
-    transfers: bool = Field(True, description="true or false")
-    inventory: list[float] | None = Field(
-        None,
-        description="gas in store today in each of the stores, a list like [2000.0, 8000.0]; "
-        "by default as in their files",
-    )
+    transfers: bool = doc("whether one store may inject gas that the other withdraws", True)
+    inventory: list[float] | None = doc(
+        "gas in store today in one store after the other, in volume_unit", None,
+        "a list like [2000.0, 8000.0]; by default as in their files",
+    )  # fmt: skip
 
 
 class NamedTable(NamedTuple):

@@ -6,13 +6,12 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, custom
-from snapo.case.table import AnyTable, CaseTable, Nonempty, TableContext
+from snapo.case.table import AnyTable, CaseTable, TableContext, doc
 
-from ...gas_storage.read.tables import DATE, PRICE, DateKey
+from ...gas_storage.read.tables import PRICE, Currency, DateKey, NominationKey, VolumeUnit
 from .swing import SwingContract, layout_of
 
 GROUP = "contract"
@@ -42,17 +41,23 @@ class AnnualTable(CaseTable):
 class RightsTable(CaseTable):
     """{ most = 100, rest = 5 }: days on which a volume may be taken, and days between them."""
 
-    most: int = Field(ge=1, le=100_000, description="a whole number of days, 1 or more")
-    rest: int = Field(0, ge=0, le=365, description="a whole number of days, 0 to 365")
+    most: int = doc(
+        "largest number of days on which a volume is taken",
+        allowed="a whole number of days, 1 or more", ge=1, le=100_000,
+    )  # fmt: skip
+    rest: int = doc(
+        "days of rest after one with a volume", 0, "a whole number of days, 0 to 365", ge=0, le=365
+    )
 
 
 class MakeUpTable(CaseTable):
     """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up within that
     number of years."""
 
-    years: int = Field(
-        1, ge=1, le=2, description="1 or 2, because at most three volumes can be counted"
-    )
+    years: int = doc(
+        "contract years in which units short may be made up", 1,
+        "1 or 2, because at most three volumes can be counted", ge=1, le=2,
+    )  # fmt: skip
     price: CaseInput = PAID("price of a unit that is made up", 0.0, name="make_up_price")
     units: CaseInput = TAKEN("units short in the last contract year", 0.0, name="make_up_units")
     older_units: CaseInput | None = TAKEN(
@@ -63,7 +68,7 @@ class MakeUpTable(CaseTable):
 class CarryTable(CaseTable):
     """{ years = 1, max = 8.0 }: units above the minimum lower that of the next year."""
 
-    years: int = Field(1, ge=1, le=1, description="1")
+    years: int = doc("contract years in which units carried forward count", 1, "1", ge=1, le=1)
     max: CaseInput = TAKEN("largest volume carried forward", name="carry_forward_max")
     units: CaseInput = TAKEN(
         "units carried forward into this contract year", 0.0, name="carry_forward_units"
@@ -73,7 +78,9 @@ class CarryTable(CaseTable):
 class IndexTable(CaseTable):
     """{ index = "month-ahead", factor = 1.0, add = 0.25 }: an indexed strike."""
 
-    index: Literal["month-ahead"] = Field(description='"month-ahead"')
+    index: Literal["month-ahead"] = doc(
+        "index of the strike: the mean forward price of the month on the day before it"
+    )
     factor: CaseInput = FACTOR("factor of the index in the strike", 1.0, name="strike_factor")
     add: CaseInput = ADDED("amount added to the index in the strike", 0.0, name="strike_add")
     fixing: CaseInput | None = ADDED("index of the first month, fixed before today", None,
@@ -110,22 +117,53 @@ def _short(raw: Any, key: Any) -> CaseInput | str:
 class SwingTable(CaseTable):
     """`[contract]` of kind "swing"."""
 
-    volume_unit: Nonempty = Field("MWh", description='a name such as "MWh"')
-    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
-    start: DateKey = Field(description=DATE)
-    end: DateKey = Field(description=DATE)
-    side: Literal["call", "put"] = Field("call", description='"call" or "put"')
+    volume_unit: VolumeUnit
+    currency: Currency
+    start: DateKey = doc("first day with a decision")
+    end: DateKey = doc("first day without a decision")
+    side: Literal["call", "put"] = doc("whether a volume is bought or sold at the strike", "call")
     max_daily: CaseInput = RATE("largest volume a day")
     min_daily: CaseInput = RATE("volume that must be taken each day", 0.0)
-    strike: Any = custom(_strike, STRIKES, types=("number", "string", "object"))
-    year_begins: str | None = Field(None, description='a day of the year such as "10-01"')
-    annual: dict | None = Field(None, description="a table like { min = 200.0, max = 300.0 }")
-    shortfall: Any = custom(_short, SHORTFALL, "firm", ("string", "number"))
-    taken: CaseInput = TAKEN("this contract year, before the first decision", 0.0)
-    rights: dict | None = Field(None, description="a table like { most = 100, rest = 5 }")
-    make_up: dict | None = Field(None, description="a table like { years = 1, price = 0.0 }")
-    carry_forward: dict | None = Field(None, description="a table like { years = 1, max = 8.0 }")
-    nomination: dict | None = Field(None, description="a table like { days = 1 }")
+    strike: Any = custom(
+        "price of a unit, in currency/volume_unit",
+        _strike,
+        STRIKES,
+        types=("number", "string", "object"),
+    )
+    year_begins: str | None = doc(
+        "first day of a contract year, by default that of start",
+        None,
+        'a day of the year such as "10-01"',
+    )
+    annual: dict | None = doc(
+        "minimum and maximum volume of a contract year",
+        None,
+        "a table like { min = 200.0, max = 300.0 }",
+    )
+    shortfall: Any = custom(
+        "price of a unit short of the annual minimum, in currency/volume_unit",
+        _short,
+        SHORTFALL,
+        "firm",
+        ("string", "number"),
+    )
+    taken: CaseInput = TAKEN("volume of this contract year before the first decision", 0.0)
+    rights: dict | None = doc(
+        "days on which a volume may be taken, and days of rest",
+        None,
+        "a table like { most = 100, rest = 5 }",
+    )
+    make_up: dict | None = doc(
+        "units short of the minimum that may be made up in later years",
+        None,
+        "a table like { years = 1, price = 0.0 }",
+    )
+    carry_forward: dict | None = doc(
+        "units above the minimum that lower that of the next year",
+        None,
+        "a table like { years = 1, max = 8.0 }",
+    )
+    nomination: NominationKey
 
 
 def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:

@@ -5,9 +5,7 @@ from dataclasses import replace
 from typing import Any, Literal
 from zoneinfo import ZoneInfo
 
-from pydantic import Field
-
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, TableContext, doc
 
 from .hours import Hours
 
@@ -21,10 +19,12 @@ class AuctionTable(CaseTable):
     Each fixes the flows of the hours up to the next auction, by the local clock.
     """
 
-    at: str = Field("00:00", description='a full hour of local time such as "00:00"')
-    step: Literal["1h", "2h", "3h", "4h", "6h", "8h", "12h", "24h"] = Field(
-        description='"1h", "2h", "3h", "4h", "6h", "8h", "12h" or "24h"'
+    at: str = doc(
+        "hour of the local clock with an auction on every day",
+        "00:00",
+        'a full hour of local time such as "00:00"',
     )
+    step: Literal["1h", "2h", "3h", "4h", "6h", "8h", "12h", "24h"] = doc("time between auctions")
 
 
 def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:

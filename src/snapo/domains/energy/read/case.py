@@ -7,22 +7,24 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import by_name, numbers_in
-from snapo.case.report import ReportTable
+from snapo.case.report import ReportKey, ReportTable
 from snapo.case.settings import (
+    EvaluationKey,
     EvaluationTable,
     FittedTable,
+    ObjectiveKey,
     ObjectiveTable,
+    TrainingKey,
     check_window,
     read_evaluation,
     read_objective,
     read_training,
 )
-from snapo.case.table import TITLE, CaseTable, Formats, TableContext, Title, parse
+from snapo.case.table import CaseTable, Formats, TableContext, Title, doc, parse, subtable
 from snapo.problem.record import Input
 
 from ...gas_storage.contract.records import GasMarket
@@ -80,16 +82,16 @@ from .pair import (
 class EnergyTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["swing", "battery", "park-and-loan", "plant", "stores"]
-    title: Title = Field("", description=TITLE)
-    contract: dict = Field(description="the table [contract]")
-    market: dict = Field(description="the table [market]")
-    model: dict = Field(description="the table [model]")
-    objective: dict = Field({}, description="the table [objective]")
-    training: dict = Field({}, description="the table [training]")
-    evaluation: dict = Field({}, description="the table [evaluation]")
-    products: dict | None = Field(None, description="the table [products], of a daily contract")
-    report: dict = Field({}, description="the table [report]")
+    kind: Literal["swing", "battery", "park-and-loan", "plant", "stores"] = doc("kind of the case")
+    title: Title = ""
+    contract: dict = subtable("dates, volumes, rates and costs", "contract")
+    market: dict = subtable("valuation date, forward curves and interest rates", "market")
+    model: dict = subtable("model of the spot prices", "model")
+    objective: ObjectiveKey
+    training: TrainingKey
+    evaluation: EvaluationKey
+    products: dict | None = doc("hedge products", None, "the table [products], of a daily contract")
+    report: ReportKey
 
 
 class ContractKind(NamedTuple):

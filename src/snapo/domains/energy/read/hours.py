@@ -5,22 +5,21 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows, rising_dates
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import KeyContext, Quantity
-from snapo.case.table import CaseTable, Nonempty, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext, doc
 from snapo.problem.process import Gaps
 
 from ...gas_storage.contract.records import GasMarket
 from ...gas_storage.prices.process import FEWEST, Times
-from ...gas_storage.read.tables import DATE, FORWARD, ZERO_RATE, DateKey
+from ...gas_storage.read.tables import FORWARD, ZERO_RATE, Currency, ValuationDay
 
 HOURS = 8760.0  # of a year of 365 days
 TIME = "a date or a time of the hour, 2026-05-01T00:00:00"
@@ -36,21 +35,30 @@ class HourlyQuantity(Quantity):
         return raw if isinstance(raw, str) and raw else super().read(raw, key)
 
 
+HourlyCurve = Annotated[
+    Nonempty,
+    doc(
+        "price today by hour of delivery, in currency/MWh",
+        allowed="a CSV file with columns time,price",
+    ),
+]
+
+
 class HourlyContractTable(CaseTable):
     """`[contract]` of a contract by the hour: units, first and last hour, local calendar."""
 
-    volume_unit: Nonempty = Field("MWh", description='"MWh"', pattern="^MWh$")
-    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
-    start: Any = Field(description=TIME)
-    end: Any = Field(description=TIME)
-    time_zone: Nonempty = Field("UTC", description='a name such as "Europe/Berlin"')
+    volume_unit: Nonempty = doc("unit of all volumes", "MWh", '"MWh"', pattern="^MWh$")
+    currency: Currency
+    start: Any = doc("first hour with a decision, in local time", allowed=TIME)
+    end: Any = doc("first hour without a decision, in local time", allowed=TIME)
+    time_zone: Nonempty = doc("time zone of all hours", "UTC", 'a name such as "Europe/Berlin"')
 
 
 class HourlyMarketTable(CaseTable):
     """`[market]` of a contract by the hour."""
 
-    valuation_date: DateKey = Field(description=DATE)
-    forward_curve: Nonempty = Field(description="a CSV file with columns time,price")
+    valuation_date: ValuationDay
+    forward_curve: HourlyCurve
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
 
 

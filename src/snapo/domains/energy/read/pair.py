@@ -5,20 +5,19 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
-from snapo.case.table import CaseTable, Nonempty, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext, doc, subtable
 
 from ...gas_storage.contract.records import GasMarket
 from ...gas_storage.prices.factors import CORRELATION, OneFactorTable
 from ...gas_storage.prices.pair import CommodityPair
 from ...gas_storage.prices.trio import CommodityTrio
-from ...gas_storage.read.tables import DATE, ZERO_RATE, DateKey
-from .hours import Hours, dated_curve, hourly_curve, hourly_market
+from ...gas_storage.read.tables import ZERO_RATE, ValuationDay
+from .hours import HourlyCurve, Hours, dated_curve, hourly_curve, hourly_market
 
 FIRST, SECOND, THIRD = "power", "gas", "co2"
 CORRELATIONS = 'a list like [["power", "gas", 0.4]]'
@@ -28,34 +27,39 @@ RHO = Range(-1.0, 1.0, "()")
 class PowerMarketTable(CaseTable):
     """`[market.power]`."""
 
-    forward_curve: Nonempty = Field(description="a CSV file with columns time,price")
+    forward_curve: HourlyCurve
 
 
 class GasMarketTable(CaseTable):
     """`[market.gas]` or `[market.co2]`, certificates of emissions."""
 
-    forward_curve: Nonempty = Field(
-        description="a CSV file with columns date,price (by day) or time,price (by hour)"
+    forward_curve: Nonempty = doc(
+        "price today by day or hour of delivery, in currency/MWh or currency for a certificate",
+        allowed="a CSV file with columns date,price (by day) or time,price (by hour)",
     )
 
 
 class PairMarketTable(CaseTable):
     """`[market]` of a plant."""
 
-    valuation_date: DateKey = Field(description=DATE)
+    valuation_date: ValuationDay
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
-    power: dict = Field(description="the table [market.power]")
-    gas: dict = Field(description="the table [market.gas]")
-    co2: dict | None = Field(None, description="the table [market.co2], if emissions need it")
+    power: dict = subtable("market of the power", "market.power")
+    gas: dict = subtable("market of the gas", "market.gas")
+    co2: dict | None = doc(
+        "market of certificates", None, "the table [market.co2], if emissions need it"
+    )
 
 
 class PairModelTable(CaseTable):
     """`[model]` of a plant."""
 
-    power: dict = Field(description="the table [model.power]")
-    gas: dict = Field(description="the table [model.gas]")
-    co2: dict | None = Field(None, description="the table [model.co2], if emissions need it")
-    correlation: list[Any] = Field([], description=CORRELATIONS)
+    power: dict = subtable("model of the price of power", "model.power")
+    gas: dict = subtable("model of the price of gas", "model.gas")
+    co2: dict | None = doc(
+        "model of the price of certificates", None, "the table [model.co2], if emissions need it"
+    )
+    correlation: list[Any] = doc("correlations of the shocks of two prices", [], CORRELATIONS)
 
 
 def read_pair_market(

@@ -7,13 +7,12 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, SourceNumbers
 from snapo.case.quantity import Quantity
-from snapo.case.table import CaseTable, Positive, TableContext
+from snapo.case.table import CaseTable, Positive, TableContext, doc
 from snapo.problem.record.arrays import Float
 
 from .products import delivery_of
@@ -27,9 +26,11 @@ Weekday = Literal["monday", "tuesday", "wednesday", "thursday", "friday", "satur
 class QuotedCurveTable(CaseTable):
     """How a daily curve is made from quotes."""
 
-    smoother: Literal["daily", "spline"] = "daily"
-    end: Literal["flat", "free"] = "flat"
-    factors: dict[Weekday, Positive] = Field({})
+    smoother: Literal["daily", "spline"] = doc(
+        "smoothness of the curve: of daily prices, or of a spline", "daily"
+    )
+    end: Literal["flat", "free"] = doc("slope of a spline at its ends, zero or any", "flat")
+    factors: dict[Weekday, Positive] = doc("prices by day of the week, relative to the curve", {})
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import Field
-
-from snapo.case.table import CaseTable, Range, TableContext, parse
+from snapo.case.table import CaseTable, Range, TableContext, doc, parse
 
 from ..ladder.products import FAMILIES, TradedProducts
 from . import DELTAS, MIN_VARIANCE, DailyHedge, usual_hedges
@@ -24,19 +22,15 @@ SETS = 'a list of lists of the keys of [products], like [["months"], ["months", 
 class HedgeTable(CaseTable):
     """`[hedge]`: sets of products, each a hedge."""
 
-    deltas: list[list[str]] | None = Field(
+    deltas: list[list[str]] | None = doc("sets of products that hedge exposures", None, SETS)
+    least_variance: list[list[str]] | None = doc(
+        "sets of products: in the first of every family, the variance of the next day is hedged",
         None,
-        description=f"{SETS}: each product hedges its exposure; by default several",
+        SETS,
     )
-    least_variance: list[list[str]] | None = Field(
-        None, description=f"{SETS}: the first product of each, with the least variance of a day"
+    paths: Annotated[int, Range(256, 1 << 20)] = doc(
+        "simulated paths; twice as many are used to fit the exposures", PATHS
     )
-    paths: Annotated[
-        int,
-        Range(
-            256, 1 << 20, note=": the simulated paths; twice as many are used to fit the exposures"
-        ),
-    ] = PATHS
 
 
 class Hedges(NamedTuple):

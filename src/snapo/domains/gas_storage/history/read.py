@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import FileReference, Row, read_rows, rising_dates
 from snapo.case.error import CaseError, nearest
 from snapo.case.load import load
-from snapo.case.table import TITLE, CaseTable, Positive, TableContext, Title, optional, parse
+from snapo.case.table import CaseTable, Positive, TableContext, Title, doc, optional, parse
 
 from ..curves.products import delivery_of
 from ..read.tables import DATE, DateKey
@@ -32,38 +31,44 @@ LATEST = 1200  # months to delivery
 class CalibrationTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["calibration"]
-    title: Title = Field("", description=TITLE)
-    history: Any = Field(description="a table, [history]")
-    model: Any = Field(description="a table, [model]")
+    kind: Literal["calibration"] = doc("kind of the file")
+    title: Title = ""
+    history: Any = doc("past prices", allowed="a table, [history]")
+    model: Any = doc("model that is estimated", allowed="a table, [model]")
 
 
 @optional("step", note=": years between two dates, instead of their days / 365")
 class HistoryTable(CaseTable):
     """`[history]`"""
 
-    spot: str | None = Field(None, description="a CSV file with columns date,price")
-    quotes: str | None = Field(None, description="a CSV file with columns date,product,price")
-    maturities: str | None = Field(
-        None, description="a CSV file with a column date, and one for each number of months ahead"
+    spot: str | None = doc("spot prices", None, "a CSV file with columns date,price")
+    quotes: str | None = doc(
+        "past prices of traded products", None, "a CSV file with columns date,product,price"
     )
-    first: DateKey | None = Field(None, description=f"{DATE}: earlier prices are left out")
-    last: DateKey | None = Field(None, description=f"{DATE}: later prices are left out")
-    step: Positive
-    exact: list[str] | None = Field(
-        None, description='names of series without a measurement error, such as ["spot"]'
+    maturities: str | None = doc(
+        "forward prices by time to delivery", None,
+        "a CSV file with a column date, and one for each number of months ahead",
+    )  # fmt: skip
+    first: DateKey | None = doc("first date used", None, f"{DATE}: earlier prices are left out")
+    last: DateKey | None = doc("last date used", None, f"{DATE}: later prices are left out")
+    step: Positive = doc("time from one date to the next, in years")
+    exact: list[str] | None = doc(
+        "series without a measurement error", None, 'names of series, such as ["spot"]'
     )
-    season: Literal[0, 1, 2] = Field(
-        0, description="0, 1 or 2: the number of waves in the season of a year"
-    )
+    season: Literal[0, 1, 2] = doc("number of waves in the season of a year", 0)
 
 
 @optional("shift", note=": all prices are above minus this number")
 class GaussianTable(CaseTable):
     """`[model]` of a calibration."""
 
-    kind: Literal["one-factor", "one-factor-normal", "one-factor-shifted", "multi-factor"]
-    shift: Positive
+    kind: Literal["one-factor", "one-factor-normal", "one-factor-shifted", "multi-factor"] = doc(
+        "kind of the price model"
+    )
+    shift: Positive = doc("shift of the prices")
+
+
+FORMATS = {"": CalibrationTable, "history": HistoryTable, "model": GaussianTable}
 
 
 class ObservedPrice(NamedTuple):

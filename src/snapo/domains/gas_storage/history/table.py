@@ -11,32 +11,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field
-
-from snapo.case.table import CaseTable, Range, TableContext, parse
+from snapo.case.table import CaseTable, Range, TableContext, doc, parse
 
 NEVER, SPOT, BOTH = "never", "spot", "spot and curves"
 PERIODS = {"month": 1, "quarter": 3, "year": 12}  # in months
-ALLOWED = 'it must be "never", "month", "quarter", "year", or a number of days'
+CALENDARS = '"never", "month", "quarter", "year", or a number of days'
 
 
 class BacktestTable(CaseTable):
     """`[backtest]`: the estimates of `snapo backtest`."""
 
-    calibrate: Any = Field(
-        NEVER,
-        description='when the model is estimated again: "never", on the first day of each "month", '
-        '"quarter" or "year", or after a number of days',
+    calibrate: Any = doc("when the model is estimated again", NEVER, CALENDARS)
+    window: Annotated[int, Range(30, noun="a number of days")] | None = doc(
+        "days of history in an estimate, by default all", None
     )
-    window: (
-        Annotated[int, Range(30, note=" days of history in an estimate; by default all")] | None
-    ) = None
-    prices: Literal["spot", "spot and curves"] = Field(
-        SPOT, description='of the estimates: "spot", or "spot and curves"'
-    )
-    season: Literal[0, 1, 2] = Field(
-        0, description="0, 1 or 2: the number of seasonal waves in an estimate"
-    )
+    prices: Literal["spot", "spot and curves"] = doc("prices of which the model is estimated", SPOT)
+    season: Literal[0, 1, 2] = doc("number of seasonal waves in an estimate", 0)
 
 
 class BacktestPlan(NamedTuple):
@@ -68,7 +58,7 @@ def plan_of(file: Path, data: Any, notes: list[str]) -> BacktestPlan:
     table = parse(BacktestTable, data, str(file), "backtest", notes)
     if not is_calendar(table.calibrate):
         section = TableContext(file, "backtest", notes)
-        raise section.error("calibrate", table.calibrate, ALLOWED)
+        raise section.error("calibrate", table.calibrate, f"it must be {CALENDARS}")
     return BacktestPlan(table.calibrate, table.window, table.prices, table.season)
 
 

@@ -17,11 +17,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self
 
-from pydantic import Field
-
 from snapo.case.csv import FileReference, Row, read_rows
 from snapo.case.error import CaseError
-from snapo.case.table import AnyTable, CaseTable, Nonempty, Range, TableContext, parse
+from snapo.case.table import AnyTable, CaseTable, Nonempty, Range, TableContext, doc, parse
 
 from ..curves.products import ONE, months
 from .rolling import TradeBlock
@@ -33,20 +31,28 @@ COLUMNS = ("name", "first", "last", "bid_offer", "lot", "last_trading_day")
 class DayAheadTable(CaseTable):
     """`products.day_ahead`: the day itself, at its spot price."""
 
-    bid_offer: Annotated[float, Range(0.0, note=f": the {SPREAD}")] = 0.0
+    bid_offer: Annotated[float, Range(0.0, note=f": the {SPREAD}")] = doc(
+        "bid-offer spread, in currency/volume_unit", 0.0
+    )
 
 
 class BalanceTable(DayAheadTable):
     """`products.balance_of_month`: the days of the month after the trading day."""
 
-    lot: Annotated[float, Range(0.0, note=": trades a day are multiples of it, 0 for any")] = 0.0
+    lot: Annotated[float, Range(0.0, note=": trades a day are multiples of it, 0 for any")] = doc(
+        "lot size, in volume_unit/day", 0.0
+    )
 
 
 class FamilyTable(BalanceTable):
     """`products.months`: months, and in the same way `quarters` and `seasons`."""
 
-    ahead: Annotated[int, Range(1, note=": the number of periods ahead that trade")] | None = None
-    last_trading: Annotated[int, Range(0, 400, note=" days before delivery")] = 1
+    ahead: Annotated[int, Range(1)] | None = doc(
+        "how many periods after the present one trade, by default all", None
+    )
+    last_trading: Annotated[int, Range(0, 400, note=" days before delivery")] = doc(
+        "days from the last trading day to the first day of delivery", 1
+    )
 
 
 FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 1 }"
@@ -55,13 +61,17 @@ FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 
 class ProductsTable(CaseTable):
     """`[products]`: the traded products; a family that is left out does not trade."""
 
-    day_ahead: dict = Field({}, description="a table like { bid_offer = 0.05 }")
-    balance_of_month: dict | None = Field(None, description="a table like { lot = 10.0 }")
-    months: dict | None = Field(None, description=FAMILY)
-    quarters: dict | None = Field(None, description=FAMILY)
-    seasons: dict | None = Field(None, description=FAMILY)
-    others: Nonempty | None = Field(
-        None, description=f"a CSV file with columns {','.join(COLUMNS)}"
+    day_ahead: dict = doc("spot market of the day itself", {}, "a table like { bid_offer = 0.05 }")
+    balance_of_month: dict | None = doc(
+        "the days of the month after the trading day", None, "a table like { lot = 10.0 }"
+    )
+    months: dict | None = doc("calendar months", None, FAMILY)
+    quarters: dict | None = doc("calendar quarters", None, FAMILY)
+    seasons: dict | None = doc("summers from April and winters from October", None, FAMILY)
+    others: Nonempty | None = doc(
+        "products with other periods of delivery",
+        None,
+        f"a CSV file with columns {','.join(COLUMNS)}",
     )
 
 

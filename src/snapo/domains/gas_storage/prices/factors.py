@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput, Copies, FilePosition
 from snapo.case.quantity import Quantity, Range, stacked
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, TableContext, doc, parse
 from snapo.problem.process import FactorPrice, Factors, Gaps
 from snapo.problem.record import AbstractVar, Schedule, field
 from snapo.problem.record.arrays import Array, jnp
@@ -218,7 +217,7 @@ def read_factors(
 class OneFactorTable(FactorTable):
     """`[model]` of kind "one-factor"."""
 
-    kind: Literal["one-factor"]
+    kind: Literal["one-factor"] = doc("one mean-reverting factor")
 
 
 @register
@@ -235,13 +234,15 @@ class OneFactor(GivenFactors):
 class MultiFactorTable(CaseTable):
     """`[model]` of kind "multi-factor"; each of `factors` is a `FactorTable`."""
 
-    kind: Literal["multi-factor"]
-    factors: list[Any] = Field(
-        min_length=1, description="a list like [{ mean_reversion = 12.0, volatility = 0.6 }]"
-    )
-    correlation: list[list[float]] | None = Field(
-        None, description="a square matrix of numbers, like [[1.0, 0.3], [0.3, 1.0]]"
-    )
+    kind: Literal["multi-factor"] = doc("several correlated factors")
+    factors: list[Any] = doc(
+        "mean reversion and volatility of every factor",
+        allowed="a list like [{ mean_reversion = 12.0, volatility = 0.6 }]", min_length=1,
+    )  # fmt: skip
+    correlation: list[list[float]] | None = doc(
+        "correlations of the shocks of the factors", None,
+        "a square matrix of numbers, like [[1.0, 0.3], [0.3, 1.0]]",
+    )  # fmt: skip
 
 
 @register

@@ -7,6 +7,7 @@ import numpy as np
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import Quantity, Range
+from snapo.case.table import doc
 from snapo.problem.process import integral
 from snapo.problem.record import Schedule, field
 from snapo.problem.record.arrays import Array, jnp
@@ -43,7 +44,7 @@ SIZE = Quantity(
 class JumpTable(SingleFactorTable):
     """`[model]` of kind "one-factor-jumps"."""
 
-    kind: Literal["one-factor-jumps"]
+    kind: Literal["one-factor-jumps"] = doc("one factor, and at most one upward spike a day")
     jump_intensity: CaseInput = INTENSITY("spikes per year")
     jump_size: CaseInput = SIZE("mean spike of ln S")
     jump_mean_reversion: CaseInput = REVERSION("speed at which a spike dies out")
@@ -209,7 +210,9 @@ class OneFactorJumps(PriceProcess):
 class PoissonJumpTable(JumpTable):
     """`[model]` of kind "one-factor-poisson-jumps"."""
 
-    kind: Literal["one-factor-poisson-jumps"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    kind: Literal["one-factor-poisson-jumps"] = doc(  # pyright: ignore[reportIncompatibleVariableOverride]
+        "one factor, and upward spikes at any time"
+    )
 
 
 LOST = 1e-7  # probability of more spikes a day than are drawn

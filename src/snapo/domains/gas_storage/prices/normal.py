@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range
-from snapo.case.table import TableContext
+from snapo.case.table import TableContext, doc
 from snapo.problem.record import Schedule, field
 from snapo.problem.record.arrays import Array, jnp
 
@@ -50,7 +50,7 @@ class SignedPrices(GivenFactors):
 class NormalPriceTable(FactorTable):
     """`[model]` of kind "one-factor-normal"."""
 
-    kind: Literal["one-factor-normal"]
+    kind: Literal["one-factor-normal"] = doc("one factor, normal prices, which may be negative")
     volatility: CaseInput = PRICE_VOLATILITY("volatility in money, by delivery day", by="date")
 
 
@@ -91,7 +91,9 @@ class NormalPrices(SignedPrices):
 class ShiftedTable(FactorTable):
     """`[model]` of kind "one-factor-shifted"."""
 
-    kind: Literal["one-factor-shifted"]
+    kind: Literal["one-factor-shifted"] = doc(
+        "one factor, prices lognormal above minus the shift, which may be negative"
+    )
     shift: CaseInput = SHIFT("shift: the spot price is above minus this number")
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Quantity, Range
+from snapo.case.table import doc
 from snapo.problem.process import integral
 from snapo.problem.record import Schedule, field
 from snapo.problem.record.arrays import Array, Float, Int, jax, jnp
@@ -35,7 +36,7 @@ PREMIUM = Quantity("1", Range(0.0, note=": the rise of ln S"), "price model", mo
 class RegimeTable(SingleFactorTable):
     """`[model]` of kind "regimes"."""
 
-    kind: Literal["regimes"]
+    kind: Literal["regimes"] = doc("one factor in a market that is calm or tight")
     tightens: CaseInput = PROBABILITY("probability a day that a calm market becomes tight")
     eases: CaseInput = PROBABILITY("probability a day that a tight market becomes calm")
     premium: CaseInput = PREMIUM("logarithm of the ratio of a tight market's price to a calm one's")

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import FileReference, read_array
 from snapo.case.error import CaseError, Unquoted
-from snapo.case.table import CaseTable, Nonempty, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext, doc
 from snapo.problem.record import Schedule, field
 from snapo.problem.record.arrays import Array, Float, jnp
 
@@ -18,13 +17,16 @@ if TYPE_CHECKING:
     from snapo.problem.scenarios import Sources
 
 
+PATHS = "the name of a .npy or .parquet file"
+
+
 class SuppliedTable(CaseTable):
     """`[model]` of kind "supplied"."""
 
-    kind: Literal["supplied"]
-    training_paths: Nonempty = Field(description="the name of a .npy or .parquet file")
-    evaluation_paths: Nonempty = Field(description="the name of a .npy or .parquet file")
-    rescale_to_curve: bool = Field(False, description="true or false")
+    kind: Literal["supplied"] = doc("price paths of your own")
+    training_paths: Nonempty = doc("price paths of the training, [path, day]", allowed=PATHS)
+    evaluation_paths: Nonempty = doc("other price paths, for the valuation", allowed=PATHS)
+    rescale_to_curve: bool = doc("whether the mean of the paths is moved to the curve", False)
 
 
 @dataclass(frozen=True, eq=False)

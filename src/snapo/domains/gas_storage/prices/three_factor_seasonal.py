@@ -9,7 +9,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import Plausible
-from snapo.case.table import CaseTable
+from snapo.case.table import CaseTable, doc
 from snapo.problem.process import Factors
 from snapo.problem.record import field
 from snapo.problem.record.arrays import Float, jnp
@@ -21,7 +21,7 @@ from .process import REVERSION, SPEED, VOLATILITY, Delivery, Times, register, us
 class SeasonalTable(CaseTable):
     """`[model]` of kind "three-factor-seasonal"."""
 
-    kind: Literal["three-factor-seasonal"]
+    kind: Literal["three-factor-seasonal"] = doc("spot, long-term and seasonal factors")
     spot_mean_reversion: CaseInput = REVERSION(
         "speed at which the spot returns to the curve", plausible=Plausible(1.0, 1000.0, SPEED)
     )

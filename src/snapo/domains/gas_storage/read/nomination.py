@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.quantity import Range
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, TableContext, doc
 
 from .tables import DateKey
 
@@ -20,9 +19,9 @@ class NominationTable(CaseTable):
     are not business days.
     """
 
-    days: Annotated[int, Range(1, 60)] = 1
-    calendar: Literal["every-day", "business"] = "every-day"
-    holidays: list[DateKey] = Field([], description="a list of dates like [2026-12-25]")
+    days: Annotated[int, Range(1, 60)] = doc("days from the nomination of a flow to its date", 1)
+    calendar: Literal["every-day", "business"] = doc("days that count in `days`", "every-day")
+    holidays: list[DateKey] = doc("days without business", [], "a list of dates like [2026-12-25]")
 
 
 def nominated_on(

@@ -13,7 +13,9 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.plausible import FRACTION, Plausible
 from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range
-from snapo.case.table import TITLE, CaseTable, Nonempty, NotNegative, Title
+from snapo.case.report import ReportKey
+from snapo.case.settings import EvaluationKey, ObjectiveKey, TrainingKey
+from snapo.case.table import CaseTable, Nonempty, NotNegative, Title, doc, subtable
 
 from ..curves.quotes import QuotedCurveTable
 
@@ -28,14 +30,21 @@ def _plain_day(value: Any) -> Any:
     return value
 
 
-DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
-
+DATE = "a date from 1900 to 2200, YYYY-MM-DD"
+DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day), Field(description=DATE)]
+ValuationDay = Annotated[
+    DateKey, Field(title="day of today's prices, to which money is discounted")
+]
+VolumeUnit = Annotated[Nonempty, doc("unit of all volumes", "MWh", 'a name such as "MWh"')]
+Currency = Annotated[Nonempty, doc("currency of all money", "EUR", 'a name such as "EUR"')]
+NominationKey = Annotated[
+    dict | None, doc("how long before its date a flow is fixed", None, "a table like { days = 1 }")
+]
 END_VALUES = "a CSV file with columns inventory,value"
 CURVE = (
-    'how quotes make a curve, { smoother = "spline", end = "free", factors = { sunday = 0.94 } }: '
+    '{ smoother = "spline", end = "free", factors = { sunday = 0.94 } }: '
     'smoother "daily" or "spline", end "flat" or "free", factors above 0 by day of the week'
 )
-DATE = "a date from 1900 to 2200, YYYY-MM-DD"
 RULES = (
     '"flow", { days = 10 }, { date = 2021-06-20 }, { months = 1, day = 20 } '
     "or a CSV file with columns delivery_month,date"
@@ -81,20 +90,20 @@ FORWARD = Quantity(
 class AfterDays(CaseTable):
     """{ days = 10 }: this number of calendar days after the flow."""
 
-    days: Annotated[int, Range(0, 36500)]
+    days: Annotated[int, Range(0, 36500)] = doc("calendar days from the flow to its payment")
 
 
 class OnDate(CaseTable):
     """{ date = 2019-10-20 }: everything on one date."""
 
-    date: DateKey
+    date: DateKey = doc("day on which everything is paid")
 
 
 class MonthsAfter(CaseTable):
     """{ months = 1, day = 20 }: that day, this number of months after the month of delivery."""
 
-    months: Annotated[int, Range(0, 1200)]
-    day: Annotated[int, Range(1, 31)]
+    months: Annotated[int, Range(0, 1200)] = doc("months from delivery to payment")
+    day: Annotated[int, Range(1, 31)] = doc("day of the month of the payment")
 
 
 CostSettlement = Literal["flow", "gas"] | str | AfterDays | OnDate | MonthsAfter
@@ -104,27 +113,37 @@ Settlement = Literal["flow"] | str | AfterDays | OnDate | MonthsAfter
 class ContractTable(CaseTable):
     """`[contract]`"""
 
-    volume_unit: Nonempty = Field("MWh", description='a name such as "MWh"')
-    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
-    start: DateKey = Field(description=DATE)
-    end: DateKey = Field(description=DATE)
+    volume_unit: VolumeUnit
+    currency: Currency
+    start: DateKey = doc("first day with a decision")
+    end: DateKey = doc("first day without a decision")
     inventory: CaseInput = STOCK("gas in store at the start")
     max_inventory: CaseInput = LIMIT("largest volume of gas in store")
     min_inventory: CaseInput = LIMIT("smallest volume of gas in store", 0.0, before=0.0)
     max_injection: CaseInput | None = RATE("largest injection per day", None)
     max_withdrawal: CaseInput | None = RATE("largest withdrawal per day", None)
-    ratchets: Nonempty | None = Field(
-        None,
-        description="a CSV file with columns date,inventory,max_withdrawal,max_injection",
+    ratchets: Nonempty | None = doc(
+        "largest withdrawal and injection by inventory, in volume_unit/day", None,
+        "a CSV file with columns date,inventory,max_withdrawal,max_injection",
+    )  # fmt: skip
+    ratchet_interpolation: Literal["linear", "step"] = doc(
+        "whether rates between two ratchet rows are linear, or those of the row below", "linear"
     )
-    ratchet_interpolation: Literal["linear", "step"] = "linear"
     min_injection: CaseInput = FORCED("injection that must flow", 0.0)
     min_withdrawal: CaseInput = FORCED("withdrawal that must flow", 0.0)
     injection_cost: CaseInput = COST("cost per unit injected", 0.0)
     withdrawal_cost: CaseInput = COST("cost per unit withdrawn", 0.0)
-    injection_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
-    withdrawal_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
-    fixed_costs: Nonempty | None = Field(None, description="a CSV file with columns date,amount")
+    injection_cost_settlement: CostSettlement = doc(
+        "when costs of injection are paid", "flow", f'"gas", {RULES}'
+    )
+    withdrawal_cost_settlement: CostSettlement = doc(
+        "when costs of withdrawal are paid", "flow", f'"gas", {RULES}'
+    )
+    fixed_costs: Nonempty | None = doc(
+        "amounts that are due for any decisions, in currency",
+        None,
+        "a CSV file with columns date,amount",
+    )
     injection_fuel: CaseInput = SHARE("fuel: share of the injection, bought in addition", 0.0)
     withdrawal_fuel: CaseInput = SHARE("fuel: share of the withdrawal that is not sold", 0.0)
     inventory_loss: CaseInput = SHARE(
@@ -132,42 +151,56 @@ class ContractTable(CaseTable):
         plausible=OF_STOCK,
     )  # fmt: skip
     inventory_cost: CaseInput = COST("cost per unit in store and day", 0.0, unit=f"{PRICE}/day")
-    end_inventory: NotNegative | Literal["free"] = 0.0
-    end_value: NotNegative | Annotated[Nonempty, Field(description=END_VALUES)] | None = None
-    outages: list[str] | Nonempty = Field(
-        [],
-        description='a list like ["2021-07-01/2021-07-14"], or a CSV file with columns '
-        "from,to,injection_factor,withdrawal_factor",
+    end_inventory: NotNegative | Literal["free"] = doc(
+        "gas that must be in store at the end, in volume_unit", 0.0
     )
-    first_decision: Literal["valuation-date", "next-day"] = "valuation-date"
-    nomination: dict | None = Field(None, description="a table like { days = 1 }")
+    end_value: NotNegative | Annotated[Nonempty, Field(description=END_VALUES)] | None = doc(
+        "value of gas left at the end: a share of the spot price, or currency by inventory", None
+    )
+    outages: list[str] | Nonempty = doc(
+        "days without flow, the last one included, or with the shares of the rates that remain", [],
+        'a list like ["2021-07-01/2021-07-14"], or a CSV file with columns '
+        "from,to,injection_factor,withdrawal_factor",
+    )  # fmt: skip
+    first_decision: Literal["valuation-date", "next-day"] = doc(
+        "first day whose flow is decided: the day after, if that of today is nominated already",
+        "valuation-date",
+    )
+    nomination: NominationKey
 
 
 class MarketTable(CaseTable):
     """`[market]`"""
 
-    valuation_date: DateKey = Field(description=DATE)
-    forward_curve: Nonempty | None = Field(
-        None, description="a CSV file with columns date,price; or quotes"
+    valuation_date: ValuationDay
+    forward_curve: Nonempty | None = doc(
+        "price today by day or month of delivery, in currency/volume_unit", None,
+        "a CSV file with columns date,price; or quotes",
+    )  # fmt: skip
+    quotes: Nonempty | None = doc(
+        "prices of traded products that make the forward curve, in currency/volume_unit",
+        None,
+        "a CSV file with columns product,price",
     )
-    quotes: Nonempty | None = Field(None, description="a CSV file with columns product,price")
-    curve: QuotedCurveTable | None = Field(None, description=CURVE)
+    curve: QuotedCurveTable | None = doc("daily forward curve from the quotes", None, CURVE)
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
-    settlement: Settlement = Field("flow", description=RULES)
+    settlement: Settlement = doc("when the gas of a day is paid", "flow", RULES)
 
 
 class StorageTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["gas-storage"]
-    title: Title = Field("Gas storage", description=TITLE)
-    contract: dict = Field(description="the table [contract]")
-    market: dict = Field(description="the table [market]")
-    model: dict = Field(description="the table [model]")
-    products: dict | None = Field(None, description="the table [products]")
-    hedge: dict | None = Field(None, description="the table [hedge]")
-    backtest: dict | None = Field(None, description="the table [backtest]")
-    report: dict = Field({}, description="the table [report]")
-    objective: dict = Field({}, description="the table [objective]")
-    training: dict = Field({}, description="the table [training]")
-    evaluation: dict = Field({}, description="the table [evaluation]")
+    kind: Literal["gas-storage"] = doc("kind of the case")
+    title: Title = "Gas storage"
+    contract: dict = subtable("dates, volumes, rates and costs", "contract")
+    market: dict = subtable("valuation date, forward curve and interest rates", "market")
+    model: dict = subtable("model of the spot price", "model")
+    products: dict | None = subtable(
+        "traded products, for rolling intrinsic values and hedges", "products", None
+    )
+    hedge: dict | None = subtable("hedges that are simulated", "hedge", None)
+    backtest: dict | None = subtable("estimates of a back-test", "backtest", None)
+    report: ReportKey
+    objective: ObjectiveKey
+    training: TrainingKey
+    evaluation: EvaluationKey

@@ -29,7 +29,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.case.quantity import Range
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, TableContext, doc
 from snapo.problem.record import field
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 
@@ -121,7 +121,7 @@ def _log_factorial(k: np.ndarray) -> np.ndarray:
 class GeometricTable(CaseTable):
     """`[demand]` of kind "geometric"."""
 
-    kind: Literal["geometric"]
+    kind: Literal["geometric"] = doc("geometric demand, of variance mean (1 + mean)")
     mean: CaseInput = count_mean()
 
 
@@ -153,7 +153,7 @@ class GeometricDemand(CountDemand):
 class NegativeBinomialTable(CaseTable):
     """`[demand]` of kind "negative-binomial"."""
 
-    kind: Literal["negative-binomial"]
+    kind: Literal["negative-binomial"] = doc("negative binomial demand, more variable than Poisson")
     mean: CaseInput = count_mean()
     deviation: CaseInput = deviation_key(", above the root of the mean")
 
@@ -208,7 +208,7 @@ def _size(parameters):
 class PoissonTable(CaseTable):
     """`[demand]` of kind "poisson"."""
 
-    kind: Literal["poisson"]
+    kind: Literal["poisson"] = doc("Poisson demand")
     mean: CaseInput = count_mean()
 
 

@@ -3,13 +3,12 @@
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.csv import FileReference, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import POSITIVE, quantity_of
-from snapo.case.table import CaseTable, Nonempty, TableContext
+from snapo.case.table import CaseTable, Nonempty, TableContext, doc
 from snapo.problem.record import field
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 
@@ -23,9 +22,10 @@ STRETCHED = ": the history is stretched to this standard deviation"
 class EmpiricalTable(CaseTable):
     """`[demand]` of kind "empirical"."""
 
-    kind: Literal["empirical"]
-    history: Nonempty = Field(
-        description="the name of a CSV file with columns period,demand, and optionally factor"
+    kind: Literal["empirical"] = doc("demand drawn from a history")
+    history: Nonempty = doc(
+        "past demand by period, in units",
+        allowed="the name of a CSV file with columns period,demand, and optionally factor",
     )
     mean: CaseInput | None = mean_key(MOVED, None)
     deviation: CaseInput | None = deviation_key(STRETCHED, None)

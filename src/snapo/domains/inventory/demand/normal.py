@@ -3,7 +3,7 @@
 from typing import Literal
 
 from snapo.case.given import CaseInput
-from snapo.case.table import CaseTable, TableContext
+from snapo.case.table import CaseTable, TableContext, doc
 
 from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 
@@ -11,7 +11,7 @@ from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 class NormalTable(CaseTable):
     """`[demand]` of kind "normal"."""
 
-    kind: Literal["normal"]
+    kind: Literal["normal"] = doc("normal demand; below zero goods are returned")
     mean: CaseInput = mean_key()
     deviation: CaseInput = deviation_key()
 

@@ -10,9 +10,16 @@ from pydantic import Field
 
 from snapo.case.given import CaseInput
 from snapo.case.plausible import CaseFiles, checked_numbers
-from snapo.case.report import ReportTable
-from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-from snapo.case.table import TITLE, CaseTable, TableContext, Title, parse
+from snapo.case.report import ReportKey, ReportTable
+from snapo.case.settings import (
+    EvaluationKey,
+    EvaluationTable,
+    ObjectiveKey,
+    ObjectiveTable,
+    TrainingKey,
+    TrainingTable,
+)
+from snapo.case.table import CaseTable, TableContext, Title, doc, parse, subtable
 
 from ..demand.base import Demand
 from ..demand.registry import kinds, read_demand
@@ -21,13 +28,18 @@ from .settings import read_season, read_settings, unit_slips
 from .tables import (
     COST,
     HOLDING,
-    NAME,
+    OTHER_LEADS,
+    HorizonKey,
     HorizonTable,
     InventoryTable,
-    ItemName,
     ItemReportTable,
     ItemTable,
-    lead_time,
+    LeadTime,
+    MoneyName,
+    PeriodName,
+    SeasonTable,
+    UnitName,
+    WholeOrders,
 )
 
 MAXIMUM = 12  # places
@@ -39,19 +51,23 @@ PLACE = "a name of letters, digits, - and _ that starts with a letter, at most 4
 class NetworkTable(CaseTable):
     """`[network]`"""
 
-    unmet: Literal["lost", "waits"] = Field("waits", description='"lost" or "waits"')
-    whole: bool | None = Field(None, description="true or false")
-    currency: ItemName = Field("EUR", description=NAME)
-    unit: ItemName = Field("piece", description=NAME)
-    period: ItemName = Field("week", description=NAME)
+    unmet: Literal["lost", "waits"] = doc("whether unmet demand is lost or waits", "waits")
+    whole: WholeOrders
+    currency: MoneyName
+    unit: UnitName
+    period: PeriodName
 
 
 class PlaceTable(CaseTable):
     """One `[[place]]`."""
 
-    name: PlaceName = Field(description=PLACE)
-    supplier: PlaceName | None = Field(None, description="the name of another place")
-    lead_time: int = lead_time()
+    name: PlaceName = doc("name of the place", allowed=PLACE)
+    supplier: PlaceName | None = doc(
+        "place that supplies it, by default an outside source without limit",
+        None,
+        "the name of another place",
+    )
+    lead_time: LeadTime
     holding: CaseInput = HOLDING(
         "cost of a unit at the place, or on its way from there, each period", name="holding_cost"
     )
@@ -59,49 +75,60 @@ class PlaceTable(CaseTable):
         "cost of a unit of unmet demand", None, name="shortage_cost"
     )
     order: CaseInput = COST("cost of an order of any size", 0.0, name="order_cost")
-    demand: dict[str, Any] | None = Field(None, description="a table, as [demand]")
-    season: dict[str, Any] | None = Field(None, description="a table, as [season]")
+    demand: dict[str, Any] | None = doc(
+        "distribution of the demand of its customers", None, "a table, as [demand]"
+    )
+    season: dict[str, Any] | None = doc("season of its demand", None, "a table, as [season]")
 
 
 class NetworkReportTable(ReportTable):
     """`[report]` of a case with places."""
 
-    lead_time: bool = Field(False, description="true or false")
+    lead_time: bool = doc(OTHER_LEADS, False)
 
 
 class TransshipmentTable(CaseTable):
     """One `[[transshipment]]`."""
 
-    between: PlaceNames = Field(
-        description="a list of the names of 2 or more places with customers"
+    between: PlaceNames = doc(
+        "places that send units to one another",
+        allowed="a list of the names of 2 or more places with customers",
     )
     cost: CaseInput = COST("cost of a unit that one store sends another", name="transshipment_cost")
-    when: Literal["after", "before"] = Field("after", description='"after" or "before" (demand)')
-    one_way: bool = Field(False, description="true or false")
+    when: Literal["after", "before"] = doc(
+        "whether units are sent after or before demand is seen",
+        "after",
+        '"after" or "before" (demand)',
+    )
+    one_way: bool = doc("whether only the first of two places sends units", False)
 
 
 class NetworkFile(CaseTable):
     """The whole file."""
 
-    kind: Literal["inventory"] = Field(description='"inventory"')
-    title: Title = Field("Network", description=TITLE)
-    network: dict = Field({}, description="the table [network]")
-    place: list[Any] = Field(description="a list of tables, [[place]]")
-    transshipment: list[Any] = Field([], description="a list of tables, [[transshipment]]")
-    horizon: dict = Field({}, description="the table [horizon]")
-    report: dict = Field({}, description="the table [report]")
-    objective: dict = Field({}, description="the table [objective]")
-    training: dict = Field({}, description="the table [training]")
-    evaluation: dict = Field({}, description="the table [evaluation]")
+    kind: Literal["inventory"] = doc("kind of the case")
+    title: Title = "Network"
+    network: dict = subtable("units and rules of the network", "network", {})
+    place: list[Any] = doc("places of the network", allowed="a list of tables, [[place]]")
+    transshipment: list[Any] = doc(
+        "places that send units to one another", [], "a list of tables, [[transshipment]]"
+    )
+    horizon: HorizonKey
+    report: ReportKey
+    objective: ObjectiveKey
+    training: TrainingKey
+    evaluation: EvaluationKey
 
 
 FORMATS = {
     "": [InventoryTable, NetworkFile],
     "item": ItemTable,
+    "season": SeasonTable,
     "network": NetworkTable,
     "demand": [demand.table for demand in kinds().values()],
     "place[]": PlaceTable,
     "place[].demand": [demand.table for demand in kinds().values()],
+    "place[].season": SeasonTable,
     "transshipment[]": TransshipmentTable,
     "horizon": HorizonTable,
     "report": [ItemReportTable, NetworkReportTable],

@@ -11,8 +11,9 @@ from pydantic import Field
 from snapo.case.error import counted
 from snapo.case.given import CaseInput, positions
 from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, KeyContext, Quantity, Range, custom
-from snapo.case.report import ReportTable
-from snapo.case.table import TITLE, CaseTable, Title
+from snapo.case.report import ReportKey, ReportTable
+from snapo.case.settings import EvaluationKey, ObjectiveKey, TrainingKey
+from snapo.case.table import CaseTable, Title, doc, subtable
 
 ItemName = Annotated[str, Field(min_length=1, max_length=40)]
 
@@ -29,16 +30,32 @@ COMING = (
 
 
 def whole_number(
-    low: int, high: int | None = None, default: Any = ..., noun: str = "a whole number"
+    meaning: str,
+    low: int,
+    high: int | None = None,
+    default: Any = ...,
+    noun: str = "a whole number",
 ) -> Any:
-    """A key for a whole number from `low` to `high`, with its description."""
+    """A key for a whole number from `low` to `high`."""
     text = f"{noun}, {low:,} or more" if high is None else f"{noun}, {low:,} to {high:,}"
-    return Field(default, ge=low, le=high, description=text)
+    return doc(meaning, default, text, ge=low, le=high)
 
 
-def lead_time() -> Any:
-    """The key `lead_time`."""
-    return whole_number(0, LONGEST_LEAD, noun="a whole number of periods")
+MoneyName = Annotated[ItemName, doc("currency of all money", "EUR", NAME)]
+UnitName = Annotated[ItemName, doc("unit of stock and demand", "piece", NAME)]
+PeriodName = Annotated[ItemName, doc("time from one decision to the next", "week", NAME)]
+WholeOrders = Annotated[
+    bool | None,
+    doc("whether orders are whole units, by default if demand is", None),
+]
+LeadTime = Annotated[
+    int,
+    whole_number(
+        "periods from an order to its arrival", 0, LONGEST_LEAD, noun="a whole number of periods"
+    ),
+]
+HorizonKey = Annotated[dict, subtable("periods and discount factor", "horizon", {})]
+OTHER_LEADS = "whether other policies are trained, with lead times one period shorter and longer"
 
 
 def _coming(raw: Any, key: KeyContext) -> CaseInput | None:
@@ -66,11 +83,11 @@ def _coming(raw: Any, key: KeyContext) -> CaseInput | None:
 class ItemTable(CaseTable):
     """`[item]`"""
 
-    currency: ItemName = Field("EUR", description=NAME)
-    unit: ItemName = Field("piece", description=NAME)
-    period: ItemName = Field("week", description=NAME)
-    unmet: Literal["lost", "waits"] = Field(description='"lost" or "waits"')
-    lead_time: int = lead_time()
+    currency: MoneyName
+    unit: UnitName
+    period: PeriodName
+    unmet: Literal["lost", "waits"] = doc("whether unmet demand is lost or waits")
+    lead_time: LeadTime
     holding: CaseInput = HOLDING("cost of a unit in stock, each period", name="holding_cost")
     shortage: CaseInput = HOLDING(
         "cost of a unit of demand that waits, each period", name="shortage_cost"
@@ -79,17 +96,21 @@ class ItemTable(CaseTable):
     order: CaseInput = COST(
         "cost of an order of any size", 0.0, unit="{currency}", name="order_cost"
     )
-    whole: bool | None = Field(None, description="true or false")
-    most: int | None = whole_number(1, default=None)
+    whole: WholeOrders
+    most: int | None = whole_number("largest order, in units, by default any", 1, default=None)
     stock: CaseInput | None = STOCK("stock at the start", None, name="start_stock")
-    coming: CaseInput | None = custom(_coming, COMING, None, ("array",))
+    coming: CaseInput | None = custom(
+        "orders on their way at the start, in units", _coming, COMING, None, ("array",)
+    )
 
 
 class HorizonTable(CaseTable):
     """`[horizon]`"""
 
-    periods: int = whole_number(2, 2000, 100)
-    warm_up: int | None = whole_number(0, 2000, None)
+    periods: int = whole_number("periods that count", 2, 2000, 100)
+    warm_up: int | None = whole_number(
+        "periods before, by default 10 (lead time + 1)", 0, 2000, None
+    )
     discount: CaseInput = DISCOUNT("discount factor of a period", 1.0)
 
     @property
@@ -101,25 +122,28 @@ class HorizonTable(CaseTable):
 class SeasonTable(CaseTable):
     """`[season]`: of an item; of a place of a network, its key `season`"""
 
-    file: ItemName = Field(description="the name of a CSV file with columns period,factor")
+    file: ItemName = doc(
+        "demand of a period of the season relative to the mean",
+        allowed="the name of a CSV file with columns period,factor",
+    )
 
 
 class ItemReportTable(ReportTable):
     """`[report]`"""
 
-    lead_time: bool = Field(True, description="true or false")
+    lead_time: bool = doc(OTHER_LEADS, True)
 
 
 class InventoryTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["inventory"] = Field(description='"inventory"')
-    title: Title = Field("Inventory", description=TITLE)
-    item: dict = Field(description="the table [item]")
-    demand: dict = Field(description="the table [demand]")
-    season: dict = Field({}, description="the table [season]")
-    horizon: dict = Field({}, description="the table [horizon]")
-    report: dict = Field({}, description="the table [report]")
-    objective: dict = Field({}, description="the table [objective]")
-    training: dict = Field({}, description="the table [training]")
-    evaluation: dict = Field({}, description="the table [evaluation]")
+    kind: Literal["inventory"] = doc("kind of the case")
+    title: Title = "Inventory"
+    item: dict = subtable("lead time, costs and stock of an item", "item")
+    demand: dict = subtable("distribution of the demand of a period", "demand")
+    season: dict = subtable("season of the demand", "season", {})
+    horizon: HorizonKey
+    report: ReportKey
+    objective: ObjectiveKey
+    training: TrainingKey
+    evaluation: EvaluationKey

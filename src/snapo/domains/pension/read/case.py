@@ -73,7 +73,10 @@ FORMATS: dict[str, type[CaseTable]] = {
     "pots": tables.PotsTable,
     "frontier": tables.FrontierTable,
 }
-SCHEMA = {"": PensionTable, **FORMATS, "training": TrainingTable, "evaluation": EvaluationTable}
+SCHEMA = {
+    "": PensionTable, **FORMATS, "stress": tables.StressTable, "training": TrainingTable,
+    "evaluation": EvaluationTable,
+}  # fmt: skip
 STEPS = {"month": 1 / 12, "year": 1.0}
 
 

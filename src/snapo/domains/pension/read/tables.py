@@ -13,8 +13,9 @@ from snapo.case.given import CaseInput
 from snapo.case.meaning import Only
 from snapo.case.parts import PartNames, names_of_parts
 from snapo.case.quantity import FRACTION, NOT_NEGATIVE, POSITIVE, Range
-from snapo.case.report import ReportTable
-from snapo.case.table import TITLE, CaseTable, Nonempty, Title
+from snapo.case.report import ReportKey, ReportTable
+from snapo.case.settings import EvaluationKey, TrainingKey
+from snapo.case.table import CaseTable, Nonempty, Title, doc, subtable
 
 from ..quantities import (
     AMOUNT,
@@ -48,8 +49,8 @@ REVERSION = NUMBER.of("model", unit=YEARLY, range=POSITIVE)
 PRICE_OF_RISK = NUMBER.of("premium", unit=SQUARE_ROOT)
 FAR_OUT = "the forward rate far beyond the last node"
 RESERVE = SHARE.of("plan")
-OF_RESERVE = "the solidarity reserve: its size, its filling or its release"
-SWAP_LIMIT, A_LIMIT = SHARE.of("overlay"), "a limit of the swaps"
+
+SWAP_LIMIT = SHARE.of("overlay")
 OVER_GILTS = YEARLY_RATE._replace(noun="a rate over gilts")
 
 
@@ -86,27 +87,18 @@ SMITH_WILSON = Only(
 SOUGHT = Only(lambda tables: tables["curve"].speed is None, "if no speed is specified")
 
 
-def csv(columns: str, default: Any = ...) -> Any:
+def csv(meaning: str, columns: str, default: Any = ...) -> Any:
     """A field that names a CSV next to the case."""
-    return Field(default, description=f"the name of a CSV file with columns {columns}")
-
-
-def one_of(*available: str, default: Any = ...) -> Any:
-    """A field that takes one of a few names."""
-    displayed = [f'"{item}"' for item in available]
-    text = (
-        displayed[0] if len(displayed) == 1 else f"{', '.join(displayed[:-1])} or {displayed[-1]}"
-    )
-    return Field(default, description=text)
+    return doc(meaning, default, f"the name of a CSV file with columns {columns}")
 
 
 class FundTable(CaseTable):
     """`[fund]`: the horizon, its steps and the money."""
 
-    valuation_date: ValuationDate = Field(description=DATE)
-    years: int = plain(Range(1, 60, noun=WHOLE))
-    step: Literal["month", "year"] = one_of("month", "year", default="month")
-    currency: Nonempty = Field("EUR", description='a name such as "EUR"')
+    valuation_date: ValuationDate = doc("day of today's assets, prices and rights", allowed=DATE)
+    years: int = plain("horizon of the decisions, in years", Range(1, 60, noun=WHOLE))
+    step: Literal["month", "year"] = doc("time from one decision to the next", "month")
+    currency: Nonempty = doc("currency of all money", "EUR", 'a name such as "EUR"')
     assets: CaseInput = AMOUNT(
         "the market value of all assets today",
         unit="{currency}", range=_above("the market value of all assets,"), group="assets",
@@ -116,45 +108,56 @@ class FundTable(CaseTable):
 class CurveTable(CaseTable):
     """`[curve]`: the nominal curve, and the measure of the scenarios."""
 
-    file: Nonempty = csv("tenor,zero (or tenor,forward or tenor,swap)")
-    measure: Literal["P", "Q"] = one_of("P", "Q", default="P")
-    compounding: Literal["continuous", "annual"] = one_of(
-        "continuous", "annual", default="continuous"
+    file: Nonempty = csv(
+        "rates of the nominal curve, by tenor in years",
+        "tenor,zero (or tenor,forward or tenor,swap)",
     )
-    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = one_of(
-        "flat-forward", "ultimate", "smith-wilson", default="flat-forward"
+    measure: Literal["P", "Q"] = doc("measure of the scenarios, real-world or risk-neutral", "P")
+    compounding: Literal["continuous", "annual"] = doc("compounding of all rates", "continuous")
+    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = doc(
+        "curve beyond the last node", "flat-forward"
     )
     ultimate: CaseInput | None = RATE(FAR_OUT, None, group="model", name="ultimate_forward")
-    speed: Annotated[float | None, NOT_FLAT] = plain(POSITIVE, None)
-    last_liquid: float | None = plain(_above("a tenor in years"), None)
+    speed: Annotated[float | None, NOT_FLAT] = plain(
+        "speed of convergence to the ultimate rate, in 1/year", POSITIVE, None
+    )
+    last_liquid: float | None = plain(
+        "tenor up to which Smith-Wilson uses quotes", _above("a tenor in years"), None
+    )
     convergence: Annotated[float | None, SMITH_WILSON, SOUGHT] = plain(
-        _above("a term in years"), None
+        "term at which the forward rate is within a basis point of the ultimate one",
+        _above("a term in years"),
+        None,
     )
 
 
 class RatesTable(CaseTable):
     """`[rates]`: the model of the short rate; lists have one number per factor."""
 
-    kind: Nonempty = Field(description='the name of a model, such as "hull-white" or "g2++"')
+    kind: Nonempty = doc(
+        "model of the short rate", allowed='the name of a model, such as "hull-white" or "g2++"'
+    )
     mean_reversion: tuple[CaseInput, ...] = REVERSION(f"mean reversion {OF_FACTOR}", by_factor=True)
     volatility: tuple[CaseInput, ...] = MOVING(f"volatility {OF_FACTOR}", by_factor=True)
     price_of_risk: tuple[CaseInput, ...] = PRICE_OF_RISK(
-        "held while the curve moves; higher is a lower premium of long bonds", 0.0, by_factor=True
+        "price of interest rate risk; higher is a lower premium of long bonds", 0.0, by_factor=True
     )
 
 
 class InflationTable(CaseTable):
     """`[inflation]`: break-evens, expected inflation, prices and wages."""
 
-    break_evens: Nonempty = csv("tenor,rate (or tenor,forward)")
-    compounding: Literal["continuous", "annual"] | None = Field(
-        None, description='"continuous" or "annual", by default as in [curve]'
+    break_evens: Nonempty = csv("break-evens, by tenor in years", "tenor,rate (or tenor,forward)")
+    compounding: Literal["continuous", "annual"] | None = doc(
+        "compounding of the break-evens", None, '"continuous" or "annual", by default as in [curve]'
     )
-    extrapolation: Literal["flat-forward", "ultimate"] = one_of(
-        "flat-forward", "ultimate", default="flat-forward"
+    extrapolation: Literal["flat-forward", "ultimate"] = doc(
+        "curve beyond the last node", "flat-forward"
     )
     ultimate: CaseInput | None = RATE(FAR_OUT, None, group="model", name="ultimate_break_even")
-    speed: Annotated[float, ULTIMATE] = plain(POSITIVE, 0.1)
+    speed: Annotated[float, ULTIMATE] = plain(
+        "speed of convergence to the ultimate rate, in 1/year", POSITIVE, 0.1
+    )
     mean_reversion: CaseInput = REVERSION(
         f"mean reversion {OF_INFLATION}", 0.3, name="inflation_mean_reversion"
     )
@@ -171,76 +174,94 @@ class InflationTable(CaseTable):
 class AssetsTable(CaseTable):
     """`[assets]`: the classes, and the meaning of their mean returns."""
 
-    file: Nonempty = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
-    return_kind: Literal["excess", "total"] = one_of("excess", "total")
-    mean_kind: Literal["geometric", "arithmetic", "log"] = one_of("geometric", "arithmetic", "log")
-    turnover: float | None = plain(_above("the largest share of the assets traded per year,"), None)
+    file: Nonempty = csv(
+        "classes of assets",
+        "name,kind,mean,volatility,weight,low,high and, where they apply, others",
+    )
+    return_kind: Literal["excess", "total"] = doc("whether mean returns are over cash or total")
+    mean_kind: Literal["geometric", "arithmetic", "log"] = doc("kind of the mean returns")
+    turnover: float | None = plain(
+        "limit on trade, by default none",
+        _above("the largest share of the assets traded per year,"),
+        None,
+    )
 
 
 class CreditTable(CaseTable):
     """`[credit]`"""
 
-    file: Nonempty = csv("rating,spread,mean_spread,mean_reversion,volatility,default_loss")
+    file: Nonempty = csv(
+        "credit spreads by rating",
+        "rating,spread,mean_spread,mean_reversion,volatility,default_loss",
+    )
 
 
 class CurrenciesTable(CaseTable):
     """`[currencies]`"""
 
-    file: Nonempty = csv("currency,market,volatility,premium,hedge_ratio,hedge_cost")
+    file: Nonempty = csv("currencies", "currency,market,volatility,premium,hedge_ratio,hedge_cost")
 
 
 class CorrelationsTable(CaseTable):
     """`[correlations]`"""
 
-    file: Nonempty = Field(
-        description="the name of a CSV file: a square matrix with names in the first row"
+    file: Nonempty = doc(
+        "correlations of the shocks; others are independent",
+        allowed="the name of a CSV file: a square matrix with names in the first row",
     )
-    repair: bool = Field(False, description="true or false")
+    repair: bool = doc("whether the nearest positive definite matrix is used", False)
 
 
 class OverlayTable(CaseTable):
     """`[overlay]`: receiver swaps by tenor, at par unless their kind is another."""
 
-    file: Nonempty = csv("tenor,kind,notional,low,high,cost")
-    unit: Literal["assets", "liability"] = one_of("assets", "liability", default="assets")
-    leverage: CaseInput = SWAP_LIMIT(A_LIMIT, 1.0, range=NOT_NEGATIVE)
+    file: Nonempty = csv("swaps by tenor", "tenor,kind,notional,low,high,cost")
+    unit: Literal["assets", "liability"] = doc("unit of the limits of notionals", "assets")
+    leverage: CaseInput = SWAP_LIMIT(
+        "largest sum of notionals over assets", 1.0, range=NOT_NEGATIVE
+    )
     collateral_stress: CaseInput = SWAP_LIMIT(
-        A_LIMIT, 0.035, unit=YEARLY, range=Range(0.0, noun="a rise in rates")
+        "rise of all zero rates that collateral must withstand",
+        0.035,
+        unit=YEARLY,
+        range=Range(0.0, noun="a rise in rates"),
     )
 
 
 class ScenariosTable(CaseTable):
     """`[scenarios]`: ready-made scenarios instead of the generator."""
 
-    training: Nonempty = Field(description="the name of a CSV file")
-    evaluation: Nonempty = Field(description="the name of another CSV file")
+    training: Nonempty = doc("scenarios of the training", allowed="the name of a CSV file")
+    evaluation: Nonempty = doc("scenarios of the valuation", allowed="the name of another CSV file")
 
 
 class PolicyTable(CaseTable):
     """`[policy]`: the observation, and the widths of the hidden layers."""
 
-    observation: list[str] | None = Field(None, description="a list of names")
-    hidden: HiddenLayers = Field([32, 32], description="a list of widths, such as [32, 32]")
+    observation: list[str] | None = doc("observations of the policy", None, "a list of names")
+    hidden: HiddenLayers = doc("hidden layers", [32, 32], "a list of widths, such as [32, 32]")
 
 
 class SensitivityTable(CaseTable):
     """`[sensitivity]`: the numbers that are held fixed."""
 
-    held: list[str] = Field([], description="a list of names of inputs")
+    held: list[str] = doc("inputs without a sensitivity", [], "a list of names of inputs")
 
 
 class FrontierTable(CaseTable):
     """`[frontier]`: contributions against the shortfall, from a sweep."""
 
-    points: int = plain(Range(2, 20, noun=WHOLE), 5)
-    steps: int = plain(Range(1, noun=WHOLE), 60)
-    level: float = plain(Range(0.5, 0.99), 0.95)
+    points: int = plain("points of the frontier", Range(2, 20, noun=WHOLE), 5)
+    steps: int = plain("training steps for every point", Range(1, noun=WHOLE), 60)
+    level: float = plain(
+        "level of the CVaR, the mean of the worst 1 - level of the paths", Range(0.5, 0.99), 0.95
+    )
 
 
 class StressTable(CaseTable):
     """`[stress]`: shocks for the table of the report."""
 
-    file: Nonempty = csv("scenario,input,label,kind,size")
+    file: Nonempty = csv("shocks of inputs, by scenario", "scenario,input,label,kind,size")
 
 
 class FundReportTable(ReportTable):
@@ -252,71 +273,103 @@ class FundReportTable(ReportTable):
 class RegulationTable(CaseTable):
     """`[regulation]`: a regulator's rules, and the figures they ask for."""
 
-    rules: Nonempty = Field(description='"dutch-ftk", or the name of a TOML file of rules')
-    policy_ratios: list[Ratio] = Field(
-        [], description="funding ratios at the ends of the last months, the newest last"
+    rules: Nonempty = doc(
+        "rules of the regulator", allowed='"dutch-ftk", or the name of a TOML file of rules'
     )
-    insurance_risk: float = plain(_share_of("the liability"), 0.0)
-    active_risk: float = plain(_share_of("the assets"), 0.0)
+    policy_ratios: list[Ratio] = doc(
+        "past funding ratios of the policy ratio, by default today's",
+        [],
+        "funding ratios at the ends of the last months, the newest last",
+    )
+    insurance_risk: float = plain("capital for insurance risk", _share_of("the liability"), 0.0)
+    active_risk: float = plain("capital for active risk", _share_of("the assets"), 0.0)
 
 
 class PotsTable(CaseTable):
     """`[pots]`: personal pots by cohort, with a solidarity reserve."""
 
-    rules: Nonempty = Field(description='"dutch-wtp", or the name of a TOML file of rules')
-    allocation: Nonempty = csv("age,protection,exposure")
+    rules: Nonempty = doc("law of pots", allowed='"dutch-wtp", or the name of a TOML file of rules')
+    allocation: Nonempty = csv("protection and exposure by age", "age,protection,exposure")
     reserve: CaseInput = RESERVE(
-        OF_RESERVE, 0.0, range=_share_of("the assets"), name="reserve_today"
+        "solidarity reserve today", 0.0, range=_share_of("the assets"), name="reserve_today"
     )
-    fill_contribution: CaseInput = RESERVE(OF_RESERVE, 0.0, range=_share_of("contributions"))
-    fill_return: CaseInput = RESERVE(OF_RESERVE, 0.0, range=_share_of("a year's excess return"))
-    release: CaseInput = RESERVE(OF_RESERVE, 0.2, range=_share_of("the reserve"))
-    largest: CaseInput | None = RESERVE(OF_RESERVE, None, range=_share_of("the assets"))
+    fill_contribution: CaseInput = RESERVE(
+        "part of contributions that fills the solidarity reserve",
+        0.0,
+        range=_share_of("contributions"),
+    )
+    fill_return: CaseInput = RESERVE(
+        "part of excess returns that fills the solidarity reserve",
+        0.0,
+        range=_share_of("a year's excess return"),
+    )
+    release: CaseInput = RESERVE(
+        "largest part of the solidarity reserve released in a year",
+        0.2,
+        range=_share_of("the reserve"),
+    )
+    largest: CaseInput | None = RESERVE(
+        "largest solidarity reserve", None, range=_share_of("the assets")
+    )
 
 
 class FundingTable(CaseTable):
     """`[funding]`: the bases of a scheme of the United Kingdom, side by side."""
 
-    rules: Nonempty = Field(description='"uk", or the name of a TOML file of rules')
-    technical_provisions: float = plain(OVER_GILTS)
-    low_dependency: float | None = plain(OVER_GILTS, None)
-    buy_out: float = plain(OVER_GILTS)
-    recovery_years: float | None = plain(POSITIVE, None)
+    rules: Nonempty = doc(
+        "rules of the scheme", allowed='"uk", or the name of a TOML file of rules'
+    )
+    technical_provisions: float = plain("discount rate of technical provisions", OVER_GILTS)
+    low_dependency: float | None = plain("discount rate of low dependency", OVER_GILTS, None)
+    buy_out: float = plain("discount rate of a buy-out", OVER_GILTS)
+    recovery_years: float | None = plain("length of the recovery plan, in years", POSITIVE, None)
 
 
 class PensionTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["pension"] = Field(description='"pension"')
-    title: Title = Field("Pension fund", description=TITLE)
-    fund: dict = Field(description="the table [fund]")
-    curve: dict = Field(description="the table [curve]")
-    rates: dict | None = Field(None, description="the table [rates]")
-    inflation: dict = Field(description="the table [inflation]")
-    assets: dict = Field(description="the table [assets]")
-    credit: dict | None = Field(None, description="the table [credit]")
-    currencies: dict | None = Field(None, description="the table [currencies]")
-    correlations: dict | None = Field(None, description="the table [correlations]")
-    overlay: dict | None = Field(None, description="the table [overlay]")
-    members: dict = Field(description="the table [members]")
-    mortality: Annotated[dict | None, COHORTS] = Field(None, description="the table [mortality]")
-    lee_carter: Annotated[dict | None, COHORTS, PROMISED] = Field(
-        None, description="the table [lee_carter]"
+    kind: Literal["pension"] = doc("kind of the case")
+    title: Title = "Pension fund"
+    fund: dict = subtable("horizon, steps and money of the fund", "fund")
+    curve: dict = subtable("nominal curve, and measure of the scenarios", "curve")
+    rates: dict | None = subtable("model of the short rate", "rates", None)
+    inflation: dict = subtable("break-evens, and models of inflation and wages", "inflation")
+    assets: dict = subtable("classes of assets", "assets")
+    credit: dict | None = subtable("spreads and defaults of credit by rating", "credit", None)
+    currencies: dict | None = subtable("currencies of assets, and hedges", "currencies", None)
+    correlations: dict | None = subtable("correlations of the shocks", "correlations", None)
+    overlay: dict | None = subtable("receiver swaps by tenor", "overlay", None)
+    members: dict = subtable("members, or their cash flows", "members")
+    mortality: Annotated[dict | None, COHORTS] = subtable(
+        "death probabilities and their improvement", "mortality", None
     )
-    plan: dict = Field({}, description="the table [plan]")
-    liability: dict = Field({}, description="the table [liability]")
-    reconcile: dict | None = Field(None, description="the table [reconcile]")
-    scenarios: dict | None = Field(None, description="the table [scenarios]")
-    policy: dict = Field({}, description="the table [policy]")
-    objective: dict | list = Field(
-        {}, description="the table [objective], or several [[objective]]"
+    lee_carter: Annotated[dict | None, COHORTS, PROMISED] = subtable(
+        "stochastic factor of mortality", "lee_carter", None
     )
-    sensitivity: dict = Field({}, description="the table [sensitivity]")
-    stress: dict | None = Field(None, description="the table [stress]")
-    frontier: Annotated[dict | None, PROMISED] = Field(None, description="the table [frontier]")
-    regulation: Annotated[dict | None, PROMISED] = Field(None, description="the table [regulation]")
-    funding: Annotated[dict | None, PROMISED] = Field(None, description="the table [funding]")
-    pots: dict | None = Field(None, description="the table [pots]")
-    report: dict = Field({}, description="the table [report]")
-    training: dict = Field({}, description="the table [training]")
-    evaluation: dict = Field({}, description="the table [evaluation]")
+    plan: dict = subtable("benefits of the plan", "plan", {})
+    liability: dict = subtable("valuation of the liability", "liability", {})
+    reconcile: dict | None = subtable(
+        "figures of the actuary, with which the model is compared", "reconcile", None
+    )
+    scenarios: dict | None = subtable("ready-made scenarios", "scenarios", None)
+    policy: dict = subtable("observation and network of the policy", "policy", {})
+    objective: dict | list = doc(
+        "statistics of the paths that are maximised",
+        {},
+        "the table [objective], or several [[objective]]",
+    )
+    sensitivity: dict = subtable("numbers without a sensitivity", "sensitivity", {})
+    stress: dict | None = subtable("shocks of a table of the report", "stress", None)
+    frontier: Annotated[dict | None, PROMISED] = subtable(
+        "contributions against the shortfall, a policy for every point", "frontier", None
+    )
+    regulation: Annotated[dict | None, PROMISED] = subtable(
+        "rules of a regulator, and the figures that they ask for", "regulation", None
+    )
+    funding: Annotated[dict | None, PROMISED] = subtable(
+        "bases of a scheme of the United Kingdom", "funding", None
+    )
+    pots: dict | None = subtable("personal pots with a solidarity reserve", "pots", None)
+    report: ReportKey
+    training: TrainingKey
+    evaluation: EvaluationKey

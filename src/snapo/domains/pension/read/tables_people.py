@@ -8,7 +8,7 @@ from pydantic import Field
 from snapo.case.given import CaseInput
 from snapo.case.meaning import Only, Tables
 from snapo.case.quantity import ANY, FRACTION, NOT_NEGATIVE, POSITIVE, Range
-from snapo.case.table import CaseTable, Nonempty
+from snapo.case.table import CaseTable, Nonempty, doc, subtable
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
@@ -24,7 +24,7 @@ from ..quantities import (
     YEARLY_RATE,
     plain,
 )
-from .tables import COHORTS, PROMISED, csv, one_of
+from .tables import COHORTS, PROMISED, csv
 
 BY_SALARY = ("rate", "floor", "cap")  # numbers of a contribution that are shares of salaries
 
@@ -141,13 +141,10 @@ COMPARED = Only(
 MEMBER_MONEY = AMOUNT.of("people", unit="money/year", range=MONEY_YEARLY)
 PLAN_MONEY, PLAN_RATE = MEMBER_MONEY.of("plan"), RATE.of("plan")
 PLAN_SHARE, RATIO = SHARE.of("plan"), SHARE.of("plan", range=NOT_NEGATIVE)
-INDEXED = "the rate, or a limit, of yearly indexation"
-THRESHOLD = "a funding ratio in the rule of indexation"
-REVALUED = "the yearly increase of rights before payment"
-OF_RULE = "a number of the rule of contributions"
+
 RULE = SHARE.of("plan", range=ANY)
 OF_SALARIES = Range(noun="a share of salaries")
-WHOLE = "a whole number"
+WHOLE, FORMULA = "a whole number", "[alpha, beta] or [alpha, beta, makeham]"
 FormulaTable = Annotated[list[float], Field(min_length=2, max_length=3)]
 
 
@@ -155,9 +152,13 @@ class MembersTable(CaseTable):
     """`[members]`: cohorts, or the actuary's cash flows."""
 
     file: Nonempty | None = csv(
-        "name,status,sex,age,number,pension and, where they apply, salary,service,mortality", None
+        "cohorts of members",
+        "name,status,sex,age,number,pension and, where they apply, salary,service,mortality",
+        None,
     )
-    cash_flows: Nonempty | None = csv("year (or month),amount", None)
+    cash_flows: Nonempty | None = csv(
+        "benefits of the actuary, in currency, instead of cohorts", "year (or month),amount", None
+    )
     normal_cost: Annotated[CaseInput, FLOWS, ACCRUING] = MEMBER_MONEY(
         "the value of the accrual of a step today", 0.0, name="normal_cost"
     )
@@ -169,22 +170,26 @@ class MembersTable(CaseTable):
 class MortalityTable(CaseTable):
     """`[mortality]`: death probabilities or a formula, with improvement and multipliers."""
 
-    kind: Literal["table", "gompertz-makeham"] = one_of("table", "gompertz-makeham")
-    file: Annotated[Nonempty | None, _of_mortality("table")] = csv("sex,age,q", None)
-    male: Annotated[FormulaTable | None, _of_mortality("gompertz-makeham")] = Field(
-        None, description="[alpha, beta] or [alpha, beta, makeham]"
+    kind: Literal["table", "gompertz-makeham"] = doc("source of the death probabilities")
+    file: Annotated[Nonempty | None, _of_mortality("table")] = csv(
+        "death probabilities", "sex,age,q", None
     )
-    female: Annotated[FormulaTable | None, _of_mortality("gompertz-makeham")] = Field(
-        None, description="[alpha, beta] or [alpha, beta, makeham]"
+    male: Annotated[FormulaTable | None, _of_mortality("gompertz-makeham")] = doc(
+        "formula of the death probabilities of men", None, FORMULA
+    )
+    female: Annotated[FormulaTable | None, _of_mortality("gompertz-makeham")] = doc(
+        "formula of the death probabilities of women", None, FORMULA
     )
     year: int | None = plain(
-        Range(1900, 2200, noun="the calendar year of these probabilities,"), None
+        "year from which mortality improves",
+        Range(1900, 2200, noun="the calendar year of these probabilities,"),
+        None,
     )
     improvement: CaseInput | Nonempty = RATE(
         "the yearly fall of death rates", 0.0, group="people", by=BY_AGE
     )
     multiplier: CaseInput | Nonempty = AMOUNT(
-        "death probabilities at these ages rise by a relative 1 %", 1.0, unit="1",
+        "factor on death probabilities", 1.0, unit="1",
         range=POSITIVE, group="people", by=BY_AGE, name="mortality_multiplier",
     )  # fmt: skip
 
@@ -195,27 +200,33 @@ class LeeCarterTable(CaseTable):
     volatility: CaseInput = AMOUNT(
         "volatility of the mortality factor", unit=SQUARE_ROOT, group="volatility"
     )
-    file: Nonempty = csv("sex,age,loading")
+    file: Nonempty = csv("loadings of the mortality factor", "sex,age,loading")
 
 
 class PlanTable(CaseTable):
     """`[plan]`: benefits, and the two tables below it."""
 
-    timing: Literal["advance", "arrears"] = one_of("advance", "arrears", default="arrears")
-    age_basis: Annotated[Literal["nearest", "last", "exact"], COHORTS] = one_of(
-        "nearest", "last", "exact", default="nearest"
+    timing: Literal["advance", "arrears"] = doc(
+        "whether pensions are paid at the start or the end of a step", "arrears"
     )
-    fractional_ages: Annotated[Literal["constant-force", "uniform"], COHORTS] = one_of(
-        "constant-force", "uniform", default="constant-force"
+    age_basis: Annotated[Literal["nearest", "last", "exact"], COHORTS] = doc(
+        "ages on birthdays or exact", "nearest"
     )
-    retirement_age: Annotated[float, COHORTS] = plain(Range(40.0, 90.0, noun="an age"), 67.0)
-    accruing: Annotated[bool, PROMISED] = Field(True, description="true or false")
-    open: Annotated[bool, COHORTS] = Field(False, description="true or false")
+    fractional_ages: Annotated[Literal["constant-force", "uniform"], COHORTS] = doc(
+        "deaths between two ages", "constant-force"
+    )
+    retirement_age: Annotated[float, COHORTS] = plain(
+        "age at which pensions begin, in years", Range(40.0, 90.0, noun="an age"), 67.0
+    )
+    accruing: Annotated[bool, PROMISED] = doc("whether members in service earn new rights", True)
+    open: Annotated[bool, COHORTS] = doc("whether new members replace leavers", False)
     entry_age: Annotated[float, COHORTS, OPEN, ACCRUING] = plain(
-        Range(15.0, 90.0, noun="an age"), 25.0
+        "age of new members, in years", Range(15.0, 90.0, noun="an age"), 25.0
     )
     max_service: Annotated[float, COHORTS, PROMISED, ACCRUING, ACCRUED] = plain(
-        Range(0.0, endpoints="()", noun="a number of years"), 60.0
+        "service after which no rights are earned",
+        Range(0.0, endpoints="()", noun="a number of years"),
+        60.0,
     )
     accrual_rate: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING] = PLAN_RATE(
         "the share of salary minus offset that a year of service earns", 0.0, range=FRACTION
@@ -229,80 +240,111 @@ class PlanTable(CaseTable):
     married_share: Annotated[CaseInput, COHORTS, SPOUSES] = PLAN_SHARE(
         "the share of members with a spouse", 1.0
     )
-    spouse_age_gap: Annotated[int, COHORTS, SPOUSES] = plain(Range(-20, 20, noun=WHOLE), 3)
-    expenses: CaseInput = PLAN_MONEY("the yearly expenses of the scheme", 0.0)
-    indexation: dict = Field({}, description="the table [plan.indexation]")
-    revaluation: Annotated[dict | None, COHORTS, PROMISED, FIXED] = Field(
-        None, description="the table [plan.revaluation]"
+    spouse_age_gap: Annotated[int, COHORTS, SPOUSES] = plain(
+        "years by which wives are younger than husbands", Range(-20, 20, noun=WHOLE), 3
     )
-    contribution: dict = Field({}, description="the table [plan.contribution]")
+    expenses: CaseInput = PLAN_MONEY("the yearly expenses of the scheme", 0.0)
+    indexation: dict = subtable("yearly increases of pensions in payment", "plan.indexation", {})
+    revaluation: Annotated[dict | None, COHORTS, PROMISED, FIXED] = subtable(
+        "yearly increases of rights before payment", "plan.revaluation", None
+    )
+    contribution: dict = subtable("rule of contributions", "plan.contribution", {})
 
 
 class IndexationTable(CaseTable):
     """`[plan.indexation]`: increases of pensions in payment, and of other rights equally where
     there is no `[plan.revaluation]`."""
 
-    kind: Literal["none", "fixed", "full", "capped", "conditional"] = one_of(
-        "none", "fixed", "full", "capped", "conditional", default="none"
+    kind: Literal["none", "fixed", "full", "capped", "conditional"] = doc(
+        "rule of the increases", "none"
     )
-    rate: Annotated[CaseInput | None, _increase("rate")] = PLAN_RATE(INDEXED, None)
-    month: Annotated[int, INCREASING] = plain(Range(1, 12, noun="a month"), 1)
-    averaging: Annotated[int, AVERAGED] = plain(Range(1, 12, noun="a whole number of months"), 12)
-    cap: Annotated[CaseInput, _increase("cap")] = PLAN_RATE(INDEXED, 0.5)
-    floor: Annotated[CaseInput, _increase("floor")] = PLAN_RATE(INDEXED, -0.5)
-    lower_ratio: Annotated[CaseInput, _increase("lower_ratio")] = RATIO(THRESHOLD, 1.1)
-    upper_ratio: Annotated[CaseInput, _increase("upper_ratio")] = RATIO(THRESHOLD, 1.3)
-    required_ratio: Annotated[CaseInput, CUTS] = RATIO(THRESHOLD, 1.0)
-    cut_years: Annotated[int, PROMISED] = plain(Range(0, 50, noun=WHOLE), 0)
+    rate: Annotated[CaseInput | None, _increase("rate")] = PLAN_RATE("fixed indexation", None)
+    month: Annotated[int, INCREASING] = plain(
+        "calendar month of increases, cuts and pots", Range(1, 12, noun="a month"), 1
+    )
+    averaging: Annotated[int, AVERAGED] = plain(
+        "months of the policy funding ratio", Range(1, 12, noun="a whole number of months"), 12
+    )
+    cap: Annotated[CaseInput, _increase("cap")] = PLAN_RATE("largest rate of indexation", 0.5)
+    floor: Annotated[CaseInput, _increase("floor")] = PLAN_RATE("smallest rate of indexation", -0.5)
+    lower_ratio: Annotated[CaseInput, _increase("lower_ratio")] = RATIO(
+        "funding ratio below which there is no indexation", 1.1
+    )
+    upper_ratio: Annotated[CaseInput, _increase("upper_ratio")] = RATIO(
+        "funding ratio above which there is full indexation", 1.3
+    )
+    required_ratio: Annotated[CaseInput, CUTS] = RATIO("funding ratio that avoids cuts", 1.0)
+    cut_years: Annotated[int, PROMISED] = plain(
+        "years over which a cut is spread, 0 for no cuts", Range(0, 50, noun=WHOLE), 0
+    )
 
 
 class RevaluationTable(CaseTable):
     """`[plan.revaluation]`: fixed increases of rights before payment, apart from payment."""
 
     deferred: CaseInput = PLAN_RATE(
-        REVALUED, 0.0, range=YEARLY_RATE._replace(noun="a rate for deferred members' rights")
+        "yearly increase of deferred rights until payment",
+        0.0,
+        range=YEARLY_RATE._replace(noun="a rate for deferred members' rights"),
     )
     active: CaseInput = PLAN_RATE(
-        REVALUED, 0.0, range=YEARLY_RATE._replace(noun="a rate for rights in service")
+        "yearly increase of rights in service",
+        0.0,
+        range=YEARLY_RATE._replace(noun="a rate for rights in service"),
     )
 
 
 class ContributionTable(CaseTable):
     """`[plan.contribution]`"""
 
-    kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = one_of(
-        "none", "fixed", "normal-cost", "spread", "target", default="none"
+    kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = doc(
+        "rule of the contributions", "none"
     )
-    normal_cost: Annotated[Literal["valuation", "rate"], BY_COST] = one_of(
-        "valuation", "rate", default="valuation"
+    normal_cost: Annotated[Literal["valuation", "rate"], BY_COST] = doc(
+        "normal cost: value of the accrual, or a share of salaries", "valuation"
     )
     rate: Annotated[CaseInput | None, RATED] = RULE(
-        OF_RULE, None, range=OF_SALARIES._replace(low=0.0)
+        "contributions, or normal cost, as a share of salaries",
+        None,
+        range=OF_SALARIES._replace(low=0.0),
     )
-    loading: Annotated[CaseInput, BY_COST, VALUED] = RULE(OF_RULE, 0.0, range=Range(-1.0))
+    loading: Annotated[CaseInput, BY_COST, VALUED] = RULE(
+        "loading on the normal cost, as a share of it", 0.0, range=Range(-1.0)
+    )
     spread_factor: Annotated[CaseInput | None, _contribution("spread_factor")] = RULE(
-        OF_RULE, None, unit=YEARLY, range=Range(0.0, noun="a number per year")
+        "contributions of a year, as a share of the deficit",
+        None,
+        unit=YEARLY,
+        range=Range(0.0, noun="a number per year"),
     )
     target_ratio: Annotated[CaseInput, _contribution("target_ratio")] = RULE(
-        OF_RULE, 1.0, range=POSITIVE
+        "funding ratio that contributions aim at", 1.0, range=POSITIVE
     )
-    recovery: Annotated[Literal["rolling", "level"], _contribution("recovery")] = one_of(
-        "rolling", "level", default="rolling"
+    recovery: Annotated[Literal["rolling", "level"], _contribution("recovery")] = doc(
+        "recovery by an annuity to a fixed date, or a rolling share of the gap", "rolling"
     )
     recovery_years: Annotated[CaseInput, _contribution("recovery_years")] = TIME(
-        OF_RULE, 10.0, group="plan"
+        "time in which the gap to the target is paid", 10.0, group="plan"
     )
-    floor: Annotated[CaseInput | None, PAID] = RULE(OF_RULE, None, range=OF_SALARIES)
-    cap: Annotated[CaseInput | None, PAID] = RULE(OF_RULE, None, range=OF_SALARIES)
-    sponsor_limit: Annotated[CaseInput | None, PAID] = PLAN_MONEY(OF_RULE, None)
-    schedule: Nonempty | None = csv("date,amount (or year,amount)", None)
+    floor: Annotated[CaseInput | None, PAID] = RULE(
+        "smallest contributions, as a share of salaries", None, range=OF_SALARIES
+    )
+    cap: Annotated[CaseInput | None, PAID] = RULE(
+        "largest contributions, as a share of salaries", None, range=OF_SALARIES
+    )
+    sponsor_limit: Annotated[CaseInput | None, PAID] = PLAN_MONEY(
+        "largest contributions in money, which grow with wages", None
+    )
+    schedule: Nonempty | None = csv(
+        "payments agreed in money, in addition to all limits", "date,amount (or year,amount)", None
+    )
 
 
 class LiabilityTable(CaseTable):
     """`[liability]`"""
 
-    basis: Literal["risk-free", "spread", "fixed"] = one_of(
-        "risk-free", "spread", "fixed", default="risk-free"
+    basis: Literal["risk-free", "spread", "fixed"] = doc(
+        "discount rate: the curve, the curve plus a rate, or a rate", "risk-free"
     )
     rate: Annotated[CaseInput | None, ADDED] = PLAN_RATE(
         "the rate that is added to the curve, or replaces it, in valuation", None
@@ -311,14 +353,16 @@ class LiabilityTable(CaseTable):
         "the reserve for expenses, as a share of the value of the payments", 0.0,
         range=FRACTION._replace(noun="a share of the value of the payments"),
     )  # fmt: skip
-    future_indexation: Literal["none", "full", "capped"] = one_of(
-        "none", "full", "capped", default="none"
+    future_indexation: Literal["none", "full", "capped"] = doc(
+        "increases that the value of payments includes", "none"
     )
 
 
 class ReconcileTable(CaseTable):
     """`[reconcile]`: the actuary's figures."""
 
-    liability: float | None = plain(POSITIVE, None)
-    duration: float | None = plain(POSITIVE, None)
-    tolerance: Annotated[float, COMPARED] = plain(Range(0.0, 1.0, "()"), 0.001)
+    liability: float | None = plain("liability of the actuary, in currency", POSITIVE, None)
+    duration: float | None = plain("duration of the actuary, in years", POSITIVE, None)
+    tolerance: Annotated[float, COMPARED] = plain(
+        "largest relative difference to the actuary", Range(0.0, 1.0, "()"), 0.001
+    )

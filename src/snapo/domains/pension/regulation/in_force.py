@@ -1,12 +1,13 @@
 """The state of the law at a date, from a file of dated rules; reads `[regulation]`."""
 
 import datetime
-import tomllib
 from collections.abc import Callable, Mapping
 from importlib.resources import files
 from typing import Any, TypeVar
 
 import numpy as np
+
+from snapo.case.load import tables_of
 
 from ..read.cells import TableReader
 from ..read.tables import RegulationTable
@@ -35,12 +36,12 @@ def in_force(
             text = (files(__package__ or "") / local[name]).read_text(encoding="utf-8")
         else:
             text = (section.file.parent / name).read_text(encoding="utf-8")
-        versions = tomllib.loads(text)["version"]
+        versions = tables_of(section.file.parent / name, text)["version"]
         available = [(version["from"], version) for version in versions if version["from"] <= day]
     except FileNotFoundError:
         message = f"there is no such file, nor rules of this name ({', '.join(local)})"
         raise section.error("rules", name, message) from None
-    except (tomllib.TOMLDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (KeyError, TypeError, UnicodeDecodeError) as error:
         message = f"a TOML file with tables [[version]], each with a date from, is needed ({error})"
         raise section.error("rules", name, message) from None
     if not available:

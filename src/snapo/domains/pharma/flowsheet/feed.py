@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from pydantic import Field
-
 from snapo.case.given import CaseInput
+from snapo.case.table import doc
 
 from ..given import use
 from ..read.declared import ABSOLUTE, TIME, VOLUME, TableRecord, UnitQuantity
@@ -34,7 +33,7 @@ class Feed(TableRecord):
     more_keys: ClassVar = {
         "concentration": (
             dict[str, Any],
-            Field({}, description='concentrations such as { A = "0.33 mol/L" }'),
+            doc("concentrations of the species", {}, 'concentrations such as { A = "0.33 mol/L" }'),
         )
     }
 

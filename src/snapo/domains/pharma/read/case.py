@@ -16,14 +16,27 @@ from snapo.case.table import TableContext, parse
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.feed import Feed
 from ..time.dynamics import Numerics
+from ..units.crystals.kinetics import Kinetics
+from ..units.crystals.seed import Seed
+from ..units.crystals.sizes import SizesTable
+from ..units.crystals.solubility import Mixture, Solubility
 from ..units.operation import Unit, timed
+from ..units.reactor import Jacket
 from ..units.registry import TYPES, read_units
+from ..units.tray_dryer import Liquid
 from .entries import EntryNumbers
 from .estimation import read_estimation
 from .fitted import read_fitted
-from .loops import read_control
+from .loops import InnerTable, LoopTable, RuleTable, read_control
 from .network import ordered, read_connections, read_feeds, read_network
-from .optimise import OptimiseTable, read_design_space, read_goal, read_optimise
+from .optimise import (
+    DecisionTable,
+    OptimiseTable,
+    TermTable,
+    read_design_space,
+    read_goal,
+    read_optimise,
+)
 from .plausible.checks import (
     check_amounts,
     check_decided,
@@ -37,10 +50,17 @@ from .plausible.checks import (
 from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
 from .tables import (
     AttributeTable,
+    ConnectionTable,
+    ControlTable,
     CorrelationTable,
     DesignSpaceTable,
     DistributionTable,
+    EstimationTable,
+    ExperimentTable,
+    FitTable,
     GoalTable,
+    ManipulatedTable,
+    MeasurementTable,
     NumericsTable,
     ParameterTable,
     PharmaReportTable,
@@ -74,15 +94,40 @@ FORMATS = {
     "reactions[]": ReactionTable,
     "feeds.*": Feed.table,
     "units.*": [unit.table for variants in TYPES.values() for unit in variants.values()],
+    **{
+        f"units.*.{key}": table
+        for key, table in (
+            ("sizes", SizesTable),
+            ("solubility", Solubility.table),
+            ("kinetics", Kinetics.table),
+            ("seed", Seed.table),
+            ("jacket", Jacket.table),
+            ("liquid", Liquid.table),
+            ("solubility.nrtl", Mixture.table),
+        )
+    },
+    "connections[]": ConnectionTable,
     "parameters[]": ParameterTable,
     "parameters[].distribution": DistributionTable,
     "attributes[]": AttributeTable,
     "uncertainty[]": UncertaintyTable,
     "uncertainty[].distribution": DistributionTable,
     "correlations[]": CorrelationTable,
+    "control": ControlTable,
+    "control.manipulated[]": ManipulatedTable,
+    "control.measurements[]": MeasurementTable,
+    "control.rules[]": RuleTable,
+    "control.rules[].loops[]": LoopTable,
+    "control.rules[].loops[].inner": InnerTable,
+    "estimation": EstimationTable,
+    "estimation.fit[]": FitTable,
+    "estimation.experiments[]": ExperimentTable,
     "goal": GoalTable,
     "design_space": DesignSpaceTable,
     "optimise": OptimiseTable,
+    "optimise.terms[]": TermTable,
+    "optimise.per[]": TermTable,
+    "optimise.decisions[]": DecisionTable,
     "report": PharmaReportTable,
     "numerics": NumericsTable,
     "training": TrainingTable,

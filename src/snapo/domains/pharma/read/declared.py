@@ -17,12 +17,11 @@ from functools import cache
 from typing import Any, ClassVar, Literal, Self
 
 import pydantic
-from pydantic import Field
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from snapo.case.quantity import KeyContext, Quantity, Range, custom, declared, quantity_of
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, TableContext, doc, parse
 
 from .numbers import (
     ANY,
@@ -68,6 +67,10 @@ class UnitQuantity(Quantity):
     def number(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
         """A field for a number that is not an input."""
         return self(meaning, default, form="number", **changes)
+
+    @property
+    def title(self) -> str:
+        return self.meaning  # a case writes the unit with the number
 
     @property
     def allowed(self) -> str:
@@ -128,12 +131,12 @@ def key(field: Any, name: str = "", **more: Any) -> Any:
     return dataclasses.field(default=default, metadata=metadata, kw_only=default is not MISSING)
 
 
-def species_key(description: str) -> Any:
+def species_key(meaning: str, allowed: str) -> Any:
     """A field for one of the case's species: its name, or its number where the field is an int."""
-    return key(Field(description=description), type=TextKey, species=True)
+    return key(doc(meaning, allowed=allowed), type=TextKey, species=True)
 
 
-def inner(record: type["TableRecord"], default: Any = ..., name: str = "") -> Any:
+def inner(meaning: str, record: type["TableRecord"], default: Any = ..., name: str = "") -> Any:
     """A field for the record of an inner table."""
 
     def read(raw: Any, key: KeyContext) -> Any:
@@ -145,7 +148,7 @@ def inner(record: type["TableRecord"], default: Any = ..., name: str = "") -> An
         return record.read(Reader(section, number_name(section), data, raw))
 
     words = f"the table {record.heading.strip('`[]').rpartition('.')[2]}"
-    return key(custom(read, words, default, ("object",)), name)
+    return key(custom(meaning, read, words, default, ("object",)), name)
 
 
 class TableOf:

@@ -5,16 +5,14 @@ compared.
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from pydantic import Field
-
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, TableContext, doc, parse
 
 from ..control.records import PI, Cascade, Control, ControlRule, Manipulated, Measurement
 from ..units.operation import Unit, timed
 from .entries import EntryNumbers
 from .numbers import NOT_NEGATIVE, POSITIVE, listed, suggest
 from .numbers import quantity as number
-from .reader import TextKey, quantity, tables, word
+from .reader import TextKey, quantity, tables
 from .tables import (
     ControlTable,
     ManipulatedTable,
@@ -27,32 +25,38 @@ NOT_ZERO = "a gain that is not 0; its sign is the direction of the control"
 class RuleTable(CaseTable):
     """`[[control.rules]]`"""
 
-    name: TextKey = Field(description="a name")
-    tuning: Literal["simc", "ziegler-nichols"] = word("simc", "ziegler-nichols", default="simc")
-    loops: list[dict] = tables("[[control.rules.loops]]")
+    name: TextKey = doc("name of the rule", allowed="a name")
+    tuning: Literal["simc", "ziegler-nichols"] = doc(
+        "tuning of gains and times that the case leaves out", "simc"
+    )
+    loops: list[dict] = tables("control loops of the rule", "[[control.rules.loops]]")
 
 
 class LoopTable(CaseTable):
     """`[[control.rules.loops]]`"""
 
-    of: TextKey = Field(description="one of [[control.manipulated]]")
-    measure: TextKey = Field(description="the state of one of [[control.measurements]]")
-    setpoint: Any = Field(
-        None, description='quantities evenly over the time, as ["20 g/L", "9 g/L"]'
+    of: TextKey = doc("control that the loop decides", allowed="one of [[control.manipulated]]")
+    measure: TextKey = doc(
+        "state that the loop controls", allowed="the state of one of [[control.measurements]]"
     )
-    gain: Any = quantity('"-0.5 K/(kg/m^3)"', None)
-    integral_time: Any = quantity('"10 min"', None)
-    inner: dict | None = Field(None, description="the table inner of a cascade")
+    setpoint: Any = doc(
+        "setpoint over the time", None, 'quantities evenly over the time, as ["20 g/L", "9 g/L"]'
+    )
+    gain: Any = quantity("gain, by default tuned", '"-0.5 K/(kg/m^3)"', None)
+    integral_time: Any = quantity("integral time, by default tuned", '"10 min"', None)
+    inner: dict | None = doc("inner loop of a cascade", None, "the table inner of a cascade")
 
 
 class InnerTable(CaseTable):
     """`inner` of `[[control.rules.loops]]`"""
 
-    measure: TextKey = Field(description="the state of one of [[control.measurements]]")
-    low: Any = quantity('"300 K"')
-    high: Any = quantity('"320 K"')
-    gain: Any = quantity('"2 K/K"', None)
-    integral_time: Any = quantity('"2 min"', None)
+    measure: TextKey = doc(
+        "state that the inner loop controls", allowed="the state of one of [[control.measurements]]"
+    )
+    low: Any = quantity("lower bound of its setpoint", '"300 K"')
+    high: Any = quantity("upper bound of its setpoint", '"320 K"')
+    gain: Any = quantity("gain, by default tuned", '"2 K/K"', None)
+    integral_time: Any = quantity("integral time, by default tuned", '"2 min"', None)
 
 
 def read_rules(

@@ -9,12 +9,20 @@ from dataclasses import replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.error import CaseError
 from snapo.case.given import CaseInput, FilePosition, KeyedUnit, QuantityKey
-from snapo.case.quantity import Range, choice
-from snapo.case.table import LARGEST, TOO_LARGE, CaseTable, TableContext, keys_of, nearest, parse
+from snapo.case.quantity import Range
+from snapo.case.table import (
+    LARGEST,
+    TOO_LARGE,
+    CaseTable,
+    TableContext,
+    doc,
+    keys_of,
+    nearest,
+    parse,
+)
 
 from ..time.profile import Profile
 from .quantities import PURE, Conversion, UnitError, check_basis, conversion, own_basis, split
@@ -34,10 +42,19 @@ class Location(Protocol):
 class ProfileTable(CaseTable):
     """{ nodes = ["313.15 K", "278.15 K"], at = [0, 1], kind = "linear", ramp = "0.5 K/min" }"""
 
-    nodes: Any = Field(description='a list of quantities, such as ["313 K", "278 K"]')
-    at: Any = Field(None, description="shares of the unit's duration, rising from 0 to 1")
-    kind: Literal["linear", "constant"] = choice("linear", "constant")
-    ramp: Any = Field(None, description='a quantity in quotation marks, such as "0.5 K/min"')
+    nodes: Any = doc(
+        "values at the nodes of the profile",
+        allowed='a list of quantities, such as ["313 K", "278 K"]',
+    )
+    at: Any = doc(
+        "times of the nodes, by default evenly",
+        None,
+        "shares of the unit's duration, rising from 0 to 1",
+    )
+    kind: Literal["linear", "constant"] = doc("values between the nodes", "linear")
+    ramp: Any = doc(
+        "fastest change, by default any", None, 'a quantity in quotation marks, such as "0.5 K/min"'
+    )
 
 
 ANY, NOT_NEGATIVE, POSITIVE = Range(), Range(0.0), Range(0.0, endpoints="(]")

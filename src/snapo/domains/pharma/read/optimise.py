@@ -3,11 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
-from pydantic import Field
-
 from snapo.case.error import CaseError
 from snapo.case.quantity import Range
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, TableContext, doc, parse
 
 from ..control.records import Goal
 from ..quality.records import Attribute, DesignSpace, Parameter
@@ -15,7 +13,7 @@ from ..recipe.records import Decision, Optimise, Term
 from .entries import EntryNumbers
 from .numbers import quantity, suggest, unit_of
 from .quantities import UnitError, check_basis, conversion, own_basis
-from .reader import TextKey, tables, whole, within, word
+from .reader import TextKey, tables, whole, within
 from .reader import quantity as quantity_field
 from .tables import DesignSpaceTable, GoalTable
 
@@ -23,29 +21,45 @@ from .tables import DesignSpaceTable, GoalTable
 class TermTable(CaseTable):
     """`[[optimise.terms]]`, `[[optimise.per]]`"""
 
-    of: TextKey = Field(description='a measure or a number, such as "process.product.C"')
-    unit: str = Field("1", description='the unit in which it counts, such as "kg"')
-    weight: float = Field(1.0, description="a number")
+    of: TextKey = doc(
+        "measure or number that is added up",
+        allowed='a measure or a number, such as "process.product.C"',
+    )
+    unit: str = doc("unit in which it counts", "1", 'the unit in which it counts, such as "kg"')
+    weight: float = doc("weight in the sum", 1.0, "a number")
 
 
 class DecisionTable(CaseTable):
     """`[[optimise.decisions]]`"""
 
-    of: TextKey = Field(description='a number of the case, such as "crystalliser.temperature[1]"')
-    low: Any = quantity_field('"273 K"')
-    high: Any = quantity_field('"313 K"')
+    of: TextKey = doc(
+        "number that is decided",
+        allowed='a number of the case, such as "crystalliser.temperature[1]"',
+    )
+    low: Any = quantity_field("lower bound", '"273 K"')
+    high: Any = quantity_field("upper bound", '"313 K"')
 
 
 class OptimiseTable(CaseTable):
     """`[optimise]`"""
 
-    sense: Literal["maximise", "minimise"] = word("maximise", "minimise", default="maximise")
-    terms: list[dict] = tables("[[optimise.terms]]")
-    per: list[dict] = Field([], description="tables [[optimise.per]]")
-    decisions: list[dict] = tables("[[optimise.decisions]]")
-    reserve: float = within(Range(0.0, noun="a number of margins"), 0.0)
-    deviations: float = within(Range(0.0, noun="a number of standard deviations"), 0.0)
-    starts: int = whole(1, 1000, default=1)
+    sense: Literal["maximise", "minimise"] = doc(
+        "whether the goal is maximised or minimised", "maximise"
+    )
+    terms: list[dict] = tables("terms of the goal", "[[optimise.terms]]")
+    per: list[dict] = doc("terms by whose sum the goal is divided", [], "tables [[optimise.per]]")
+    decisions: list[dict] = tables("numbers that are decided", "[[optimise.decisions]]")
+    reserve: float = within(
+        "margins by which the recipe stays away from every limit",
+        Range(0.0, noun="a number of margins"),
+        0.0,
+    )
+    deviations: float = within(
+        "standard deviations by which it stays away from every limit",
+        Range(0.0, noun="a number of standard deviations"),
+        0.0,
+    )
+    starts: int = whole("points from which the search begins", 1, 1000, default=1)
 
 
 def read_optimise(

@@ -9,7 +9,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field
 
 from snapo.case.quantity import Range
-from snapo.case.table import CaseTable, TableContext, parse
+from snapo.case.table import CaseTable, TableContext, doc, parse
 
 from .numbers import check_name, suggest
 
@@ -20,18 +20,19 @@ TextKey = Annotated[str, Field(min_length=1)]
 Texts = Annotated[list[TextKey], Field(min_length=1)]
 
 
-def quantity(subject: str, default: Any = ..., meaning: str | None = None) -> Any:
-    """A field for a number with a unit, required without a default. `meaning`: its meaning."""
-    text = f"a quantity in quotation marks, such as {subject}"
-    return Field(default, description=text, title=meaning)
+def quantity(meaning: str, subject: str, default: Any = ...) -> Any:
+    """A field for a number with a unit, required without a default."""
+    return doc(meaning, default, f"a quantity in quotation marks, such as {subject}")
 
 
-def whole(low: int, high: float = math.inf, default: Any = ..., note: str = "") -> Any:
+def whole(
+    meaning: str, low: int, high: float = math.inf, default: Any = ..., note: str = ""
+) -> Any:
     """A field for a whole number of a range."""
-    return within(Range(low, high, note=note, noun="a whole number"), default)
+    return within(meaning, Range(low, high, note=note, noun="a whole number"), default)
 
 
-def within(bounds: Range, default: Any = ...) -> Any:
+def within(meaning: str, bounds: Range, default: Any = ...) -> Any:
     """A field for a number of a range, which its type does not repeat."""
     low, high = bounds.endpoints
     limits = {
@@ -39,22 +40,17 @@ def within(bounds: Range, default: Any = ...) -> Any:
         "lt" if high == ")" else "le": bounds.high,
     }
     limits: Any = {name: end for name, end in limits.items() if math.isfinite(end)}
-    return Field(default, description=str(bounds), **limits)
+    return doc(meaning, default, str(bounds), **limits)
 
 
-def tables(name: str) -> Any:
+def tables(meaning: str, name: str) -> Any:
     """A field for one table of an array, or more."""
-    return Field(description=f"one table {name} or more", min_length=1)
+    return doc(meaning, allowed=f"one table {name} or more", min_length=1)
 
 
-def pair(subject: str) -> Any:
+def pair(meaning: str, subject: str) -> Any:
     """A field for a list of two."""
-    return Field(description=f"two {subject}", min_length=2, max_length=2)
-
-
-def word(*text: str, default: Any = ...) -> Any:
-    """A field for one of a few names."""
-    return Field(default, description=" or ".join(f'"{item}"' for item in text))
+    return doc(meaning, allowed=f"two {subject}", min_length=2, max_length=2)
 
 
 class Reader(NamedTuple):

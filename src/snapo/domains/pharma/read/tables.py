@@ -7,37 +7,41 @@ of units are those of the unit operations.
 from typing import Annotated, Any, Literal
 
 import pydantic
-from pydantic import Field
 
 from snapo.case.parts import PartNames, names_of_parts
 from snapo.case.quantity import Range
-from snapo.case.report import ReportTable
-from snapo.case.table import TITLE, CaseTable, Title
+from snapo.case.report import ReportKey, ReportTable
+from snapo.case.settings import EvaluationKey, TrainingKey
+from snapo.case.table import CaseTable, Title, doc, subtable
 
-from .reader import PROBABILITY, TextKey, pair, quantity, tables, whole, within, word
+from .reader import PROBABILITY, TextKey, pair, quantity, tables, whole, within
 
 
 class SpeciesTable(CaseTable):
     """`[species]`, one line for each."""
 
-    molar_mass: Any = quantity('"150 g/mol"')
+    molar_mass: Any = quantity("molar mass", '"150 g/mol"')
 
 
 class ReactionTable(CaseTable):
     """`[[reactions]]`"""
 
-    name: TextKey = Field(description="a name")
-    equation: TextKey = Field(description='an equation such as "A + 2 B -> C"')
-    prefactor: Any = quantity('"2.65e4 L/mol/s"', meaning="prefactor of the rate")
-    activation: Any = quantity('"40 kJ/mol"', meaning="activation energy")
-    heat: Any = quantity('"-50 kJ/mol"', "0 J/mol", meaning="heat of reaction")
-    order: dict[str, Any] = Field({}, description="exponents such as { A = 2 }")
+    name: TextKey = doc("name of the reaction", allowed="a name")
+    equation: TextKey = doc("reaction equation", allowed='an equation such as "A + 2 B -> C"')
+    prefactor: Any = quantity("prefactor of the rate", '"2.65e4 L/mol/s"')
+    activation: Any = quantity("activation energy", '"40 kJ/mol"')
+    heat: Any = quantity("heat of reaction", '"-50 kJ/mol"', "0 J/mol")
+    order: dict[str, Any] = doc(
+        "orders of the rate that differ from the numbers in the equation",
+        {},
+        "exponents such as { A = 2 }",
+    )
 
 
 # `from` is a word of Python, so this table is not written as a class.
 ENDS: dict[str, Any] = {
-    "from": (TextKey, Field(description='a feed, or "unit.outlet"')),
-    "to": (TextKey, Field(description='"unit.inlet"')),
+    "from": (TextKey, doc("where material comes from", allowed='a feed, or "unit.outlet"')),
+    "to": (TextKey, doc("where material goes", allowed='"unit.inlet"')),
 }
 ConnectionTable = pydantic.create_model("ConnectionTable", __base__=CaseTable, **ENDS)
 
@@ -45,136 +49,187 @@ ConnectionTable = pydantic.create_model("ConnectionTable", __base__=CaseTable, *
 class DistributionTable(CaseTable):
     """{ kind = "lognormal", spread = 0.1 }"""
 
-    kind: Literal["normal", "lognormal", "uniform"] = word("normal", "lognormal", "uniform")
-    spread: Any = Field(description='a number, or a quantity such as "0.5 K"')
+    kind: Literal["normal", "lognormal", "uniform"] = doc("distribution around the value")
+    spread: Any = doc(
+        "standard deviation, or half of the width of a uniform one",
+        allowed='a number, or a quantity such as "0.5 K"',
+    )
 
 
 class ParameterTable(CaseTable):
     """`[[parameters]]`"""
 
-    name: TextKey = Field(description="a name")
-    of: TextKey = Field(description='a number of the case, such as "crystalliser.temperature[1]"')
-    range: list[Any] = pair('quantities such as ["303 K", "323 K"]')
-    normal: list[Any] = pair('quantities such as ["312 K", "314 K"]')
-    distribution: dict | None = Field(None, description='{ kind = "normal", spread = "0.5 K" }')
-    control: bool = Field(True, description="true or false")
-    source: TextKey = Field(description="a sentence on the origin of the range")
+    name: TextKey = doc("name of the parameter", allowed="a name")
+    of: TextKey = doc(
+        "number of the case that it is",
+        allowed='a number of the case, such as "crystalliser.temperature[1]"',
+    )
+    range: list[Any] = pair("range that is studied", 'quantities such as ["303 K", "323 K"]')
+    normal: list[Any] = pair("normal operating range", 'quantities such as ["312 K", "314 K"]')
+    distribution: dict | None = doc(
+        "variation from batch to batch, by default none",
+        None,
+        '{ kind = "normal", spread = "0.5 K" }',
+    )
+    control: bool = doc("whether the parameter is controlled, and no material attribute", True)
+    source: TextKey = doc("origin of the range", allowed="a sentence on the origin of the range")
 
 
 class AttributeTable(CaseTable):
     """`[[attributes]]`"""
 
-    name: TextKey = Field(description="a name")
-    measure: TextKey = Field(description='a measure such as "dryer.solvent"')
-    unit: str = Field(description='a unit such as "um", or "1"')
-    low: Any = quantity('"80 um"', None)
-    high: Any = quantity('"100 um"', None)
-    citation: str = Field("", description="the source of the limit, a sentence")
-    margin: Any = quantity('"1 um"', None)
+    name: TextKey = doc("name of the quality attribute", allowed="a name")
+    measure: TextKey = doc("measure that it is", allowed='a measure such as "dryer.solvent"')
+    unit: str = doc("unit of the attribute in all tables", allowed='a unit such as "um", or "1"')
+    low: Any = quantity("lower limit", '"80 um"', None)
+    high: Any = quantity("upper limit", '"100 um"', None)
+    citation: str = doc("source of the limits", "", "the source of the limit, a sentence")
+    margin: Any = quantity(
+        "small difference, by default 2 % of the distance between the limits", '"1 um"', None
+    )
 
 
 class UncertaintyTable(CaseTable):
     """`[[uncertainty]]`"""
 
-    of: TextKey = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
-    distribution: dict = Field(description='{ kind = "lognormal", spread = 0.1 }')
-    when: Literal["batch", "step"] = word("batch", "step", default="batch")
-    between_batches: bool = Field(False, description="true or false")
+    of: TextKey = doc(
+        "uncertain number of the case",
+        allowed='a number of the case, such as "kinetics.prefactor[0]"',
+    )
+    distribution: dict = doc(
+        "distribution around its value", allowed='{ kind = "lognormal", spread = 0.1 }'
+    )
+    when: Literal["batch", "step"] = doc(
+        "whether it is drawn for a batch, or for every decision step", "batch"
+    )
+    between_batches: bool = doc("whether it differs between batches", False)
 
 
 class CorrelationTable(CaseTable):
     """`[[correlations]]`"""
 
-    between: list[TextKey] = pair("of the numbers under [[uncertainty]]")
-    value: float = within(Range(-1.0, 1.0, "()"))
+    between: list[TextKey] = pair(
+        "uncertain numbers that are correlated", "of the numbers under [[uncertainty]]"
+    )
+    value: float = within("correlation of the two", Range(-1.0, 1.0, "()"))
 
 
 class ManipulatedTable(CaseTable):
     """`[[control.manipulated]]`"""
 
-    of: TextKey = Field(description='a control of a unit, such as "crystalliser.temperature"')
-    low: Any = quantity('"273 K"')
-    high: Any = quantity('"313 K"')
-    ramp: Any = quantity('"0.5 K/min"', None)
+    of: TextKey = doc(
+        "control that the policy decides",
+        allowed='a control of a unit, such as "crystalliser.temperature"',
+    )
+    low: Any = quantity("lower bound", '"273 K"')
+    high: Any = quantity("upper bound", '"313 K"')
+    ramp: Any = quantity("fastest change, by default any", '"0.5 K/min"', None)
 
 
 class MeasurementTable(CaseTable):
     """`[[control.measurements]]`"""
 
-    state: TextKey = Field(description='a state of a unit, such as "crystalliser.concentration"')
-    error: Any = quantity('"0.1 kg/m^3"')
-    centre: Any = quantity('"10 kg/m^3"')
-    width: Any = quantity('"5 kg/m^3"')
-    delay: Any = quantity('"2 min"', "0 s")
+    state: TextKey = doc(
+        "state that is measured", allowed='a state of a unit, such as "crystalliser.concentration"'
+    )
+    error: Any = quantity("standard deviation of the error", '"0.1 kg/m^3"')
+    centre: Any = quantity("reading that the policy sees as 0", '"10 kg/m^3"')
+    width: Any = quantity("difference of readings that the policy sees as 1", '"5 kg/m^3"')
+    delay: Any = quantity("dead time of the measurement", '"2 min"', "0 s")
 
 
 class ControlTable(CaseTable):
     """`[control]`"""
 
-    manipulated: list[dict] = tables("[[control.manipulated]]")
-    measurements: list[dict] = tables("[[control.measurements]]")
-    steps: dict[str, Annotated[int, whole(1, 1000)]] = Field(
-        description="decisions per unit, such as { crystalliser = 12 }"
+    manipulated: list[dict] = tables("controls that the policy decides", "[[control.manipulated]]")
+    measurements: list[dict] = tables("states that the policy observes", "[[control.measurements]]")
+    steps: dict[str, Annotated[int, whole("", 1, 1000)]] = doc(
+        "number of decisions in a unit; others keep their recipe",
+        allowed="decisions per unit, such as { crystalliser = 12 }",
     )
-    substeps: int = whole(1, 64, default=32)
-    solubility_margin: Any = Field(None, description="a number above 0")
-    rules: list[dict] = Field([], description="tables [[control.rules]]")
+    substeps: int = whole("integration steps within one decision", 1, 64, default=32)
+    solubility_margin: Any = doc("largest relative supersaturation", None, "a number above 0")
+    rules: list[dict] = doc("controllers for comparison", [], "tables [[control.rules]]")
 
 
 class GoalTable(CaseTable):
     """`[goal]`"""
 
-    kind: Literal["mean", "cvar", "probability"] = word(
-        "mean", "cvar", "probability", default="probability"
+    kind: Literal["mean", "cvar", "probability"] = doc("maximised statistic", "probability")
+    attribute: str = doc("attribute of a mean or CVaR", "", "the name of an attribute")
+    sense: Literal["maximise", "minimise"] = doc(
+        "whether the attribute is maximised or minimised", "maximise"
     )
-    attribute: str = Field("", description="the name of an attribute")
-    sense: Literal["maximise", "minimise"] = word("maximise", "minimise", default="maximise")
-    level: float = within(PROBABILITY, 0.95)
-    penalty: float = within(Range(0.0), 1.0)
+    level: float = within("level of the CVaR, the mean of the worst 1 - level", PROBABILITY, 0.95)
+    penalty: float = within("deduction for every margin of violation", Range(0.0), 1.0)
 
 
 class DesignSpaceTable(CaseTable):
     """`[design_space]`"""
 
-    axes: list[TextKey] = Field(
-        min_length=2, max_length=3, description="the names of two or three parameters"
+    axes: list[TextKey] = doc(
+        "parameters along the axes",
+        allowed="the names of two or three parameters",
+        min_length=2,
+        max_length=3,
     )
-    points: int = whole(3, 201, default=17, note=", of points along each axis")
-    samples: int = whole(16, 10**6, default=256, note=", of draws at each point")
-    levels: list[Annotated[float, within(PROBABILITY)]] = Field(
-        [0.85, 0.95, 0.99], min_length=1, description=f"a list, each {PROBABILITY}"
+    points: int = whole("points of an axis", 3, 201, default=17, note=", of points along each axis")
+    samples: int = whole(
+        "draws of the uncertain numbers at every point",
+        16,
+        10**6,
+        default=256,
+        note=", of draws at each point",
     )
-    required: float = within(PROBABILITY, 0.9)
+    levels: list[Annotated[float, within("", PROBABILITY)]] = doc(
+        "probabilities of the contours",
+        [0.85, 0.95, 0.99],
+        f"a list, each {PROBABILITY}",
+        min_length=1,
+    )
+    required: float = within("probability of all limits in the design space", PROBABILITY, 0.9)
 
 
 class FitTable(CaseTable):
     """`[[estimation.fit]]`"""
 
-    of: TextKey = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
-    low: Any = quantity('"1e3 L/mol/s"')
-    high: Any = quantity('"1e6 L/mol/s"')
-    logarithm: bool = Field(False, description="true or false")
+    of: TextKey = doc(
+        "number that is fitted", allowed='a number of the case, such as "kinetics.prefactor[0]"'
+    )
+    low: Any = quantity("lower bound", '"1e3 L/mol/s"')
+    high: Any = quantity("upper bound", '"1e6 L/mol/s"')
+    logarithm: bool = doc("whether its logarithm is fitted", False)
 
 
 class ExperimentTable(CaseTable):
     """`[[estimation.experiments]]`"""
 
-    name: TextKey = Field(description="a name")
-    data: TextKey = Field(description="a CSV file with columns time,state,value,error")
-    settings: dict[str, Any] = Field(
-        {}, description='numbers that differ, such as { "charge.temperature" = "303 K" }'
+    name: TextKey = doc("name of the measured batch", allowed="a name")
+    data: TextKey = doc("measurements", allowed="a CSV file with columns time,state,value,error")
+    settings: dict[str, Any] = doc(
+        "numbers that were different in the batch",
+        {},
+        'numbers that differ, such as { "charge.temperature" = "303 K" }',
     )
-    held_out: bool = Field(False, description="true or false")
+    held_out: bool = doc("whether the batch is predicted and not fitted", False)
 
 
 class EstimationTable(CaseTable):
     """`[estimation]`"""
 
-    fit: list[dict] = tables("[[estimation.fit]]")
-    experiments: list[dict] = tables("[[estimation.experiments]]")
-    level: float = within(PROBABILITY, 0.95)
-    errors: Literal["known", "relative"] = word("known", "relative", default="known")
-    starts: int = whole(1, 1000, default=8, note=", of points from which the search begins")
+    fit: list[dict] = tables("numbers that are fitted", "[[estimation.fit]]")
+    experiments: list[dict] = tables("measured batches", "[[estimation.experiments]]")
+    level: float = within("confidence level of the intervals", PROBABILITY, 0.95)
+    errors: Literal["known", "relative"] = doc(
+        "whether measurement errors are known, or only their ratios", "known"
+    )
+    starts: int = whole(
+        "points from which the search begins",
+        1,
+        1000,
+        default=8,
+        note=", of points from which the search begins",
+    )
 
 
 TOLERANCE = Range(0.0, 0.1, "()", note=", such as 1e-10")
@@ -183,15 +238,13 @@ TOLERANCE = Range(0.0, 0.1, "()", note=", such as 1e-10")
 class NumericsTable(CaseTable):
     """`[numerics]`"""
 
-    method: Literal["auto", "mesh", "stiff", "adaptive"] = word(
-        "auto", "mesh", "stiff", "adaptive", default="auto"
-    )
-    steps: int = whole(8, 100_000, default=320)
-    tolerance: float = within(TOLERANCE, 1e-10)
-    max_steps: int = whole(1, default=20_000)
-    refine: bool = Field(True, description="true or false")
-    loop_tolerance: float = within(TOLERANCE, 1e-10)
-    loop_rounds: int = whole(1, 1000, default=50)
+    method: Literal["auto", "mesh", "stiff", "adaptive"] = doc("method of integration", "auto")
+    steps: int = whole("integration steps for every piece of a profile", 8, 100_000, default=320)
+    tolerance: float = within("relative tolerance of adaptive steps", TOLERANCE, 1e-10)
+    max_steps: int = whole("largest number of adaptive steps", 1, default=20_000)
+    refine: bool = doc("whether a finer batch is computed too, and the changes reported", True)
+    loop_tolerance: float = within("relative tolerance of recycles", TOLERANCE, 1e-10)
+    loop_rounds: int = whole("largest number of rounds of a recycle", 1, 1000, default=50)
 
 
 class PharmaReportTable(ReportTable):
@@ -203,33 +256,49 @@ class PharmaReportTable(ReportTable):
 class PharmaTable(CaseTable):
     """The whole file."""
 
-    kind: Literal["pharma"] = word("pharma")
-    title: Title = Field("Pharmaceutical process", description=TITLE)
-    purpose: str = Field("", description="a sentence on the purpose of the model")
-    assumptions: list[str] = Field([], description="sentences for the report")
-    held: list[TextKey] = Field([], description="numbers of the case that get no sensitivity")
-    fitted: TextKey | None = Field(
-        None, description='the file "fitted.csv" of a run with [estimation]'
+    kind: Literal["pharma"] = doc("kind of the case")
+    title: Title = "Pharmaceutical process"
+    purpose: str = doc("purpose of the model", "", "a sentence on the purpose of the model")
+    assumptions: list[str] = doc("additional assumptions", [], "sentences for the report")
+    held: list[TextKey] = doc(
+        "numbers without a sensitivity", [], "numbers of the case that get no sensitivity"
     )
-    reference_temperature: Any = quantity('"313.15 K"', None)
-    species: dict = Field(description='lines such as A = { molar_mass = "100 g/mol" }')
-    reactions: list[dict] = Field([], description="tables [[reactions]]")
-    feeds: dict = Field(description="tables [feeds.NAME]")
-    units: dict = Field(description="tables [units.NAME]")
-    connections: list[dict] = Field([], description="tables [[connections]]")
-    parameters: list[dict] = tables("[[parameters]]")
-    attributes: list[dict] = tables("[[attributes]]")
-    uncertainty: list[dict] = Field([], description="tables [[uncertainty]]")
-    correlations: list[dict] = Field([], description="tables [[correlations]]")
-    pairs: list[Annotated[list[TextKey], pair("parameters")]] = Field(
-        [], description='pairs of parameters, such as [["T_R", "W"]]'
+    fitted: TextKey | None = doc(
+        "fitted numbers, with their covariance, instead of those of the case",
+        None,
+        'the file "fitted.csv" of a run with [estimation]',
     )
-    control: dict | None = Field(None, description="the table [control]")
-    goal: dict = Field({}, description="the table [goal]")
-    design_space: dict | None = Field(None, description="the table [design_space]")
-    estimation: dict | None = Field(None, description="the table [estimation]")
-    optimise: dict | None = Field(None, description="the table [optimise]")
-    report: dict = Field({}, description="the table [report]")
-    numerics: dict = Field({}, description="the table [numerics]")
-    training: dict = Field({}, description="the table [training]")
-    evaluation: dict = Field({}, description="the table [evaluation]")
+    reference_temperature: Any = quantity(
+        "temperature at which prefactors are rate constants, by default infinite",
+        '"313.15 K"',
+        None,
+    )
+    species: dict = doc(
+        "species, and their molar masses", allowed='lines such as A = { molar_mass = "100 g/mol" }'
+    )
+    reactions: list[dict] = doc("reactions between the species", [], "tables [[reactions]]")
+    feeds: dict = doc("material that enters", allowed="tables [feeds.NAME]")
+    units: dict = doc("unit operations", allowed="tables [units.NAME]")
+    connections: list[dict] = doc("connections of feeds and units", [], "tables [[connections]]")
+    parameters: list[dict] = tables("process parameters and their ranges", "[[parameters]]")
+    attributes: list[dict] = tables("quality attributes, with their limits", "[[attributes]]")
+    uncertainty: list[dict] = doc("uncertain numbers", [], "tables [[uncertainty]]")
+    correlations: list[dict] = doc(
+        "correlations of uncertain numbers", [], "tables [[correlations]]"
+    )
+    pairs: list[Annotated[list[TextKey], pair("", "parameters")]] = doc(
+        "pairs of parameters for second derivatives",
+        [],
+        'pairs of parameters, such as [["T_R", "W"]]',
+    )
+    control: dict | None = subtable("control by a policy within a batch", "control", None)
+    goal: dict = subtable("goal of the policy", "goal", {})
+    design_space: dict | None = subtable(
+        "ranges that meet all limits with a probability", "design_space", None
+    )
+    estimation: dict | None = subtable("fit of numbers to measured batches", "estimation", None)
+    optimise: dict | None = subtable("recipe that is optimised", "optimise", None)
+    report: ReportKey
+    numerics: dict = subtable("methods and tolerances", "numerics", {})
+    training: TrainingKey
+    evaluation: EvaluationKey

@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import choice
-from snapo.case.table import TableContext
+from snapo.case.table import TableContext, doc, subtable
 from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Stream, ledger
@@ -65,29 +63,34 @@ class Crystalliser(Timed):
       their own; "suspension": per volume of both together, as for few crystals.
     """
 
-    solute: str = species_key("the name of a species")
+    solute: str = species_key("species that crystallises", "the name of a species")
     duration: CaseInput = TIME("time of crystallisation", example="7200 s")
     temperature: Profile = ABSOLUTE.profile("temperature of the crystalliser")
     initial_concentration: CaseInput | None = CONCENTRATION(
         "concentration of the solute at the start", None, example="49 kg/m^3"
     )
-    solubility: Solubility = inner(Solubility)
-    kinetics: Kinetics = inner(Kinetics)
+    solubility: Solubility = inner("solubility of the solute", Solubility)
+    kinetics: Kinetics = inner("growth, nucleation and dissolution", Kinetics)
     shape: CaseInput = SHAPE("volume of a crystal per cube of its size")
     density: CaseInput = CRYSTALS("density of crystals")
     nuclei_size: CaseInput = LENGTH(
         "size of new crystals", "0 m", range=NOT_NEGATIVE, example="1 um"
     )
-    seed: Seed = inner(Seed)
-    separate: bool = key(Field(False, description="true or false"))
+    seed: Seed = inner("crystals at the start", Seed)
+    separate: bool = key(doc("whether seed and nuclei have separate moments", False))
     dosing: Profile | None = FLOW.profile("flow of anti-solvent", None)
     edges: np.ndarray | None = None
-    basis: Literal["solution", "suspension"] = key(choice("solution", "suspension"))
+    basis: Literal["solution", "suspension"] = key(
+        doc("whether concentrations are per volume of liquid or of suspension", "solution")
+    )
 
     type = "crystalliser"
     more_keys: ClassVar = {
-        "method": (Literal["moments", "finite-volumes"], choice("moments", "finite-volumes")),
-        "sizes": (dict | None, Field(None, description="the table sizes")),
+        "method": (
+            Literal["moments", "finite-volumes"],
+            doc("how crystals are counted: by moments, or in cells over size", "moments"),
+        ),
+        "sizes": (dict | None, subtable("cells over the size of crystals", "sizes", None)),
     }
     variant = ""
     title = "crystalliser"

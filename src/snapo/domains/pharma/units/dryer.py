@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import choice
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..flowsheet.network import GAS_CONSTANT
@@ -38,7 +38,12 @@ class Dryer(Unit):
     reference_size: CaseInput = LENGTH("size to which the drying rate refers", example="40 um")
 
     type = "dryer"
-    more_keys: ClassVar = {"kind": (Literal["falling-rate"], choice("falling-rate", "tray"))}
+    more_keys: ClassVar = {
+        "kind": (
+            Literal["falling-rate"],
+            doc("model of the dryer", "falling-rate", '"falling-rate" or "tray"'),
+        )
+    }
     variant = "falling-rate"
     title = "dryer"
     reacts = False

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import choice
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, Stream, clear, ledger
@@ -41,7 +41,7 @@ class Filter(Instant):
     resistance: CaseInput | None = UnitQuantity("m/kg", POSITIVE, example="1e11 m/kg")(
         "specific resistance of the cake", None
     )
-    wash: Literal["exponential", "dispersion"] = key(choice("exponential", "dispersion"))
+    wash: Literal["exponential", "dispersion"] = key(doc("model of the wash", "exponential"))
     wash_ratio: CaseInput = UnitQuantity(range=NOT_NEGATIVE)("wash liquid per void volume")
     efficiency: CaseInput | None = UnitQuantity(range=NOT_NEGATIVE)("efficiency of the wash", None)
     peclet: CaseInput | None = UnitQuantity(range=POSITIVE)("Peclet number of the wash", None)

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import Range, choice
+from snapo.case.quantity import Range
+from snapo.case.table import doc
 
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish
 from ..given import use
@@ -31,7 +32,7 @@ class Nutsche(Filter):
         "pressure difference of filtration", alias="filter_pressure", range=POSITIVE
     )
     wash: Literal["exponential", "dispersion"] = key(
-        choice("reslurry", "dispersion", "exponential"),
+        doc("model of the wash", "reslurry"),
         type=Literal["reslurry", "dispersion", "exponential"],
     )
     wash_ratio: CaseInput = UnitQuantity(range=NOT_NEGATIVE)(

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import choice
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, jax, jnp
 
 from ..flowsheet.network import GAS_CONSTANT, rate_constants, rates
@@ -37,7 +37,7 @@ class Hydrogenation(Timed):
 
     duration: CaseInput = TIME("reaction time", example="3 h")
     temperature: Profile = ABSOLUTE.profile("temperature of the reactor")
-    gas: int = species_key("the species that is the gas")
+    gas: int = species_key("species of the gas", "the species that is the gas")
     pressure: Profile = PRESSURE.profile("partial pressure of the gas")
     transfer: CaseInput = RATE("kL a of the gas", range=POSITIVE, example="0.05 1/s")
     henry: CaseInput = UnitQuantity("Pa*m3/kmol", POSITIVE, example="3.4e7 Pa*L/mol")(
@@ -47,7 +47,9 @@ class Hydrogenation(Timed):
         "enthalpy of dissolution of the gas", "0 J/mol", example="5 kJ/mol"
     )
     reference: float = ABSOLUTE.number("temperature of Henry's constant", "298.15 K")
-    dissolved: Literal["dynamic", "pseudo-steady"] = key(choice("dynamic", "pseudo-steady"))
+    dissolved: Literal["dynamic", "pseudo-steady"] = key(
+        doc("whether dissolved gas is a state, or in balance with its use", "dynamic")
+    )
 
     type = "hydrogenation"
     variant = ""

@@ -20,10 +20,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import choice
+from snapo.case.table import doc, subtable
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Sizes, ledger
@@ -76,10 +75,10 @@ class Msmpr(Instant):
     - `basis`: the basis of concentrations, as of a batch crystalliser.
     """
 
-    solute: str = species_key("the name of a species")
+    solute: str = species_key("species that crystallises", "the name of a species")
     volume: CaseInput = VOLUME("volume of the suspension")
     temperature: CaseInput = ABSOLUTE("temperature of the crystalliser", example="283 K")
-    solubility: Solubility = inner(Solubility)
+    solubility: Solubility = inner("solubility of the solute", Solubility)
     growth: CaseInput = GROWTH("growth at a supersaturation of 1")
     growth_order: CaseInput = POWER("order of growth", 1.0, range=POSITIVE)
     nucleation: CaseInput = UnitQuantity("1/m3/s", POSITIVE, example="1e7 1/m^3/s")(
@@ -94,10 +93,14 @@ class Msmpr(Instant):
     shape: CaseInput = SHAPE("volume of a crystal per size^3")
     density: CaseInput = CRYSTALS("density of crystals")
     edges: np.ndarray | None = None
-    basis: Literal["solution", "suspension"] = key(choice("solution", "suspension"))
+    basis: Literal["solution", "suspension"] = key(
+        doc("whether concentrations are per volume of liquid or of suspension", "solution")
+    )
 
     type = "msmpr"
-    more_keys: ClassVar = {"sizes": (dict | None, Field(None, description="the table sizes"))}
+    more_keys: ClassVar = {
+        "sizes": (dict | None, subtable("cells over the size of crystals", "sizes", None))
+    }
     variant = ""
     title = "continuous crystalliser"
     reacts = False

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 import numpy as np
 
 from snapo.case.given import CaseInput
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, Float, jnp
 
 from ..flowsheet.feed import Feed
@@ -85,7 +86,9 @@ class Unit(ABC):
         if "type" in vars(cls):
             kind = getattr(cls, "variant", "")
             cls.heading = f'`type = "{cls.type}"`' + (f', `kind = "{kind}"`' if kind else "")
-            cls.more_keys = {"type": (Literal[cls.type], ...)} | vars(cls).get("more_keys", {})
+            cls.more_keys = {"type": (Literal[cls.type], doc("type of the unit"))} | vars(cls).get(
+                "more_keys", {}
+            )
 
     @classmethod
     def read(cls, read: Reader, species: tuple[str, ...]) -> Self:

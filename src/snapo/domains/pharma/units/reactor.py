@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import choice
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.network import FlowNetwork, fastest_rate, rate_constants, rates
@@ -60,14 +60,16 @@ class Reactor(Timed):
 
     duration: CaseInput = TIME("reaction time")
     kind: Literal["batch", "semi-batch", "stirred", "plug-flow"] = key(
-        choice("batch", "semi-batch", "stirred", "plug-flow")
+        doc("kind of the reactor", "batch")
     )
     temperature: Profile = ABSOLUTE.profile("temperature of the reactor")
     volume: CaseInput | None = VOLUME("volume of the reactor", None)
     dosing: Profile | None = FLOW.profile("flow that is dosed", None)
-    jacket: Jacket | None = inner(Jacket, None)
-    cells: int | None = key(whole(1, 1000, default=None))
-    filled: Literal["feed", "solvent"] = key(choice("feed", "solvent"))
+    jacket: Jacket | None = inner("heat balance with a jacket", Jacket, None)
+    cells: int | None = key(
+        whole("stirred cells in series of a plug flow, by default a tube", 1, 1000, default=None)
+    )
+    filled: Literal["feed", "solvent"] = key(doc("content at the start", "feed"))
     elements: int = ELEMENTS
 
     type = "reactor"

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from pydantic import Field
-
 from snapo.case.given import CaseInput
+from snapo.case.table import doc
 from snapo.problem.record.arrays import jnp
 
 from ..flowsheet.stream import LedgerFinish, Stream, ledger
@@ -34,9 +33,19 @@ class Splitter(Instant):
     more_keys: ClassVar = {
         "outlets": (
             list[TextKey],
-            Field(min_length=2, description='two names or more, such as ["left", "right"]'),
+            doc(
+                "outlets among which the stream is divided",
+                allowed='two names or more, such as ["left", "right"]',
+                min_length=2,
+            ),
         ),
-        "share": (Any, Field(description="shares of all outlets but the last, from 0 to 1")),
+        "share": (
+            Any,
+            doc(
+                "share of the stream in every outlet but the last",
+                allowed="shares of all outlets but the last, from 0 to 1",
+            ),
+        ),
     }
     variant = ""
     title = "splitter"

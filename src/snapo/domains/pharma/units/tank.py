@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from pydantic import Field
-
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import LedgerFinish, Stream, ledger, together
@@ -20,7 +19,10 @@ class Tank(Instant):
 
     type = "tank"
     more_keys: ClassVar = {
-        "inlets": (Texts, Field(description='a list of names, such as ["first", "second"]'))
+        "inlets": (
+            Texts,
+            doc("inlets that are mixed", allowed='a list of names, such as ["first", "second"]'),
+        )
     }
     variant = ""
     title = "tank"

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import choice
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, jnp
 
 from ..flowsheet.stream import NO_CRYSTALS, LedgerFinish, clear, ledger
@@ -57,14 +56,21 @@ class Liquid(TableRecord):
     more_keys: ClassVar = {
         "antoine": (
             list[float],
-            Field(
+            doc(
+                "A, B and C of Antoine's equation, log10 p = A - B / (C + T)",
+                allowed="three numbers, such as [9.23027, 1256.68, -40.529]",
                 min_length=3,
                 max_length=3,
-                description="three numbers, such as [9.23027, 1256.68, -40.529]",
             ),
         ),
-        "unit": (TextKey, Field("Pa", description='a unit such as "Pa"')),
-        "scale": (Literal["K", "degC"], choice("K", "degC")),
+        "unit": (
+            TextKey,
+            doc("unit of the pressure in Antoine's equation", "Pa", 'a unit such as "Pa"'),
+        ),
+        "scale": (
+            Literal["K", "degC"],
+            doc("temperature scale of Antoine's equation", "K"),
+        ),
     }
 
     @classmethod
@@ -108,10 +114,12 @@ class TrayDryer(Timed):
         "moisture below which the rate falls"
     )
     heat_capacity: CaseInput = HEAT_CAPACITY("heat capacity of the crystals")
-    liquid: Liquid = inner(Liquid)
+    liquid: Liquid = inner("liquid in the cake", Liquid)
 
     type = "dryer"
-    more_keys: ClassVar = {"kind": (Literal["tray"], Field(description='"falling-rate" or "tray"'))}
+    more_keys: ClassVar = {
+        "kind": (Literal["tray"], doc("model of the dryer", allowed='"falling-rate" or "tray"'))
+    }
     variant = "tray"
     title = "tray dryer"
     reacts = False

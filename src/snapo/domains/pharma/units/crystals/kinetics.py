@@ -24,16 +24,20 @@ class Kinetics(TableRecord):
     mu3 in m3/m3 being that of all crystals.
     """
 
-    growth: CaseInput = RATE("growth", example="5 um/s")
-    growth_order: CaseInput = ORDER("growth order")
-    dissolution: CaseInput = RATE("dissolution", "0 m/s", example="1 um/s")
-    dissolution_order: CaseInput = ORDER("dissolution order", 1.0)
-    primary: CaseInput = NUCLEI("primary", "0 1/m^3/s", example="3e8 1/m^3/s")
-    primary_order: CaseInput = ORDER("primary order", 1.0)
-    secondary: CaseInput = NUCLEI("secondary", "0 1/m^3/s", example="4.46e10 1/m^3/s")
-    secondary_order: CaseInput = ORDER("secondary order", 1.0)
-    crystal_order: CaseInput = ORDER("crystal order", 1.0)
-    rounding: float = ORDER.number("rounding", 5e-6, range=POSITIVE)
+    growth: CaseInput = RATE("growth rate at a supersaturation of 1", example="5 um/s")
+    growth_order: CaseInput = ORDER("order of growth in the supersaturation")
+    dissolution: CaseInput = RATE("dissolution at undersaturation 1", "0 m/s", example="1 um/s")
+    dissolution_order: CaseInput = ORDER("order of dissolution in the undersaturation", 1.0)
+    primary: CaseInput = NUCLEI(
+        "primary nucleation at a supersaturation of 1", "0 1/m^3/s", example="3e8 1/m^3/s"
+    )
+    primary_order: CaseInput = ORDER("order of primary nucleation in the supersaturation", 1.0)
+    secondary: CaseInput = NUCLEI(
+        "secondary nucleation at a supersaturation of 1", "0 1/m^3/s", example="4.46e10 1/m^3/s"
+    )
+    secondary_order: CaseInput = ORDER("order of secondary nucleation in the supersaturation", 1.0)
+    crystal_order: CaseInput = ORDER("order of secondary nucleation in the volume of crystals", 1.0)
+    rounding: float = ORDER.number("rounding of rates at saturation", 5e-6, range=POSITIVE)
 
     heading = "`[units.NAME.kinetics]`"
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ...flowsheet.stream import MOMENTS
@@ -28,16 +28,22 @@ class Seed(TableRecord):
     lognormal distribution; None if all are of one size.
     """
 
-    loading: CaseInput | None = CONCENTRATION("loading", None, example="0.02 kg/m^3")
-    size: CaseInput | None = LENGTH("size", None)
+    loading: CaseInput | None = CONCENTRATION("seed per volume", None, example="0.02 kg/m^3")
+    size: CaseInput | None = LENGTH("mean size of the seed by number", None)
     moments: CaseInput | None = None
-    spread: CaseInput | None = UnitQuantity(range=POSITIVE, example="0.3")("spread", None)
+    spread: CaseInput | None = UnitQuantity(range=POSITIVE, example="0.3")(
+        "standard deviation of the size of the seed, as a share of its mean", None
+    )
 
     heading = "`[units.NAME.seed]`"
     more_keys: ClassVar = {
         "moments": (
             list[Any] | None,
-            Field(None, description="six quantities, m^k/m^3 for k = 0 to 5"),
+            doc(
+                "moments of the seed, instead of loading and size",
+                None,
+                "six quantities, m^k/m^3 for k = 0 to 5",
+            ),
         )
     }
 

@@ -6,8 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from snapo.case.quantity import choice
-from snapo.case.table import CaseTable
+from snapo.case.table import CaseTable, doc
 
 from ...read.declared import LENGTH
 from ...read.numbers import NOT_NEGATIVE
@@ -25,8 +24,10 @@ class SizesTable(CaseTable):
 
     smallest: float = SIZE.field("smallest size of a crystal", range=NOT_NEGATIVE, example="0 um")
     largest: float = SIZE.field("largest size of a crystal", example="400 um")
-    cells: int = whole(4, 1000)
-    spacing: Literal["equal", "geometric"] = choice("equal", "geometric")
+    cells: int = whole("number of cells over size", 4, 1000)
+    spacing: Literal["equal", "geometric"] = doc(
+        "widths of the cells, equal or in proportion to size", "equal"
+    )
 
 
 def read_edges(read: Reader) -> np.ndarray:

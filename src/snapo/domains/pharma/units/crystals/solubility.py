@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from snapo.case.given import CaseInput, FilePosition, NoPosition
-from snapo.case.quantity import choice, quantity_of
+from snapo.case.quantity import quantity_of
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ...flowsheet.network import GAS_CONSTANT
@@ -92,8 +92,8 @@ def share(requested, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
     return jnp.exp(u)
 
 
-def _matrix(text: str, default: Any = ...) -> Any:
-    return Field(default, description=f"{text}, rows i, the solute first")
+def _matrix(meaning: str, text: str, default: Any = ...) -> Any:
+    return doc(meaning, default, f"{text}, rows i, the solute first")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,23 +123,35 @@ class Mixture(TableRecord):
     more_keys: ClassVar = {
         "solute": (
             str | None,
-            Field(
-                None, min_length=1, description='a name that chemicals knows, such as "paracetamol"'
+            doc(
+                "solute, whose melting point and enthalpy of fusion are looked up",
+                None,
+                'a name that chemicals knows, such as "paracetamol"',
+                min_length=1,
             ),
         ),
         "molar_mass": (CaseInput | None, MOLAR_MASS.field("molar mass of the solute", None)),
         "solvents": (
             Texts,
-            Field(description='names of the solvents, such as ["ethanol", "water"]'),
+            doc("solvents", allowed='names of the solvents, such as ["ethanol", "water"]'),
         ),
         "solvent_masses": (
             Any,
-            Field(None, description='their molar masses, such as ["46.07 g/mol"]'),
+            doc("masses of the solvents", None, 'their molar masses, such as ["46.07 g/mol"]'),
         ),
-        "composition": (Any, Field(None, description="their shares by mole, such as [0.8, 0.2]")),
-        "a": (list[list[float]] | None, _matrix("numbers a_ij of tau", None)),
-        "b": (list[list[float]], _matrix("numbers b_ij of tau in K")),
-        "alpha": (list[list[float]], _matrix("non-randomness")),
+        "composition": (
+            Any,
+            doc("composition of the solvents", None, "their shares by mole, such as [0.8, 0.2]"),
+        ),
+        "a": (
+            list[list[float]] | None,
+            _matrix("constant part of NRTL's parameter tau", "numbers a_ij of tau", None),
+        ),
+        "b": (
+            list[list[float]],
+            _matrix("part of tau that falls with temperature, in K", "numbers b_ij of tau in K"),
+        ),
+        "alpha": (list[list[float]], _matrix("non-randomness alpha of NRTL", "non-randomness")),
     }
 
     @classmethod
@@ -274,24 +286,31 @@ class Solubility(TableRecord):
     value: CaseInput | None = CONCENTRATION("solubility at the reference", None)
     enthalpy: CaseInput | None = ENERGY("enthalpy of dissolution", None, example="25 kJ/mol")
     reference: float | None = ABSOLUTE.number("temperature of the reference", None)
-    mixture: Mixture | None = inner(Mixture, None, "nrtl")
+    mixture: Mixture | None = inner("NRTL model of the solution", Mixture, None, "nrtl")
 
     heading = "`[units.NAME.solubility]`"
     more_keys: ClassVar = {
-        "kind": (SolubilityKind, choice("polynomial", "exponential", "van-t-hoff", "nrtl")),
+        "kind": (SolubilityKind, doc("form of the solubility", "polynomial")),
         "coefficients": (
             list[float] | None,
-            Field(
+            doc(
+                "coefficients of the polynomial",
                 None,
+                "a list of numbers, of rising powers of the temperature",
                 min_length=1,
-                description="a list of numbers, of rising powers of the temperature",
             ),
         ),
-        "unit": (TextKey, Field("kg/m^3", description='a unit such as "kg/m^3"')),
-        "scale": (Literal["K", "degC"], choice("K", "degC")),
+        "unit": (TextKey, doc("unit of the solubility", "kg/m^3", 'a unit such as "kg/m^3"')),
+        "scale": (Literal["K", "degC"], doc("temperature scale of the coefficients", "K")),
         "antisolvent": (
             list[float] | None,
-            Field(None, min_length=2, max_length=2, description="two numbers"),
+            doc(
+                "b1 and b2: ln c* gains b1 w + b2 w^2 at the mass fraction w of anti-solvent",
+                None,
+                "two numbers",
+                min_length=2,
+                max_length=2,
+            ),
         ),
     }
 

@@ -48,7 +48,7 @@ class Granulation(Timed):
 
     duration: CaseInput = TIME("time of wet massing", example="10 min")
     speed: Profile = SPEED.profile("tip speed of the impeller", example="8 m/s")
-    excipient: int = species_key("the species that is the excipient")
+    excipient: int = species_key("species of the excipient", "the species that is the excipient")
     excipient_ratio: CaseInput = RATIO(
         "mass of excipient per mass of drug", range=Range(0.0, 1000.0)
     )
@@ -59,10 +59,10 @@ class Granulation(Timed):
     )
     nuclei_size: CaseInput = LENGTH("mean size of the first granules, by volume", example="150 um")
     nuclei_spread: CaseInput = RATIO(
-        "spread of ln(size) of the first ones", 0.0, range=Range(0.0, 2.0)
+        "spread of ln(size) of the first granules", 0.0, range=Range(0.0, 2.0)
     )
     coalescence: CaseInput = RATE("rate of coalescence at the references", example="0.01 1/s")
-    saturation_power: CaseInput = POWER("power of the saturation in it", 0.0)
+    saturation_power: CaseInput = POWER("power of the saturation in the rate of coalescence", 0.0)
     consolidation: CaseInput = RATE("rate at which porosity falls", example="0.005 1/s")
     porosity: CaseInput = PART("porosity of the first granules")
     least_porosity: CaseInput = PART("least porosity of granules")

@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from snapo.case.given import CaseInput
-from snapo.case.quantity import Range, choice
+from snapo.case.quantity import Range
+from snapo.case.table import doc
 from snapo.problem.record.arrays import Array, Float, jnp
 
 from ...flowsheet.stream import LedgerFinish, Stream, ledger
@@ -58,7 +59,7 @@ class TabletPress(Instant):
       (reference / porosity)^`porosity_power`.
     """
 
-    drug: int = species_key("the species that is the drug")
+    drug: int = species_key("species of the drug", "the species that is the drug")
     weight: CaseInput = WEIGHT("weight of a tablet", example="300 mg")
     label: CaseInput = WEIGHT("drug in a tablet as labelled")
     diameter: CaseInput = LENGTH("diameter of a flat tablet", example="10 mm")
@@ -77,8 +78,8 @@ class TabletPress(Instant):
     bonding: CaseInput = POWER("fall of ln(strength) with porosity")
     deviation: CaseInput = PART("relative deviation of the content", 0.0, range=Range(0.0, 0.5))
     disintegration: CaseInput = TIME("mean disintegration time of a tablet", example="2 min")
-    reference_porosity: CaseInput = PART("porosity to which that time refers", 0.1)
-    porosity_power: CaseInput = POWER("power of the porosity in that time", 0.0)
+    reference_porosity: CaseInput = PART("porosity to which the disintegration time refers", 0.1)
+    porosity_power: CaseInput = POWER("power of the porosity in the disintegration time", 0.0)
     diffusivity: CaseInput = DIFFUSIVITY("diffusivity in the film")
     solubility: CaseInput = CONCENTRATION("solubility in the test's liquid", example="0.5 kg/m^3")
     film: CaseInput = LENGTH("thickness of the film", example="30 um")
@@ -86,7 +87,10 @@ class TabletPress(Instant):
 
     type = "tablet-press"
     more_keys: ClassVar = {
-        "compaction": (Literal["heckel", "kawakita"], choice("heckel", "kawakita"))
+        "compaction": (
+            Literal["heckel", "kawakita"],
+            doc("equation of compaction", "heckel"),
+        )
     }
     variant = ""
     title = "tablet press"
