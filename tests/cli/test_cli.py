@@ -243,6 +243,17 @@ def run_python(*arguments: str) -> subprocess.CompletedProcess:
     )
 
 
+@pytest.mark.parametrize("arguments", [("new",), ("schema", "control")])
+def test_a_reader_that_stops_reading_is_no_fault(arguments):
+    """As in `snapo schema control | head -1`: nothing is written about it."""
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "snapo", *arguments]
+    with os.fdopen(write, "w") as closed:
+        done = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE, check=False)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
 LIGHT = """
 import sys
 from snapo.cli.main import main

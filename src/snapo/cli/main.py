@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +30,7 @@ from .arguments import (
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto uses native where it can"
+CLOSED_PIPE = 141  # as of a program that the signal SIGPIPE ends
 EXTRAS = {  # and the packages that they bring
     "cli": ("pydantic", "jinja2", "matplotlib", "scipy"), "pharma": ("diffrax", "pint"),
     "live": ("aiohttp",), "xlsx": ("openpyxl",), "parquet": ("pyarrow",), "book": ("duckdb",),
@@ -40,7 +42,8 @@ CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code.
 
-    0: done; 1: it failed; 2: something is wrong with the input; 130: it was interrupted.
+    0: done; 1: it failed; 2: something is wrong with the input; 130: it was interrupted; 141: the
+    reader of the output, such as `head`, has closed it.
     """
     options = _parser().parse_args(arguments)
     if options.command == "completion":
@@ -51,7 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         from .commands import run
 
-        return run(options)
+        code = run(options)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # the rest of the output is dropped
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return CLOSED_PIPE
     except ModuleNotFoundError as error:
         extra = next((key for key, names in EXTRAS.items() if error.name in names), None)
         if extra is None:
