@@ -32,7 +32,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 import jax
 import pytest
 from hypothesis import settings
-from tests.miniatures import MINIATURES
+from tests.miniatures import FURTHER, MINIATURES
 
 from snapo.lanes.machine import disk, pipeline
 from snapo.report import drawing
@@ -114,10 +114,11 @@ def compiled_code_is_given_back():
 
 @pytest.fixture(scope="session")
 def solved(tmp_path_factory):
-    """`solved(kind)`: the folder with `case` and `run` of a domain's solved miniature.
+    """`solved(name)`: the folder with `case` and `run` of a solved miniature, named by its kind.
 
     It is solved once in a session, by the worker that asks first. Tests only read it.
     """
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    return lambda kind: once(shared / f"solved-{kind}", MINIATURES[kind].solve)
+    cases = MINIATURES | FURTHER
+    return lambda kind: once(shared / f"solved-{kind}", cases[kind].solve)

@@ -20,6 +20,13 @@ def reactor() -> dict[str, str]:
     return {"case.toml": CASE, "batch.csv": data()}
 
 
+def closed_loop() -> dict[str, str]:
+    """A batch reactor with a policy for its temperature, and a controller beside it."""
+    from tests.domains.pharma.pharma_cases import CASE, RULED_LOOP, data, small
+
+    return {"case.toml": small(CASE + RULED_LOOP), "batch.csv": data()}
+
+
 MINIATURES = {
     each.kind: each
     for each in (
@@ -123,4 +130,8 @@ MINIATURES = {
             ("plant.horizon=6", "training.steps=4", "evaluation.paths=256", *LITTLE),
         ),
     )
+}
+# Cases that several files of tests read too, of no further kind.
+FURTHER = {
+    "closed-loop": Miniature("pharma", assignments=("training.seed=3",), texts=closed_loop),
 }

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import onnxruntime
 import pytest
-from tests.miniatures import LITTLE, MINIATURES
+from tests.miniatures import FURTHER, LITTLE, MINIATURES
 
 import snapo
 from snapo.cli.main import main
@@ -22,20 +22,13 @@ QUICK = "inventory"
 SHORT = ("training.steps=4", "evaluation.paths=256", *LITTLE)
 
 
-def closed_loop() -> dict[str, str]:
-    """A batch reactor with a policy for its temperature."""
-    from tests.domains.pharma.pharma_cases import CASE, LOOP, data, small
-
-    return {"case.toml": small(CASE + LOOP), "batch.csv": data()}
-
-
 OTHERS = {  # policies that the miniatures do not have
     "memory": Miniature(
         "control",
         "double-integrator",
         ("plant.horizon=6", 'policy.memory="GRU"', "policy.hidden=[8]", *SHORT),
     ),
-    "loop": Miniature("pharma", texts=closed_loop),
+    "closed-loop": FURTHER["closed-loop"],
     "line": Miniature("inventory", "line", ("training.steps=2", "evaluation.paths=256", *LITTLE)),
 }
 
@@ -100,10 +93,10 @@ def test_what_solve_saved_comes_back(kind, solved, tmp_path, capsys):
         for name in OTHERS
     ],
 )
-def test_policies_with_a_memory_and_of_several_places_come_back(name, tmp_path, capsys):
+def test_policies_with_a_memory_and_of_several_places_come_back(name, solved, tmp_path, capsys):
     case = OTHERS[name]
-    once(tmp_path / name, case.solve)
-    one_process(case, tmp_path / name / "run", tmp_path, capsys)
+    folder = solved(name) if name in FURTHER else once(tmp_path / name, case.solve)
+    one_process(case, folder / "run", tmp_path, capsys)
 
 
 def test_export_says_what_it_needs(solved, capsys, tmp_path):

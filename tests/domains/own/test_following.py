@@ -38,7 +38,7 @@ volatility = { value = 0.2, unit = "1" }
 """
 CODE = ("simulator", "MaxCall")
 SHORT = "[training]\nsteps = 6\npaths = 64\nvalidation_every = 2\nvalidation_paths = 256\n"
-LITTLE = "[evaluation]\npaths = 512\nsensitivity_paths = 256\n"
+LITTLE = "[evaluation]\npaths = 512\nsensitivity_paths = 256\njudge_paths = 0\nsearch_paths = 0\n"
 
 
 def write(folder: Path, more: str = "") -> Path:

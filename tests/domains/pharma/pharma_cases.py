@@ -303,6 +303,19 @@ validation_every = 3
 SMALLER = ("design_space", "estimation", "pairs", "evaluation")
 
 
+# A controller beside the policy, which measures with a delay.
+RULE = """[[control.rules]]
+name = "PI"
+[[control.rules.loops]]
+of = "reactor.temperature"
+measure = "reactor.concentration.C"
+gain = "-50 K/(mol/L)"
+"""
+RULED_LOOP = LOOP.replace("[optimise]", RULE + "[optimise]", 1).replace(
+    'width = "0.05', 'delay = "7 min"\nwidth = "0.05'
+)
+
+
 def small(text: str) -> str:
     """A case without the parts that other tests run, and with few paths."""
     kept = text[: text.index("[design_space]")] + text[text.index("[control]") :]

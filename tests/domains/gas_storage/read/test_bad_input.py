@@ -24,7 +24,7 @@ MISTAKES = {
     "no such day": ("rates.csv", "2021-06-01", "2021-06-31", ["rates.csv, line 3", "'2021-06-31'"]),
     "bad date in the case": (
         "case.toml", "end = 2022-04-01", "end = 2022-04-31",
-        ["case.toml", "line 8", "end = 2022-04-31"],
+        ["case.toml", "line 8", "contract.end: got 2022-04-31"],
     ),
     "date with a time": (
         "case.toml", "end = 2022-04-01", "end = 2022-04-01T06:00:00",

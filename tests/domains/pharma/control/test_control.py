@@ -1,14 +1,17 @@
 """A closed loop and a best recipe from the case file to the report, on a reactor alone."""
 
+import json
+
 import numpy as np
 import pytest
 from tests.domains.pharma.filled import filled
-from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
+from tests.domains.pharma.pharma_cases import template
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.closed_loop import KeptShares, better, rates
 from snapo.domains.pharma.control.staging import decided, staged
 from snapo.problem.scenarios import Pseudo
+from snapo.report.folder import RunFiles
 
 
 def control(held=(), **changes):
@@ -115,24 +118,11 @@ def test_a_rule_that_cannot_be_is_refused(rule, words):
         control(rules=[{"name": "PI"} | rule])
 
 
-PI = """[[control.rules]]
-name = "PI"
-[[control.rules.loops]]
-of = "reactor.temperature"
-measure = "reactor.concentration.C"
-gain = "-50 K/(mol/L)"
-"""
-
-
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("control")
-    loop = LOOP.replace("[optimise]", PI + "[optimise]", 1)
-    loop = loop.replace('width = "0.05', 'delay = "7 min"\nwidth = "0.05')
-    (folder / "case.toml").write_text(small(CASE + loop))
-    out = folder / "run"
-    result, found = solve(folder, out, "training.seed=3")
-    return result, found.details, out
+def whole(solved):
+    """(result, details, run folder) of the reactor with a controller beside the policy."""
+    out = solved("closed-loop") / "run"
+    return json.loads((out / "result.json").read_text()), RunFiles.read(out).details, out
 
 
 @pytest.mark.prove
