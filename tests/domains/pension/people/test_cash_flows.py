@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.domains.pension.people_cases import (
@@ -22,24 +20,22 @@ from snapo.domains.pension.people.mortality import log_survival
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import MALE, PENSIONER, SPOUSE
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
+
+# By NumPy, as a check evaluates these equations: JAX would compile every operation anew for the
+# shapes of each case. The tests of the adjoint evaluate them by JAX.
 
 
+@with_numpy
 def projected(case):
-    inputs = plain(pension_inputs(case))
-    with jax.enable_x64(True):
-        log_bond = -0.02 * case.step * jnp.arange(horizon(case) + 1)
-        found = project(case, inputs, log_bond)
-        return found._replace(
-            **{name: np.asarray(getattr(found, name)) for name in ("accrued", "fresh", "payroll")}
-        )
+    log_bond = -0.02 * case.step * np.arange(horizon(case) + 1)
+    return project(case, plain(pension_inputs(case)), log_bond)
 
 
+@with_numpy
 def alive(case, sex, age):
-    with jax.enable_x64(True):
-        inputs = plain(pension_inputs(case))
-        return np.exp(
-            np.asarray(log_survival(case, inputs, np.array([sex]), np.array([age]), horizon(case)))
-        )[0]
+    inputs = plain(pension_inputs(case))
+    return np.exp(log_survival(case, inputs, np.array([sex]), np.array([age]), horizon(case)))[0]
 
 
 @pytest.mark.prove
@@ -96,13 +92,12 @@ def test_salaries_fall_as_actives_leave_and_stay_in_an_open_plan():
 def test_an_open_plan_keeps_its_pensionable_salary_at_the_start_of_every_year():
     case = people_case(12, step=1.0, plan=plan(open=True))
     inputs = plain(pension_inputs(case))
-    with jax.enable_x64(True):
-        lives = present(case, inputs, case.members, horizon(case))
-        new = entrants(case, inputs, lives, horizon(case))
-        force = [
-            np.asarray((each.base[:, None] * each.alive[:, :12] * working(case, each, 12)).sum(0))
-            for each in (lives, new)
-        ]
+    lives = with_numpy(present)(case, inputs, case.members, horizon(case))
+    new = with_numpy(entrants)(case, inputs, lives, horizon(case))
+    force = [
+        (each.base[:, None] * each.alive[:, :12] * with_numpy(working)(case, each, 12)).sum(0)
+        for each in (lives, new)
+    ]
     np.testing.assert_allclose(sum(force), force[0][0], rtol=1e-12)
     assert force[1][5] > force[1][4] * 2  # the older cohort retires after five years
 
