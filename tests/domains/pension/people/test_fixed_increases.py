@@ -13,6 +13,7 @@ from snapo.domains.pension.people.cash_flows import horizon, project
 from snapo.domains.pension.people.fixed_increases import due
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 
 RATE = 0.03
 
@@ -22,10 +23,10 @@ def with_increases(rate=RATE, **changes):
     return people_case(plan=plan(indexation=rule), **changes)
 
 
+@with_numpy
 def flows(case, inputs=None):
     inputs = plain(pension_inputs(case)) if inputs is None else inputs
-    with jax.enable_x64(True):
-        return [np.asarray(x) for x in project(case, inputs, basis_log_bond(case, inputs))[:2]]
+    return project(case, inputs, basis_log_bond(case, inputs))[:2]
 
 
 def dates(case, count):

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.domains.pension.people_cases import given, lee_carter, people_case, plan
@@ -21,15 +20,15 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability, Reconcile
 from snapo.domains.pension.results.figures.reconcile import check, figures
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 
 
+@with_numpy
 def made(case, inputs=None):
-    """People, projection and ln of discount factors as NumPy."""
+    """People, projection and ln of discount factors by NumPy, which compiles nothing."""
     inputs = plain(pension_inputs(case)) if inputs is None else inputs
-    with jax.enable_x64(True):
-        log_bond = basis_log_bond(case, inputs)
-        found = people(case, inputs, log_bond)
-        return jax.tree.map(np.asarray, (found, project(case, inputs, log_bond)[:3], log_bond))
+    log_bond = basis_log_bond(case, inputs)
+    return people(case, inputs, log_bond), project(case, inputs, log_bond)[:3], log_bond
 
 
 @pytest.fixture(scope="module", params=["advance", "arrears"])
@@ -196,9 +195,9 @@ def test_an_empty_fund_has_no_value_and_finite_weights():
     found = made(replace(case, lee_carter=lee_carter()))[0]
     assert all(np.all(np.isfinite(each)) for each in jax.tree.leaves(found))
     assert found.accrued.sum() == 0
-    with jax.enable_x64(True):
-        discount = forward_discount(case, jnp.zeros(horizon(case) + 1))
-        assert on_nodes(case, jnp.zeros(horizon(case)), discount).shape == (7, len(nodes(1 / 12)))
+    discount = with_numpy(forward_discount)(case, np.zeros(horizon(case) + 1))
+    value = with_numpy(on_nodes)(case, np.zeros(horizon(case)), discount)
+    assert value.shape == (7, len(nodes(1 / 12)))
 
 
 @pytest.mark.parametrize("weight", [0.0, 1e-320, 1e-200, 1e-100, 2.0])

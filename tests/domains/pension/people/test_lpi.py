@@ -30,6 +30,7 @@ from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 
@@ -88,11 +89,9 @@ def test_a_case_of_years_is_valued_by_months_too():
     """`check` compares the two: volatilities are written for the years' steps."""
     one = scheme()
     by_month = replace(one, step=1 / 12, steps=12)
-    with jax.enable_x64(True):
-        yearly, monthly = (
-            np.asarray(jax.jit(lambda given_, c=c: log_growth(c, given_))(plain(pension_inputs(c))))
-            for c in (one, by_month)
-        )
+    yearly, monthly = (
+        with_numpy(log_growth)(each, plain(pension_inputs(each))) for each in (one, by_month)
+    )
     # A year's first payment is in arrears of it, a month's is not: one increase less.
     assert monthly[12 * 25] == pytest.approx(yearly[25], abs=2e-3)
 
@@ -105,8 +104,7 @@ def test_independent_years_are_products_of_blacks_caplets_and_floorlets(floor, c
     one = scheme(
         cap=cap, floor=floor, rates=rates(3, 0.05, 0.0), inflation=inflation(3, quotes, index=INDEX)
     )
-    with jax.enable_x64(True):
-        found = np.asarray(log_growth(one, plain(pension_inputs(one))))
+    found = with_numpy(log_growth)(one, plain(pension_inputs(one)))
     years = np.arange(26)
     index = np.interp(years, quotes.tenor, quotes.rate.values) * years
     want = [0.0]

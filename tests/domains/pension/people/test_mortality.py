@@ -27,6 +27,7 @@ from snapo.domains.pension.people.mortality import hazard, log_survival, rounded
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import FEMALE, MALE, PENSIONER, Mortality
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 
 TABLE = Path(__file__).parents[4] / "shared" / "data" / "ssa_period_life_table_2017.csv"
 # Annuities-due on that table at 2.3 %: yearly payments in advance at 60, 65, 70 and 80, to 1e-4.
@@ -45,12 +46,10 @@ def annuity_due(probability: np.ndarray, age: int, rate: float) -> float:
     return float(np.sum(survival * (1 + rate) ** -np.arange(len(survival))))
 
 
+@with_numpy
 def survival(case, sex, age, steps):
     inputs = plain(pension_inputs(case))
-    with jax.enable_x64(True):
-        return np.exp(
-            np.asarray(log_survival(case, inputs, np.array([sex]), np.array([age]), steps))
-        )[0]
+    return np.exp(log_survival(case, inputs, np.array([sex]), np.array([age]), steps))[0]
 
 
 def probability(sex, age, year):
@@ -106,8 +105,7 @@ def test_gompertz_makeham_is_the_integral_of_its_force():
     formula = np.concatenate([GOMPERTZ[:, :2], [[0.0005], [0.0003]]], axis=1)
     law = mortality("gompertz-makeham", gompertz=given("gompertz", formula))
     case = people_case(mortality=law)
-    with jax.enable_x64(True):
-        found = np.asarray(hazard(case, plain(pension_inputs(case))))
+    found = with_numpy(hazard)(case, plain(pension_inputs(case)))
     nodes, weights = np.polynomial.legendre.leggauss(12)
     for sex in (MALE, FEMALE):
         alpha, beta, makeham = formula[sex]
@@ -118,8 +116,7 @@ def test_gompertz_makeham_is_the_integral_of_its_force():
 def test_ages_are_rounded_as_the_valuation_says():
     ages = np.array([40.2, 40.5, 40.9])
     for basis, expected in (("nearest", [40, 41, 41]), ("last", [40, 40, 40]), ("exact", ages)):
-        with jax.enable_x64(True):
-            found = rounded_age(plan(age_basis=basis), ages)
+        found = with_numpy(rounded_age)(plan(age_basis=basis), ages)
         np.testing.assert_array_equal(found, expected)
 
 

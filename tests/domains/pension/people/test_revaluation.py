@@ -1,6 +1,5 @@
 """Increases in payment and before it, apart by status, against sums written out."""
 
-import jax
 import numpy as np
 import pytest
 from tests.domains.pension.people_cases import (
@@ -21,6 +20,7 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import ACTIVE, DEFERRED, FEMALE, MALE, PENSIONER
 from snapo.domains.pension.records.plan import Liability, Revaluation
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 
 IN_PAYMENT, DEFERMENT, SERVICE = 0.03, 0.025, 0.01
 STEPS = 4
@@ -58,19 +58,18 @@ def fund(
     return people_case(STEPS, step=step, members=one, plan=terms, liability=basis, **changes)
 
 
+@with_numpy
 def projected(case):
     inputs = plain(pension_inputs(case))
-    with jax.enable_x64(True):
-        log_bond = np.asarray(basis_log_bond(case, inputs))
-        found = project(case, inputs, log_bond)
-        return np.asarray(found.accrued), np.asarray(found.fresh), np.exp(log_bond)
+    log_bond = basis_log_bond(case, inputs)
+    found = project(case, inputs, log_bond)
+    return found.accrued, found.fresh, np.exp(log_bond)
 
 
+@with_numpy
 def alive(case, sex, age, count):
     inputs = plain(pension_inputs(case))
-    with jax.enable_x64(True):
-        path = log_survival(case, inputs, np.array([sex]), np.array([age]), count)
-    return np.exp(np.asarray(path)[0])
+    return np.exp(log_survival(case, inputs, np.array([sex]), np.array([age]), count)[0])
 
 
 @pytest.mark.prove
@@ -139,8 +138,7 @@ def test_a_pension_that_begins_within_a_step_pays_the_rest_of_it(timing):
     for s, share in ((0, 0.5), (1, 1.0), (2, 1.0)):
         assert flow[s] == pytest.approx(share / 12 * life[s + late], rel=1e-12)
     inputs = plain(pension_inputs(case))
-    with jax.enable_x64(True):
-        earned = project(case, inputs, np.zeros(horizon(case) + 1))
+    earned = with_numpy(project)(case, inputs, np.zeros(horizon(case) + 1))
     # Half a month of work: of salary, and of accrual.
     assert np.asarray(earned.payroll)[:2].tolist() == pytest.approx([0.5 * 40 / 12, 0.0])
     right = 0.5 * 0.0175 / 12 * (40 - 15)
@@ -166,9 +164,8 @@ def test_a_liability_with_all_of_it_rolls_forward_along_the_forward_curve(timing
         liability=Liability("spread", rate, "none", annual=True, loading=loading),
     )
     inputs = plain(pension_inputs(case))
-    with jax.enable_x64(True):
-        log_bond = np.asarray(basis_log_bond(case, inputs))
-        found = jax.tree.map(np.asarray, people(case, inputs, log_bond))
+    log_bond = with_numpy(basis_log_bond)(case, inputs)
+    found = with_numpy(people)(case, inputs, log_bond)
     growth = np.exp(log_bond[:30] - log_bond[1:31])
     value = (found.accrued + found.fresh).sum(1)
     new = found.baseline[:30] * found.accrual[:30].sum(1)

@@ -1,6 +1,5 @@
 """A table's year, its end and factors on its probabilities, against sums written out."""
 
-import jax
 import numpy as np
 import pytest
 from tests.domains.pension.every_key import CASES, written
@@ -13,15 +12,15 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import FEMALE, MALE
 from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 
 SEXES = ("male", "female")
 
 
+@with_numpy
 def survival(case, sex, age, years):
     inputs = plain(pension_inputs(case))
-    with jax.enable_x64(True):
-        path = log_survival(case, inputs, np.array([sex]), np.array([age]), years)
-    return np.exp(np.asarray(path))[0]
+    return np.exp(log_survival(case, inputs, np.array([sex]), np.array([age]), years))[0]
 
 
 def file_of(q, first=20, sexes=SEXES):
