@@ -19,6 +19,7 @@ from snapo.domains.pension.market.shocks import covariance, factor, slots
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
 from snapo.problem.problem import prepare
+from snapo.problem.record.either import with_numpy
 
 KAPPA, MEAN, START, SIGMA, PRICE = 0.15, 0.03, 0.02, 0.01, -0.20
 # Closed form of O. Vasicek, Journal of Financial Economics 5, 1977.
@@ -48,13 +49,16 @@ def long_case():
     return case(steps, held_assets=held, rates=rates(steps, KAPPA, SIGMA))
 
 
+@with_numpy
+def made_of(one, given):
+    """Factors, nominal bonds and their moments by NumPy, which compiles nothing."""
+    both, bond = factors(one, given), nominal(one)
+    return both, bond, moments(one, both, bond, covariance(one, given))
+
+
 @pytest.fixture(scope="module")
 def found(long_case):
-    given = plain(pension_inputs(long_case))
-    with jax.enable_x64(True):
-        both = factors(long_case, given)
-        bond = nominal(long_case)
-        return both, bond, moments(long_case, both, bond, covariance(long_case, given))
+    return made_of(long_case, plain(pension_inputs(long_case)))
 
 
 @pytest.mark.prove
@@ -71,9 +75,8 @@ def test_published_bond_prices_are_met_by_the_variance_of_the_rate(found):
 def test_later_bonds_are_those_of_the_affine_formula(found):
     both, bond, made = found
     years = np.array([1 / 12, 1.0, 10.0, 30.0])
-    with jax.enable_x64(True):
-        slopes = slope(both, bond, years)
-        shapes = np.asarray(shape(slopes, made))
+    slopes = with_numpy(slope)(both, bond, years)
+    shapes = with_numpy(shape)(slopes, made)
     far = MEAN - PRICE * SIGMA / KAPPA
     for t in (12, 120, 359):
         time = t / 12
@@ -81,7 +84,7 @@ def test_later_bonds_are_those_of_the_affine_formula(found):
         at_zero = far + (START - far) * np.exp(-KAPPA * time)
         for x in (-0.02, 0.03):
             ratio = vasicek(START, time + years) - vasicek(START, time)
-            ours = ratio + shapes[t] - np.asarray(slopes) @ [x, 0.0]
+            ours = ratio + shapes[t] - slopes @ [x, 0.0]
             assert ours == pytest.approx(vasicek(at_zero + x, years), abs=1e-13)
 
 
@@ -103,10 +106,8 @@ def test_two_factors_are_those_of_g2():
 
     given = plain(pension_inputs(two)) | {"correlation": correlation}
     years = np.array([0.5, 10.0, 30.0])
-    with jax.enable_x64(True):
-        both, bond = factors(two, given), nominal(two)
-        made = moments(two, both, bond, covariance(two, given))
-        shapes = np.asarray(shape(slope(both, bond, years), made))
+    both, bond, made = made_of(two, given)
+    shapes = with_numpy(shape)(with_numpy(slope)(both, bond, years), made)
     for t in (1, 12, 24):
         want = (v(years) - v(t / 12 + years) + v(t / 12)) / 2
         assert shapes[t] == pytest.approx(want, abs=1e-14)
@@ -117,9 +118,8 @@ def test_the_shock_has_the_covariance_that_it_should():
     """Of the integrals over the step, in closed form, and a factor that reproduces it."""
     one = full(3)
     given, place = plain(pension_inputs(one)), slots(one)
-    with jax.enable_x64(True):
-        made = np.asarray(covariance(one, given))
-        triangle = np.asarray(factor(made))
+    made = with_numpy(covariance)(one, given)
+    triangle = with_numpy(factor)(made)
     assert triangle @ triangle.T == pytest.approx(made, abs=1e-16)
     a, d = 0.4, 1 / 12
     zeta, iota = place.zeta[1], place.iota[1]

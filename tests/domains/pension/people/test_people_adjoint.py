@@ -28,6 +28,7 @@ from snapo.domains.pension.people.liability import people
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 from snapo.problem.smooth import Smooth
 
 # Nobody's death is certain here: a probability of 1 has no derivative.
@@ -73,9 +74,10 @@ def whole(case):
         return total
 
     inputs = plain(pension_inputs(case))
-    found = people(case, inputs, basis_log_bond(case, inputs))
+    log_bond = with_numpy(basis_log_bond)(case, inputs)
+    found = with_numpy(people)(case, inputs, log_bond)
     weights = [
-        random.uniform(0.5, 1.5, leaf.shape) / max(float(jnp.abs(leaf).sum()), 1e-6)
+        random.uniform(0.5, 1.5, leaf.shape) / max(float(np.abs(leaf).sum()), 1e-6)
         for leaf in jax.tree.leaves(found)
     ]
     return jax.jit(value), inputs

@@ -2,7 +2,6 @@
 
 from typing import ClassVar
 
-import jax
 import numpy as np
 import pytest
 from tests.domains.pension.market_cases import full, given, steady
@@ -15,6 +14,7 @@ from snapo.domains.pension.market.registry import MODELS
 from snapo.domains.pension.market.shocks import covariance
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 
 
 class G3(ShortRate):
@@ -56,9 +56,13 @@ def test_three_independent_factors_add_their_convexities():
 
     inputs = plain(pension_inputs(one)) | {"correlation": np.zeros(28)}
     years, t = np.array([0.5, 10.0, 30.0]), 1.0
-    with jax.enable_x64(True):
+
+    @with_numpy
+    def at_zero():
         both, bond = factors(one, inputs), nominal(one)
         made = moments(one, both, bond, covariance(one, inputs))
-        found = np.asarray(shape(slope(both, bond, years), made))[12]
+        return shape(slope(both, bond, years), made)
+
+    found = at_zero()[12]
     want = sum((v(years, a, s) - v(t + years, a, s) + v(t, a, s)) / 2 for a, s in zip(A, S))
     assert found == pytest.approx(want, abs=1e-14)
