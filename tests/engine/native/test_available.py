@@ -31,7 +31,7 @@ store, policy = Store(), Tanh((4, 14, 2))
 schedule, problem = store.prepare(None), Problem(store, None, Mean("cash"))
 engines = choose("auto", problem, policy)
 assert engines.name == "xla" and engines.reason.startswith("XLA on "), engines
-assert engines.reason.endswith(f", as {WHY}"), engines.reason
+assert engines.reason.endswith(f", because {WHY}"), engines.reason
 draws = Pseudo(0).draws(np.arange(4), store)
 assert engines.evaluate.values(store, policy, schedule, draws, Exact()).totals["cash"].size == 4
 assert unsupported(store, schedule, policy, Exact()) == WHY

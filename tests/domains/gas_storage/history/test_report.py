@@ -98,7 +98,7 @@ def test_months_add_up(whole):
 def test_an_improbable_history_and_a_better_classical_method_are_named():
     text = texts(result_of(share=0.999, rolling=500.0))
     assert "✗ outside the range of 95 % of simulated histories" in text
-    assert "✗ rolling intrinsic brought EUR 110.000 more" in text
+    assert "✗ rolling intrinsic earned EUR 110.000 more" in text
 
 
 @pytest.mark.prove
