@@ -131,7 +131,7 @@ MINIATURES = {
         ),
     )
 }
-# Cases that several files of tests read too, of no further kind.
+# Other cases whose runs are read by several test files.
 FURTHER = {
     "closed-loop": Miniature("pharma", assignments=("training.seed=3",), texts=closed_loop),
 }

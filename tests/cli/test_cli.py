@@ -243,7 +243,7 @@ def run_python(*arguments: str) -> subprocess.CompletedProcess:
     )
 
 
-@pytest.mark.parametrize("arguments", [("new",), ("schema", "control")])
+@pytest.mark.parametrize("arguments", [("new",), ("schema", "control"), ("completion", "bash")])
 def test_a_reader_that_stops_reading_is_no_fault(arguments):
     """As in `snapo schema control | head -1`: nothing is written about it."""
     read, write = os.pipe()

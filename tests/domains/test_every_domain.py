@@ -18,7 +18,8 @@ FREE = {"own": ("inputs", "units")}
 LABELS = {"own": ("week",), "inventory": ("period",)}
 
 
-# Kinds whose miniature is not solved in the quick suite: they run the code that the others run.
+# Kinds whose miniature is not solved in the quick suite: most run the code that the others run, and
+# a process takes long.
 SLOW = (
     "battery", "control", "park-and-loan", "pension", "pharma", "plant", "stores", "swing"
 )  # fmt: skip

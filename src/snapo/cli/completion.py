@@ -122,7 +122,7 @@ def schema_of_kind(kind: str) -> dict[str, Any]:
     from snapo.study.domain import find
 
     if kind in OTHER_FILES:
-        return json_schema(kind, import_module(OTHER_FILES[kind]).FORMATS)
+        return json_schema(kind, import_module(OTHER_FILES[kind]).FORMATS) | {"title": f"A {kind}"}
     domain = find(kind, "KIND", "")
     formats = getattr(domain, "formats", None)
     if formats is None:

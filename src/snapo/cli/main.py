@@ -30,7 +30,6 @@ from .arguments import (
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto uses native where it can"
-CLOSED_PIPE = 141  # as of a program that the signal SIGPIPE ends
 EXTRAS = {  # and the packages that they bring
     "cli": ("pydantic", "jinja2", "matplotlib", "scipy"), "pharma": ("diffrax", "pint"),
     "live": ("aiohttp",), "xlsx": ("openpyxl",), "parquet": ("pyarrow",), "book": ("duckdb",),
@@ -46,20 +45,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reader of the output, such as `head`, has closed it.
     """
     options = _parser().parse_args(arguments)
-    if options.command == "completion":
-        from .completion import script
-
-        print(script(_parser(), options.shell), end="")
-        return 0
     try:
-        from .commands import run
+        if options.command == "completion":
+            from .completion import script
 
-        code = run(options)
+            print(script(_parser(), options.shell), end="")
+            code = 0
+        else:
+            from .commands import run
+
+            code = run(options)
         sys.stdout.flush()
         return code
     except BrokenPipeError:  # the rest of the output is dropped
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return CLOSED_PIPE
+        return 141  # as of a program that SIGPIPE ends
     except ModuleNotFoundError as error:
         extra = next((key for key, names in EXTRAS.items() if error.name in names), None)
         if extra is None:

@@ -64,7 +64,7 @@ class EmissionTable(CaseTable):
 class StartTable(CaseTable):
     """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
 
-    off: int = doc("smallest number of hours off before it", allowed=HOURS, ge=1, le=LONGEST)
+    off: int = doc("smallest number of hours off before the start", allowed=HOURS, ge=1, le=LONGEST)
     money: CaseInput = MONEY("money paid for a start", 0.0, name="start_money")
     fuel: CaseInput = FUEL("fuel for a start", 0.0, name="start_fuel")
 

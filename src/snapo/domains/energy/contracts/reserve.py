@@ -51,7 +51,7 @@ class ReserveTable(CaseTable):
 
     price: CaseInput | str = PRICE(PRICE.meaning)
     stock: np.ndarray = custom(
-        "smallest and largest energy in store in reserve, in MWh", _stock, STOCK, types=("array",)
+        "energy in store within which reserve is sold, in MWh", _stock, STOCK, types=("array",)
     )
 
 
