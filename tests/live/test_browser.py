@@ -356,7 +356,7 @@ def test_how_near_a_policy_is_to_its_best_in_words(page):
         "its gradient is 3 times as large as at the inputs of training, with a noise of 0.1"
         in found[1]["words"]
     )
-    assert "shows: it is no more than noise, as at" in found[2]["words"]
+    assert "shows: it is no more than noise, as it was at" in found[2]["words"]
     assert "is above its noise" in found[3]["words"]
 
 
