@@ -16,9 +16,9 @@ from .test_check import Good, inputs
 
 
 class Jumping(Good):
-    """`how` says which number is compared, and what is made of it."""
+    """`how` says which numbers are compared, and what is made of each: an output of that name."""
 
-    how: str = eqx.field(static=True, default="corner")
+    how: tuple[str, ...] = eqx.field(static=True, default=())
     level: float = eqx.field(static=True, default=1.3)
 
     def step(self, constants, now, state, action, noise, smooth):
@@ -44,53 +44,50 @@ class Jumping(Good):
             "guard": lambda: jnp.where(x > -5.0, x, 10.0),
             "rounding": lambda: jnp.where(x > level, x * (1 + 1e-12), x),
         }
-        if self.how == "state":
-            return after | {"stock": jnp.where(x > level, 0.5, after["stock"])}, outputs
-        return after, {"cash": outputs["cash"] + ways.get(self.how, lambda: 0.0)()}
+        if "state" in self.how:
+            after = after | {"stock": jnp.where(x > level, 0.5, after["stock"])}
+        return after, outputs | {name: way() for name, way in ways.items() if name in self.how}
 
     def terminal(self, constants, state, smooth):
-        paid = jnp.where(state["stock"] > 1.5, 10.0, 0.0) if self.how == "terminal" else 0.0
-        return {"cash": state["stock"] ** 2 * 0.1 + paid}
+        paid = {"terminal": jnp.where(state["stock"] > 1.5, 10.0, 0.0)}
+        return Good.terminal(self, constants, state, smooth) | (
+            paid if "terminal" in self.how else {}
+        )
 
 
-def told(how: str):
+def told(*how: str):
     return [f for f in check(Jumping(how=how), inputs(), paths=8) if "jump, by" in f.subject]
 
 
 @pytest.mark.prove
 @pytest.mark.parametrize(
-    "how, method, name",
+    "how, names",
     [
-        ("bool", "step", "output cash"),
-        ("where", "step", "output cash"),
-        ("vector", "step", "output cash"),
-        ("both", "step", "output cash"),
-        ("action", "step", "output cash"),
-        ("input", "step", "output cash"),
-        ("state", "step", "state stock"),
-        ("terminal", "terminal", "output cash"),
+        (("bool", "where", "vector", "both", "action", "input", "terminal"), None),
+        (("state",), ("state stock",)),
     ],
 )
-def test_a_jump_is_a_warning_with_its_line_size_and_remedy(how, method, name):
-    found = told(how)
-    assert len(found) == 1 and found[0].severity == "warning", str(found)
-    assert found[0].where.startswith(f"{method}, ") and "test_jumps.py:" in found[0].where
-    assert f"makes {name} jump" in found[0].subject and ">" in found[0].subject
-    assert "smooth.indicator(" in found[0].fix and "snapo.Choice" in found[0].fix
-    if how in ("bool", "where", "both", "action", "input", "terminal"):
-        assert "jump, by 10 on a path" in found[0].subject
+def test_a_jump_is_a_warning_with_its_line_size_and_remedy(how, names):
+    found = told(*how)
+    names = names or [f"output {name}" for name in how]
+    assert len(found) == len(names), str(found)
+    for name in names:
+        (jump,) = (item for item in found if f"makes {name} jump" in item.subject)
+        assert jump.severity == "warning" and ">" in jump.subject
+        method = "terminal" if name == "output terminal" else "step"
+        assert jump.where.startswith(f"{method}, ") and "test_jumps.py:" in jump.where
+        assert "smooth.indicator(" in jump.fix and "snapo.Choice" in jump.fix
+        if name not in ("output vector", "state stock"):
+            assert "jump, by 10 on a path" in jump.subject
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize(
-    "how",
-    [
+def test_corners_smooth_limits_noise_and_time_are_no_jumps():
+    found = told(
         *("corner", "vector corner", "functions", "smooth", "exact", "noise", "now", "count"),
         *("guard", "rounding"),
-    ],
-)
-def test_corners_smooth_limits_noise_and_time_are_no_jumps(how):
-    assert not (found := told(how)), str(found)
+    )
+    assert not found, str(found)
 
 
 @settings(max_examples=50, deadline=None)

@@ -35,7 +35,7 @@ from .effects import reached, stopped_once, used
 from .findings import Findings, Notes, StopCheck
 from .indices import TABLE, moving_indices, short_slices, tables, within
 from .jumps import jumps
-from .rollout import CheckedRollout, observed, rollouts
+from .rollout import ENGINE, CheckedRollout, observed, rollouts
 from .shapes import Shapes, declared, one_step, prepared, require
 from .traces import loops, lost_derivatives, repeatable
 from .watch import moments
@@ -125,18 +125,19 @@ def _decides(notes: Notes, problem: Problem, policy: Policy, features: int) -> N
 
 
 def both_precisions(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
-    """Rolls two of the paths in float32, then in float64, as training and evaluation do."""
-    draws = Stored(run.draws.initial_noise[:2], run.draws.step_noise[:, :2])  # pyright: ignore
-    weights = {name: np.full(2, 0.5) for name in run.totals}
-    values = (simulator, run.policy, run.schedule, draws, run.smooth, weights)
-    for precision in ("float32", "float64"):
-        engine = Xla(precision=precision)
+    """Rolls two of the paths in float32, as training does, then all in float64, as evaluation does,
+    whose program `reached` takes again."""
+    two = Stored(run.draws.initial_noise[:2], run.draws.step_noise[:, :2])  # pyright: ignore
+    halves = {name: np.full(2, 0.5) for name in run.totals}
+    calls = (Xla(precision="float32"), two, halves), (ENGINE, run.draws, run.each_output())
+    for engine, draws, weights in calls:
+        values = (simulator, run.policy, run.schedule, draws, run.smooth, weights)
         try:
             jax.block_until_ready(engine.adjoint(*values).totals)
         except Exception as error:
             where, message, _ = notes.explained(error, "step")
             notes.error(
-                where, f"It fails in {precision} after the other precision. {message}", TABLE
+                where, f"It fails in {engine.precision} after the other precision. {message}", TABLE
             )
             return
 

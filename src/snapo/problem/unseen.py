@@ -105,12 +105,14 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
     t = max(1, min(BEFORE, T // 2))
     early, noise, actions = first["early"], first["noise"], first["actions"]
     same = np.broadcast_to(actions[0, :t, :1], actions[0, :t].shape)  # only noise differs
-    states, moves = _reached(simulator, problem.schedule, early, noise[:t], same)
+    states, moves = jax.tree.map(
+        np.asarray, _reached(simulator, problem.schedule, early, noise[:t], same)
+    )
     _, slopes = _observed(problem, jax.tree.map(lambda leaf: leaf[:LOCAL], states), t)
     numbers = _flat(states)
-    hidden = _hidden(numbers, np.asarray(moves), np.asarray(slopes))
+    hidden = _hidden(numbers, moves, np.asarray(slopes))
     complete, _ = _observed(problem, states, t)
-    in_steps = _in_steps(problem, states, np.asarray(complete), t, np.asarray(moves))
+    in_steps = _in_steps(problem, states, np.asarray(complete), t, moves)
     names = _names(states)
     requested = _paid_names(problem)
     tail = partial(_paid, simulator, problem.schedule, noise[t:], start=t)
@@ -121,7 +123,7 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
     def paid(states: PyTree) -> list[dict[str, Any]]:
         return [tail(actions[k, t:], states) for k in (0, 1)]
 
-    before, others = paid(states), paid(jax.tree.map(lambda leaf: jnp.roll(leaf, 1, 0), states))
+    before, others = paid(states), paid(jax.tree.map(lambda leaf: np.roll(leaf, 1, 0), states))
     for i in doubtful:
         after = paid(_swapped(states, int(i)))
         for name in requested & set(before[0]):
@@ -303,7 +305,7 @@ def _swapped(states: PyTree, number: int) -> PyTree:
         if position <= number < position + rows.shape[1]:
             rows[:, number - position] = np.roll(rows[:, number - position], 1)
         position += rows.shape[1]
-        results.append(jnp.asarray(rows.reshape(np.shape(leaf))))
+        results.append(rows.reshape(np.shape(leaf)))
     return structure.unflatten(results)
 
 

@@ -62,6 +62,7 @@ def close(
     `turn(torn, around)`: the tear streams that the loop returns; `guess` has their shapes, and
     the duration of all flows; `around`: everything else, which has derivatives.
     """
+    turn = jax.jit(turn)  # traced once, however often it is called and differentiated
     first = guess
     for _ in guess:
         first = tuple(
