@@ -66,7 +66,7 @@ def test_a_class_in_place_of_its_object_is_refused_by_solve():
 def test_one_limit_needs_no_tuple():
     few = {
         "training": snapo.Training(steps=1, paths=8, validation_paths=8),
-        "evaluation": snapo.Evaluation(8, 0, 0, 0),
+        "evaluation": snapo.Evaluation(8, 0, 0, 0, search_paths=0),
     }
     one = snapo.AtMost("cash", 1.0)
     solution = snapo.solve(

@@ -167,8 +167,9 @@ def test_windows_carry_the_memory_and_a_run_resumes_with_the_same_bits(tmp_path)
 def test_a_recurrent_policy_costs_as_much_as_kalmans_filter(seed):
     """Within 1 % of the closed form by default settings."""
     evaluation = snapo.Evaluation(
-        paths=32768, sensitivity_paths=0, smooth_paths=0, judge_paths=0, scenarios="sobol"
-    )
+        32768, sensitivity_paths=0, smooth_paths=0, judge_paths=0, search_paths=0,
+        scenarios="sobol",
+    )  # fmt: skip
     problem = replace(PROBLEM, simulator=Hidden(horizon=30), sources=evaluation.sources(seed))
     solution = snapo.solve(
         problem,

@@ -198,7 +198,7 @@ def test_the_example_of_an_own_objective_runs(monkeypatch):
     wide = {"cash": np.array([1.0, 2.0, 3.0])}
     assert ratio.value(wide) == pytest.approx(2 / np.sqrt(2 / 3))
     training = snapo.Training(steps=20, paths=64, validation_paths=128, validation_every=10)
-    evaluation = snapo.Evaluation(paths=256, sensitivity_paths=64, smooth_paths=0)
+    evaluation = snapo.Evaluation(256, 64, 0, 0, search_paths=0)
     solution = snapo.solve(
         module.Reservoir(),
         module.inputs,

@@ -13,7 +13,7 @@ from snapo.solver.evaluate import path_totals
 PAGES = sorted((Path(__file__).parents[2] / "docs" / "simulator").glob("*.md"))
 FEW = """
     training=snapo.Training(steps=3, paths=64, validation_paths=64),
-    evaluation=snapo.Evaluation(512, 256, 0, 0),
+    evaluation=snapo.Evaluation(512, 256, 0, 0, search_paths=0),
 """
 
 

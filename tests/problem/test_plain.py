@@ -12,7 +12,7 @@ from snapo.problem.policies.composed import as_policy
 from snapo.solver.learning.starts import others
 
 SHORT = snapo.Training(steps=6, paths=64)
-FEW = snapo.Evaluation(256, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
+FEW = snapo.Evaluation(256, 0, 0, 0, search_paths=0)
 
 
 class Share(eqx.Module):

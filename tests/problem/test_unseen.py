@@ -120,7 +120,7 @@ def test_a_solution_and_check_say_what_is_not_told():
     of = snapo.Problem(Plant(read="noisy"), INPUTS, -snapo.Mean("cost"))
     few = {
         "training": snapo.Training(steps=1, paths=16, validation_paths=16),
-        "evaluation": snapo.Evaluation(paths=64, sensitivity_paths=0),
+        "evaluation": snapo.Evaluation(64, 0, 0, 0, search_paths=0),
     }
     said = "The observation does not contain all of the state that matters: x."
     for policy, more in ((snapo.Linear(), True), (snapo.GRU(hidden=2), False)):

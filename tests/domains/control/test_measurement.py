@@ -148,7 +148,8 @@ def test_engines_agree_and_derivatives_are_right():
 def test_a_measured_plant_is_solved_to_its_report(tmp_path):
     """With a memory of either kind, from the file to the page; few steps."""
     little = ("plant.horizon=6", "training.steps=4", "training.paths=32", "evaluation.paths=256")
-    more = ("evaluation.sensitivity_paths=64", 'policy.memory="Recent"', "policy.steps=3")
+    more = ("evaluation.judge_paths=0", "evaluation.search_paths=0")
+    more += ("evaluation.sensitivity_paths=64", 'policy.memory="Recent"', "policy.steps=3")
     for name, keys in (("gru", little), ("recent", (*little, *more))):
         result = Miniature("control", "measured", keys).solve(tmp_path / name)
         assert result["status"] == "trained" and not result["failures"], result

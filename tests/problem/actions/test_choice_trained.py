@@ -60,7 +60,7 @@ def least_cost():
 def test_no_option_is_lost(unit):
     """Within 3 % of dynamic programming (the best two thresholds are 1.8 % above it), with features
     of any size; with scores that grow without end -151 and -157 where -144.8 is the best."""
-    few = snapo.Evaluation(paths=8192, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
+    few = snapo.Evaluation(8192, 0, 0, 0, search_paths=0)
     queue = Queue(unit)
     training = snapo.Training(seed=0)
     found = snapo.solve(

@@ -164,7 +164,7 @@ def test_the_american_put_as_one_writes_it_by_default_settings():
 
     solution = snapo.solve(
         Put(), module.inputs, objective=snapo.Mean("cash"),
-        evaluation=snapo.Evaluation(paths=131072, sensitivity_paths=0),
+        evaluation=snapo.Evaluation(131072, sensitivity_paths=0, judge_paths=0, search_paths=0),
     )  # fmt: skip
     assert solution.status == "trained" and solution.engine == "native"
     assert 4.46 < solution.value < 4.478 + 3 * solution.standard_error

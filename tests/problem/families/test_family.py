@@ -55,7 +55,7 @@ def best(start: float, effort: float, drift: float) -> float:
 @pytest.fixture(scope="module")
 def policy() -> snapo.Policy:
     given = {"training": snapo.Training(steps=500, paths=256, validation_paths=1024)}
-    few = snapo.Evaluation(2048, 0, 0, 0)
+    few = snapo.Evaluation(2048, 0, 0, 0, search_paths=0)
     return snapo.solve(FAMILY.training, policy=snapo.MLP(), evaluation=few, **given).policy
 
 

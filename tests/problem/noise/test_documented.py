@@ -19,7 +19,7 @@ def test_the_shop_runs_and_the_own_noise_draws():
     code, verb, rest = shop.partition("solution = snapo.solve(Shop(), inputs, ")
     few = (
         "training=snapo.Training(steps=3, paths=64, validation_paths=64),"
-        "evaluation=snapo.Evaluation(512, 256, 0, 0), "
+        "evaluation=snapo.Evaluation(512, 256, 0, 0, search_paths=0), "
     )
     found = {}
     exec(code + verb + few + rest + spike, found)

@@ -99,7 +99,7 @@ def finite_volumes():
 
 @pytest.mark.prove
 def test_what_the_native_engine_cannot_run_xla_runs(monkeypatch):
-    process = on_mesh(template(), steps=8)
+    process = on_mesh(resolve(TEMPLATE, tomllib.loads(small(CASE + LOOP))), steps=8)
     entries = process.entries[:1]
     draws = process.at(entries)[None]
     expected = process.batch(entries, draws, engine="xla")

@@ -76,11 +76,15 @@ def cake(moisture=0.1, crystals=1.0, size=80e-6, temperature=300.0):
 def dried(unit, wet=None, steps=3000):
     """{state: [n + 1]} over time, and the times."""
     with jax.enable_x64(True):
-        problem = unit.dynamics(network(), (wet or cake(),), {})
-        track = integrate(problem, Numerics("mesh", steps, 1e-8, 10_000, True), True).track
-        assert track is not None
-        rows = jax.vmap(lambda y, c: problem.states(y, *c))(track.state, track.controls)
-        return {name: np.asarray(each) for name, each in rows.items()}, np.asarray(track.time)
+
+        def over_time(wet):
+            problem = unit.dynamics(network(), (wet,), {})
+            track = integrate(problem, Numerics("mesh", steps, 1e-8, 10_000, True), True).track
+            assert track is not None
+            rows = jax.vmap(lambda y, c: problem.states(y, *c))(track.state, track.controls)
+            return rows, track.time
+
+        return jax.tree.map(np.asarray, jax.jit(over_time)(wet or cake()))
 
 
 def pressure(temperature):

@@ -67,9 +67,13 @@ def slurry(edges):
 def milled(edges, unit=None, steps=400):
     with jax.enable_x64(True):
         given = slurry(edges)
-        problem = (unit or mill()).dynamics(network(), (given,), {})
-        solved = integrate(problem, Numerics("mesh", steps, 1e-8, 10_000, False))
-        return given, problem.finish(solved.final, *solved.controls).outlets[0]
+
+        def after(given):
+            problem = (unit or mill()).dynamics(network(), (given,), {})
+            solved = integrate(problem, Numerics("mesh", steps, 1e-8, 10_000, False))
+            return problem.finish(solved.final, *solved.controls).outlets[0]
+
+        return given, jax.jit(after)(given)
 
 
 @pytest.mark.prove
@@ -104,10 +108,10 @@ def test_numbers_grow_with_the_volume_that_is_there():
 
 
 def test_fragments_keep_number_and_volume():
-    volumes = np.geomspace(1.0, 1e4, 30)
+    volumes, shared = np.geomspace(1.0, 1e4, 30), jax.jit(shares)
     with jax.enable_x64(True):
         for fragments in (2.0, 2.5, 4.0):
-            found = np.asarray(shares(jnp.asarray(volumes), fragments))
+            found = np.asarray(shared(jnp.asarray(volumes), fragments))
             np.testing.assert_allclose(volumes @ found, volumes, rtol=1e-13)
             assert np.all(found >= -1e-13) and np.all(np.abs(np.tril(found, -1)) < 1e-13)
             below = fragments * (volumes[0] / volumes) ** (1 / (fragments - 1))
