@@ -13,6 +13,7 @@ import numpy as np
 
 from snapo.case.given import CaseInput
 from snapo.problem.record.arrays import Array, jnp
+from snapo.problem.record.either import in_use, xp
 
 Formed = TypeVar("Formed")
 
@@ -41,10 +42,10 @@ def use(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> Array:
     elif _held(values).size:
         value = fixed(_held(values))
     else:
-        return jnp.zeros(values.index.shape)
+        return xp.zeros(values.index.shape)
     # NumPy's integers of 64 bits are no index where JAX counts with 32.
     index = int(values.index) if values.index.ndim == 0 else values.index.astype(np.int32)
-    return jnp.asarray(value)[index]
+    return xp.asarray(value)[index]
 
 
 def absent(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> bool:
@@ -60,10 +61,12 @@ def _held(values: CaseInput | InputUse) -> np.ndarray:
 
 
 def fixed(array: np.ndarray) -> Array:
-    """A table as an array of JAX in the precision of the trace at hand.
+    """A table as an array of JAX in the precision of the trace at hand, or as one of NumPy.
 
     From a copy: JAX keeps one constant for each NumPy array, in the precision that it met first.
     """
+    if in_use():
+        return np.array(array, float)  # pyright: ignore[reportReturnType]
     return jnp.asarray(np.array(array, jnp.result_type(float)))
 
 

@@ -155,9 +155,9 @@ def test_a_continuous_reactor_ends_with_its_feed(kind):
     assert found[0].species.sum() == pytest.approx(4e-3, rel=1e-9)
     np.testing.assert_allclose(found[1].species, found[0].species, rtol=1e-12)
     with jax.enable_x64(True):  # at the end itself the slope is that of a shorter run
-        slope = jax.grad(
+        slope = jax.jit(jax.grad(
             lambda t: process.attributes({**process.nominal_inputs(), "reactor.duration": t})[0]
-        )
+        ))  # fmt: skip
         assert np.isfinite(slope(jnp.array([7200.0]))).all()
 
 
@@ -232,12 +232,16 @@ def test_a_policy_doses_until_its_feed_is_empty(share, dosed):
     with jax.enable_x64(True):
         (stage,) = stages_of(found)
         schedule = stage.prepare({name: each.value for name, each in pharma_inputs(found).items()})
-        state = stage.initial(schedule.constants, jnp.zeros(stage.initial_noise_size))
-        for row in range(4):
-            now = {name: each[row] for name, each in schedule.steps.items()}
-            noise, action = jnp.zeros(stage.noise_size), jnp.array([share])
-            state, _ = stage.step(schedule.constants, now, state, action, noise, Exact())
-        left = stage.leave(schedule.constants, state)["streams"]["reactor.product"]
+
+        def dose(schedule):
+            state = stage.initial(schedule.constants, jnp.zeros(stage.initial_noise_size))
+            for row in range(4):
+                now = {name: each[row] for name, each in schedule.steps.items()}
+                noise, action = jnp.zeros(stage.noise_size), jnp.array([share])
+                state, _ = stage.step(schedule.constants, now, state, action, noise, Exact())
+            return stage.leave(schedule.constants, state)["streams"]["reactor.product"]
+
+        left = jax.jit(dose)(schedule)
         product = unflat(left, blank(3, NO_CRYSTALS))
     assert product.volume == pytest.approx(1e-3 + dosed, rel=1e-12)
     assert np.sum(np.asarray(product.species)[1:]) == pytest.approx(dosed, rel=1e-9)

@@ -51,13 +51,14 @@ def test_event_share_and_its_derivative():
     profile = crystalliser().temperature
     value = profile.value.used()
 
+    @jax.jit
     def share(value):
         return saturation_share(
             lambda t: 226.9 - 1.88 * t + 3.89e-3 * t * t - 18.755, profile, value
         )
 
     with jax.enable_x64(True):
-        found, slope = float(share(value)), np.asarray(jax.grad(share)(value))
+        found, slope = map(np.asarray, jax.jit(jax.value_and_grad(share))(value))
         moved = [float(share(value + np.eye(4)[1] * h)) for h in (1e-4, -1e-4)]
     a, b, c = 3.89e-3, -1.88, 226.9 - 18.755
     crossing = (-b + np.sqrt(b * b - 4 * a * c)) / (2 * a)

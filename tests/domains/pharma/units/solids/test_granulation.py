@@ -48,12 +48,14 @@ def crystals(mass: float = 10.0) -> Stream:
 
 def granulated(unit: Granulation):
     """Outlet, measures and ledger."""
-    with jax.enable_x64(True):
-        fed = crystals()
+
+    def finish(fed):
         problem = unit.dynamics(network(), (fed,), {})
         solved = integrate(problem, MESH)
-        finish = problem.finish(solved.final, *solved.controls)
-    return jax.tree.map(np.asarray, finish)
+        return problem.finish(solved.final, *solved.controls)
+
+    with jax.enable_x64(True):
+        return jax.tree.map(np.asarray, jax.jit(finish)(crystals()))
 
 
 @pytest.mark.prove

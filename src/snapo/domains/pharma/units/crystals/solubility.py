@@ -19,7 +19,9 @@ import numpy as np
 from snapo.case.given import CaseInput, FilePosition, NoPosition
 from snapo.case.quantity import quantity_of
 from snapo.case.table import doc
-from snapo.problem.record.arrays import Array, Float, jax, jnp
+from snapo.problem.record.arrays import Array, Float, jnp
+from snapo.problem.record.either import derivative, over, scan, updated, with_numpy, xp
+from snapo.problem.record.either import fixed as still
 
 from ...flowsheet.network import GAS_CONSTANT
 from ...given import fixed, use
@@ -53,7 +55,7 @@ MINIMUM = -60.0  # ln x below which nothing is searched
 
 def activity(x: Float[Array, " n"], tau: Float[Array, "n n"], alpha) -> Float[Array, " n"]:
     """[n] ln gamma at shares by mole x; `tau` and `alpha` [n, n], alpha symmetric."""
-    g = jnp.exp(-alpha * tau)
+    g = xp.exp(-alpha * tau)
     below = x @ g  # S_j
     first = (x @ (tau * g)) / below
     return first + (g / below * (tau - first)) @ x
@@ -63,33 +65,32 @@ def ideal(temperature, melting, fusion, capacity: Array | float = 0.0) -> Array:
     """ln of the activity of the pure crystal: `melting` K, `fusion` J/mol, `capacity` J/mol/K."""
     ratio = melting / temperature
     heat = fusion / GAS_CONSTANT * (1 / temperature - 1 / melting)
-    return -heat + capacity / GAS_CONSTANT * (ratio - 1 - jnp.log(ratio))
+    return -heat + capacity / GAS_CONSTANT * (ratio - 1 - xp.log(ratio))
 
 
 def share(requested, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
     """x of the solute with ln(x gamma) = `wanted`; `liquid`: the solvents' shares without it."""
 
     def gap(u, target, liquid, tau, alpha):
-        x = jnp.exp(u)
-        shares = jnp.concatenate([x[None], (1 - x) * liquid])
+        x = xp.exp(u)
+        shares = xp.concatenate([x[None], (1 - x) * liquid])
         return u + activity(shares, tau, alpha)[0] - target
 
-    still = jax.lax.stop_gradient
-    fixed = still((requested, liquid, tau, alpha))
+    known = tuple(map(still, (requested, liquid, tau, alpha)))
 
     def halved(endpoints, _):
         low, high = endpoints
         middle = (low + high) / 2
-        above = gap(middle, *fixed) > 0
-        return (jnp.where(above, low, middle), jnp.where(above, middle, high)), None
+        above = gap(middle, *known) > 0
+        return (xp.where(above, low, middle), xp.where(above, middle, high)), None
 
-    start = jnp.full_like(fixed[0], MINIMUM), jnp.full_like(fixed[0], -1e-9)
-    (low, high), _ = jax.lax.scan(halved, start, length=ROUNDS)
+    start = xp.full_like(known[0], MINIMUM), xp.full_like(known[0], -1e-9)
+    (low, high), _ = scan(halved, start, None, ROUNDS)
     u = still((low + high) / 2)
-    slope = still(jax.grad(lambda v: gap(v, *fixed))(u))
+    slope = still(derivative(lambda v: gap(v, *known))(u))
     for _ in range(2):
         u = u - gap(u, requested, liquid, tau, alpha) / slope
-    return jnp.exp(u)
+    return xp.exp(u)
 
 
 def _matrix(meaning: str, text: str, default: Any = ...) -> Any:
@@ -249,7 +250,7 @@ def dissolved(record: Mixture, inputs: dict[str, Any], temperature) -> Array:
     count, (rows, columns) = len(record.liquid) + 1, _apart(len(record.liquid) + 1)
 
     def square(item: CaseInput) -> Array:
-        return jnp.zeros((count, count)).at[rows, columns].set(use(inputs, item))
+        return updated(xp.zeros((count, count)), (rows, columns), use(inputs, item))
 
     a, b, alpha = square(record.a), square(record.b), square(record.alpha)
     numbers = (use(inputs, entry) for entry in (record.melting, record.fusion, record.capacity))
@@ -260,8 +261,8 @@ def dissolved(record: Mixture, inputs: dict[str, Any], temperature) -> Array:
         x = share(ideal(t, melting, fusion, capacity), liquid, a + b / t, alpha)
         return x / (1 - x) * record.ratio * use(inputs, record.density)
 
-    warm = jnp.asarray(temperature, float)
-    return jax.vmap(one)(warm.ravel()).reshape(warm.shape)
+    warm = xp.asarray(temperature, float)
+    return over(one)(warm.ravel()).reshape(warm.shape)
 
 
 SolubilityKind = Literal["polynomial", "exponential", "van-t-hoff", "nrtl"]
@@ -376,8 +377,7 @@ def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarra
         energy = record.enthalpy.used() / GAS_CONSTANT
         return record.value.used() * np.exp(-energy * (1 / temperature - 1 / record.reference))
     if record.mixture is not None:
-        with jax.enable_x64(True):
-            return np.asarray(dissolved(record.mixture, {}, temperature))
+        return with_numpy(dissolved)(record.mixture, {}, temperature)
     polyval = np.polyval(record.coefficients.values[::-1], temperature - record.zero)
     return np.exp(polyval) if record.kind == "exponential" else polyval
 
