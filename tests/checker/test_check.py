@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from snapo.checker.check import check
+from snapo.checker.effects import stopped_once
+from snapo.checker.findings import Notes
+from snapo.checker.rollout import rollouts
 from snapo.problem.actions import Box, Stop
 from snapo.problem.inputs import Input
+from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Smooth
 
 T = 4
 
@@ -210,13 +215,26 @@ class SellsOnce(Sells):
         return after | {"right": right}, outputs | {"sold": used * now["price"]}
 
 
+def stops(simulator) -> list[str]:
+    """What is reported of a stop by its own part of the check."""
+    notes, schedule = Notes(simulator), prepare(simulator, inputs())
+    (run, *_) = rollouts(notes, simulator, schedule, np.zeros(2), None, 32, Smooth(0.05), 0)
+    stopped_once(notes, simulator, run)
+    return [item.subject for item in notes.items]
+
+
 @pytest.mark.prove
 @pytest.mark.parametrize("rights", [1, 2])
 def test_a_stop_that_is_not_used_up_is_told(rights):
-    found = check(Sells(action=Stop(rights)), inputs())
-    assert any("more often than it has rights" in each.subject for each in found), str(found)
-    once = check(SellsOnce(action=Stop(rights)), inputs())
-    assert not any("more often" in each.subject for each in once), str(once)
+    (subject,) = stops(Sells(action=Stop(rights)))
+    assert "more often than it has rights" in subject
+    assert stops(SellsOnce(action=Stop(rights))) == []
+
+
+@pytest.mark.prove
+def test_the_whole_check_looks_at_stops():
+    found = check(Sells(action=Stop(2)), inputs())
+    assert any("more often than it has rights (2)" in each.subject for each in found), str(found)
 
 
 def test_errors_of_user_code_name_file_and_line():

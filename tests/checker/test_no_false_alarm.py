@@ -31,11 +31,10 @@ class Seen(snapo.Simulator):
 @pytest.mark.prove
 def test_an_error_of_a_reading_is_not_idle():
     inputs = {"error": snapo.Input(0.5), "idle": snapo.Input(1.0)}
-    told = [(found.where.split(": ")[-1], found.severity) for found in check(Seen(), inputs)]
+    findings = check(Seen(), inputs)
+    told = [(found.where.split(": ")[-1], found.severity) for found in findings]
     assert sorted(told) == [("input idle", "warning"), ("noise[2]", "warning")], told
-    assert "The observation does not contain all of the state that matters: wear." in str(
-        check(Seen(), inputs)
-    )
+    assert "The observation does not contain all of the state that matters: wear." in str(findings)
 
 
 class Charging(snapo.Simulator):

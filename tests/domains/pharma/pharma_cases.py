@@ -320,7 +320,10 @@ def small(text: str) -> str:
     """A case without the parts that other tests run, and with few paths."""
     kept = text[: text.index("[design_space]")] + text[text.index("[control]") :]
     kept = kept.replace('pairs = [["T", "t"]]\n', "")
-    return kept + "[evaluation]\npaths = 128\nsensitivity_paths = 64\nsearch_paths = 0\n[numerics]\nrefine = false\n"
+    return (
+        kept
+        + "[evaluation]\npaths = 128\nsensitivity_paths = 64\nsearch_paths = 0\n[numerics]\nrefine = false\n"
+    )
 
 
 def solve(folder: Path, out: Path, *changes: str) -> tuple[dict[str, Any], RunFiles]:

@@ -164,9 +164,11 @@ def test_published_problems(name):
         np.testing.assert_allclose(end(here), 1.0, rtol=1e-6)
         if known.step is None:
             return
-        adjoint, forward = (np.asarray(mode(end)(here)) for mode in (jax.jacrev, jax.jacfwd))
+        adjoint, forward = (
+            np.asarray(jax.jit(mode(end))(here)) for mode in (jax.jacrev, jax.jacfwd)
+        )
         step = known.step
-        moved = [[end(k * step * e) for k in (-2, -1, 1, 2)] for e in jnp.eye(len(p))]
+        moved = [[end(k * step * e) for k in (-2, -1, 1, 2)] for e in np.eye(len(p))]
         far_low, low, high, far_high = np.moveaxis(np.array(moved), 1, 0)
         differences = ((8 * (high - low) - (far_high - far_low)) / (12 * step)).T
     largest = np.abs(adjoint).max(1, keepdims=True)
@@ -187,10 +189,12 @@ def test_small_systems(size):
             return solve(a, factorised(a), b)
 
         known = np.linalg.solve(matrix, right)
-        np.testing.assert_allclose(found(matrix, right), known, rtol=1e-12)
+        np.testing.assert_allclose(jax.jit(found)(matrix, right), known, rtol=1e-12)
         change, weights = random.normal(size=(size, size)), random.normal(size=size)
         expected = -np.linalg.solve(matrix, change @ known)
-        ahead = jax.jvp(lambda a: found(a, right), (matrix,), (jnp.asarray(change),))[1]
+        ahead = jax.jit(lambda a, by: jax.jvp(lambda a: found(a, right), (a,), (by,))[1])(
+            matrix, change
+        )
         np.testing.assert_allclose(ahead, expected, rtol=1e-10)
-        back = jax.grad(lambda a: weights @ found(a, right))(matrix)
+        back = jax.jit(jax.grad(lambda a: weights @ found(a, right)))(matrix)
         assert np.sum(np.asarray(back) * change) == pytest.approx(weights @ expected, rel=1e-10)

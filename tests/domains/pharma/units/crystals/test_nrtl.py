@@ -1,6 +1,7 @@
 """NRTL against published activity coefficients, an ideal solubility and its own derivatives."""
 
 import tomllib
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -88,8 +89,8 @@ def test_equilibrium_holds_and_derivatives_are_those_of_differences():
         full[rows] = mixture.b.values / 298.15
         every = np.zeros((3, 3))
         every[rows] = mixture.alpha.values
-        shares = np.array([x, 0.7 * (1 - x), 0.3 * (1 - x)])
-        gamma = with_numpy(activity)(shares, full, every)[0]
+        mixed: Any = np.array([x, 0.7 * (1 - x), 0.3 * (1 - x)]), full, every
+        gamma = with_numpy(activity)(*mixed)[0]
         heat = with_numpy(ideal)(298.15, 443.6, 27100.0)
         assert float(np.log(x) + gamma) == pytest.approx(heat)
         assert nominal_solubility(record, np.array([298.15]))[0] == pytest.approx(c, rel=1e-9)
