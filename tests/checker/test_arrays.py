@@ -205,7 +205,8 @@ def test_indices_that_leave_their_array_on_a_path():
         (found,) = (item for item in wrong if line in item.subject)
         method = "prepare" if how == "prepare" else "step"
         assert found.where.startswith(f"{method}, ") and "test_arrays.py:" in found.where
-        assert said in found.subject and "jnp.clip" in found.fix
+        assert said in found.subject and "Correct the index" in found.fix
+        assert ("jnp.clip" in found.fix) == (how != "write")
         assert found.severity == ("warning" if how == "write" else "error")
         assert ("drops" if how == "write" else "reads the nearest one") in found.subject
 

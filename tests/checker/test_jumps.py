@@ -25,7 +25,7 @@ class Jumping(Good):
         after, outputs = Good.step(self, constants, now, state, action, noise, smooth)
         x, level, z = state["stock"], self.level, noise[0]
         ways = {
-            "bool": lambda: 10 * (x > level),
+            "bool": lambda: x + 10 * (x > level),
             "where": lambda: jnp.where(x > level, 10.0, 0.0),
             "vector": lambda: jnp.where(x * jnp.ones(3) > level + jnp.arange(3), 10.0, x).sum(),
             "both": lambda: jnp.where((x > level) & (x < 99.0), 10.0, 0.0),
