@@ -76,18 +76,18 @@ def share(requested, liquid: Float[Array, " n-1"], tau, alpha) -> Array:
         shares = xp.concatenate([x[None], (1 - x) * liquid])
         return u + activity(shares, tau, alpha)[0] - target
 
-    known = tuple(map(still, (requested, liquid, tau, alpha)))
+    constant_parts = tuple(map(still, (requested, liquid, tau, alpha)))
 
     def halved(endpoints, _):
         low, high = endpoints
         middle = (low + high) / 2
-        above = gap(middle, *known) > 0
+        above = gap(middle, *constant_parts) > 0
         return (xp.where(above, low, middle), xp.where(above, middle, high)), None
 
-    start = xp.full_like(known[0], MINIMUM), xp.full_like(known[0], -1e-9)
+    start = xp.full_like(constant_parts[0], MINIMUM), xp.full_like(constant_parts[0], -1e-9)
     (low, high), _ = scan(halved, start, None, ROUNDS)
     u = still((low + high) / 2)
-    slope = still(derivative(lambda v: gap(v, *known))(u))
+    slope = still(derivative(lambda v: gap(v, *constant_parts))(u))
     for _ in range(2):
         u = u - gap(u, requested, liquid, tau, alpha) / slope
     return xp.exp(u)
