@@ -87,10 +87,10 @@ def decide(
     best = np.full((len(inventory), after.shape[1]), -np.inf)
     choice = np.zeros(best.shape, np.int8)
 
-    def offer(code: int, value: np.ndarray):
-        better = value > best
+    def offer(code: int, value: np.ndarray, where: np.ndarray | bool = True):
+        better = (value > best) & where
         np.copyto(best, value, where=better)
-        choice[better] = code
+        np.copyto(choice, np.int8(code), where=better)
 
     for code, target in ((HOLD, today.hold), (UP, today.up), (DOWN, today.down)):
         net = target - today.keep
@@ -104,8 +104,8 @@ def decide(
             floor, ceiling = (today.hold, today.up) if code == BUY_TO else (today.down, today.hold)
             target = nodes[node]
             within = (target > floor[:, None]) & (target < ceiling[:, None])
-            values = np.max(net_value, axis=0) + today.keep[:, None] * price
-            offer(code, np.where(within, values, -np.inf))
+            peak = net_value[node, np.arange(len(node))]
+            offer(code, peak + today.keep[:, None] * price, within)
     move_to = None
     if volumes == "every":
         move_to = _try_every_node(today, prices, nodes, after, best, choice)
