@@ -168,9 +168,12 @@ def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> "csr_array":
     count, size = len(points), len(nodes)
     if size == 1:
         return csr_array(np.ones((count, 1)))
-    points = np.clip(points, nodes[0], nodes[-1])
-    left = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, size - 2)
+    points = np.minimum(np.maximum(points, nodes[0]), nodes[-1])
+    left = np.searchsorted(nodes[1:-1], points, side="right")
     share = (points - nodes[left]) / (nodes[left + 1] - nodes[left])
-    weights = np.stack([1 - share, share], axis=1).ravel()
-    columns = np.stack([left, left + 1], axis=1).ravel()
-    return csr_array((weights, columns, np.arange(0, 2 * count + 1, 2)), (count, size))
+    weights, columns = np.empty((count, 2)), np.empty((count, 2), np.int32)
+    weights[:, 0], weights[:, 1] = 1 - share, share
+    columns[:, 0], columns[:, 1] = left, left + 1
+    # Indices of 32 bits are taken as they are, others looked through.
+    rows = np.arange(0, 2 * count + 1, 2, dtype=np.int32)
+    return csr_array((weights.ravel(), columns.ravel(), rows), (count, size))
