@@ -338,8 +338,8 @@ def test_a_checkpoint_that_cannot_be_written_is_a_status(folder, tmp_path, monke
         raise OSError(28, "No space left on device", "somewhere")
 
     monkeypatch.setattr(checkpoint, "save", full_disk)
-    said = []
-    result = solve(folder, tmp_path / "run", said.append, assignments=("training.steps=20",))
+    said, short = [], ("training.steps=20", "evaluation.judge_paths=0")
+    result = solve(folder, tmp_path / "run", said.append, assignments=short)
     assert result["status"] == "not written"
     assert any("No space left on device" in text for text in said)
     assert np.isfinite(result["value"])

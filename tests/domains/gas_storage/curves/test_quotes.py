@@ -12,7 +12,7 @@ from tests.domains.gas_storage.storage_cases import bare, random_actions, read_c
 
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.curves.products import delivery
-from snapo.engine import Xla
+from snapo.engine.native import Native
 from snapo.problem.inputs import plain
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
@@ -143,7 +143,7 @@ def test_a_derivative_by_quote_is_the_bump_of_the_quote_with_decisions_held(tmp_
     def rolled(item):
         simulator, _, schedule = bare(item)
         draws = Pseudo(3).draws(np.arange(8), simulator)
-        engine = Xla("float64")
+        engine = Native("float64")
         return engine.values(simulator, None, schedule, draws, Exact(), actions=actions)
 
     def value(quotes) -> float:
@@ -151,7 +151,7 @@ def test_a_derivative_by_quote_is_the_bump_of_the_quote_with_decisions_held(tmp_
 
     simulator, inputs, schedule = bare(item)
     draws = Pseudo(3).draws(np.arange(8), simulator)
-    back = Xla("float64").adjoint(
+    back = Native("float64").adjoint(
         simulator, None, schedule, draws, Exact(), weights, actions=actions, wrt=("schedule",)
     )
     with jax.enable_x64(True):
