@@ -22,7 +22,7 @@ from .piecewise import visited
 
 
 class ExpectedPath(NamedTuple):
-    """What the decisions of a lattice lead to on average; see `LatticeResult`."""
+    """The expected path of the decisions of a lattice; see `LatticeResult`."""
 
     deltas: np.ndarray
     end_delta: float
