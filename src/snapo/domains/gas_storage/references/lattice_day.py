@@ -174,6 +174,6 @@ def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> "csr_array":
     weights, columns = np.empty((count, 2)), np.empty((count, 2), np.int32)
     weights[:, 0], weights[:, 1] = 1 - share, share
     columns[:, 0], columns[:, 1] = left, left + 1
-    # Indices of 32 bits are taken as they are, others looked through.
+    # SciPy uses indices of 32 bits unchanged, and searches longer ones for their largest.
     rows = np.arange(0, 2 * count + 1, 2, dtype=np.int32)
     return csr_array((weights.ravel(), columns.ravel(), rows), (count, size))
