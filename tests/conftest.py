@@ -46,9 +46,9 @@ settings.load_profile("repeatable")
 QUICK = pipeline.Pipeline(speed_level=0, code_level=0)
 FULL = pipeline.PIPELINE
 # Whose proofs do without LLVM's passes, which change rounding (`engine/native/test_runtime.py`):
-# wide simulators whose code takes longer to be made than to run. All others make the code that
-# users run.
-WIDE = ("domains/pension", "domains/pharma", "domains/control", "domains/inventory")
+# simulators whose code takes longer to be made than to run. All others make the code that users
+# run.
+WIDE = tuple(f"domains/{room}" for room in ("pension", "pharma", "control", "inventory", "energy"))
 
 
 def pytest_configure(config):

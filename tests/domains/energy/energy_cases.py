@@ -19,7 +19,7 @@ from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.lattice import lattice, refined
 from snapo.domains.energy.read.case import EnergyCase, read_case
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
-from snapo.engine import Engine
+from snapo.engine import Engine, EngineName
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.solver.bound import bound
@@ -95,21 +95,23 @@ class ValuedRule(NamedTuple):
     engine: Engine
 
 
-def rule_between(case: EnergyCase, below: float, above: float) -> ValuedRule:
+def rule_between(
+    case: EnergyCase, below: float, above: float, engine: EngineName = "native"
+) -> ValuedRule:
     """The rule of the fitted value: its value is at least `below` times that on the lattice, and
     the bound at most `above` times, each within three standard errors."""
     problem = bare_problem(case)
     best = refined(case.contract.layout, problem.schedule, factors_of(problem)).value
-    setup = make_setup(case, "native")
+    setup = make_setup(case, engine)
     assert isinstance(setup.policy, UnitValuePolicy)
-    problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
-    result = bound(problem, rule, relaxation=EnergyRelaxation(problem), engine=engine, paths=2048)
+    problem, rule, local = setup.problem, setup.policy.value_rule, setup.engines.evaluate
+    result = bound(problem, rule, relaxation=EnergyRelaxation(problem), engine=local, paths=2048)
     lower, upper = result.lower, result.upper
     assert lower.value >= best * below - 3 * lower.standard_error
     assert lower.value <= best + 3 * lower.standard_error
     assert best - 3 * upper.standard_error <= upper.value
     assert upper.value <= best * above + 3 * upper.standard_error
-    return ValuedRule(problem, rule, engine)
+    return ValuedRule(problem, rule, local)
 
 
 def plain(tree):

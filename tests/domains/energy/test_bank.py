@@ -12,6 +12,7 @@ from tests.domains.energy.energy_cases import HOME, case_at, exact
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.setup import bare_problem, make_setup
+from snapo.engine.native import Native
 from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate, path_totals
 from snapo.testing.derivatives import wrong_derivatives
@@ -243,7 +244,7 @@ def test_policy_and_bound_enclose_the_exact_value(levels, changes, tmp_path):
     """The fitted rule within 0.3 % of the lattice's value, the bound within 0.5 %."""
     make = two_years if len(levels) == 2 else three_years
     case = make(tmp_path / "case", levels, 5.0, 0.9, **changes)
-    value, setup = exact(case), make_setup(case, "native")
+    value, setup = exact(case), make_setup(case, Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     paths = 16384 if make is two_years else 4096
     result = evaluate(problem, rule, paths=paths, engine=engine)
@@ -256,7 +257,7 @@ def test_policy_and_bound_enclose_the_exact_value(levels, changes, tmp_path):
     assert value <= upper.value + 3 * upper.standard_error
     assert upper.value - 3 * upper.standard_error <= value + 0.005 * size
     if not case.contract.firm:
-        assert wrong_derivatives(problem, rule, paths=16) == []
+        assert wrong_derivatives(problem, rule, paths=16, engine=engine) == []
     else:
         taken = path_totals(problem, rule, 2048, engine=engine)["take"]
         assert taken.min() >= 2 * 5 - 2 - 1e-9 and taken.max() <= 2 * MOST + 1e-9

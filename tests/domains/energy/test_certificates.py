@@ -14,6 +14,7 @@ from snapo.case.error import CaseError
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.lattice import refined
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup, price_schedule
+from snapo.engine.native import Native
 from snapo.problem.smooth import EXACT
 from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate
@@ -112,7 +113,7 @@ def test_exchange_of_power_for_certificates(folder):
     d = np.log(power / cost) / deviation + deviation / 2
     value = 110 * np.sum(power * norm.cdf(d) - cost * norm.cdf(d - deviation))
     slope = -220 * np.sum(norm.cdf(d - deviation))
-    setup = make_setup(case, "native")
+    setup = make_setup(case, Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     result = evaluate(problem, rule, paths=16384, engine=engine)
     assert abs(result.value - value) < 2 * result.standard_error
@@ -131,7 +132,7 @@ def test_derivatives_and_a_fixed_price(folder):
     changes = {"contract.fuel": {"per_mwh": 1.6}, "contract.starts": [], "contract.min_up": 2}
     changes |= {"contract.min_down": 1}
     case = with_market(folder, 0.0, **changes)
-    setup = make_setup(case, "native")
+    setup = make_setup(case, Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     value = evaluate(problem, rule, paths=4096, engine=engine)
     keys = {name.removeprefix("contract."): x for name, x in changes.items()}

@@ -1,16 +1,18 @@
 """Swing contracts with flat volumes over products: intrinsic, rolling, least squares, against D3."""
 
+import datetime
 import json
-import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests.domains.energy.energy_cases import HOME, battery, exact, swing
 
 from snapo.case.error import CaseError
-from snapo.domains.energy.chapters.ladder import FlatVolumes, no_flat_volumes
+from snapo.domains.energy.chapters.ladder import METHODS, FlatVolumes, measure, no_flat_volumes
 from snapo.domains.energy.core.simulator import simulator_of
 from snapo.domains.energy.setup import bare_problem, factors_of
+from snapo.domains.energy.study import study
 from snapo.domains.gas_storage.bounds.basis import gaussian_basis
 from snapo.domains.gas_storage.ladder.forwards import PathCurves, drawn_states
 from snapo.domains.gas_storage.ladder.methods import fitted_rule, followed
@@ -23,7 +25,9 @@ from snapo.domains.gas_storage.ladder.rolling import (
     rolling,
 )
 from snapo.study import commands
-from snapo.study.domain import CaseRequest
+from snapo.study.chapters.ladder import IN_PRODUCTS, ROLLING
+from snapo.study.domain import CaseRequest, Options
+from snapo.study.study import StudyRun
 
 SHORT = {"end": swing().days[0].replace(month=12)}  # two months
 
@@ -136,12 +140,12 @@ def test_a_run_of_a_park_and_loan_has_all_methods(tmp_path):
 def test_methods_that_trade_products_leave_contracts_of_hours_alone(tmp_path):
     """Hours of a day are no products of days: rolling intrinsic showed 289.5 where the exact value
     of a day of the template was 200.69."""
-    case, out = tmp_path / "case", tmp_path / "out"
-    commands.new("battery", case)
-    text = (case / "case.toml").read_text()
-    (case / "case.toml").write_text(re.sub(r"(?m)^cycles = .*$", "", text))
-    request = CaseRequest(case, ("contract.end=2026-05-04T12:00:00", "contract.energy=2", *SMALL))
-    commands.solve(request, lambda _: None, out=out, ladder=True)
-    methods = json.loads((out / "parts" / "methods.json").read_text())["methods"]
-    assert len(methods["methods"]) == 6 and not methods["warnings"]
-    assert str(methods["missing"]).count("the steps are hours") == 2
+    case = battery(end=datetime.datetime(2026, 5, 4, 12), energy=2.0, cycles=None)
+    whole = study(case, Options("native", ladder=True))
+    assert METHODS.part.name in {part.name for part in whole.parts}
+    run = StudyRun(whole, tmp_path, lambda _: None)
+    run.trained = SimpleNamespace(policy=run.setup.policy)  # pyright: ignore
+    methods = measure(run)
+    assert len(methods.methods) == 6 and not methods.warnings
+    assert [x.method for x in methods.missing] == [IN_PRODUCTS, ROLLING]
+    assert all("the steps are hours" in x.reason for x in methods.missing)

@@ -31,6 +31,7 @@ from snapo.domains.gas_storage.ladder.rolling import Chains, TradeBlock, intrins
 from snapo.domains.gas_storage.ladder.store import FlatStore
 from snapo.domains.gas_storage.references.lattice import lattice as store_lattice
 from snapo.engine import TRAJECTORY
+from snapo.engine.native import Native
 from snapo.problem.smooth import Exact
 from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate
@@ -237,7 +238,7 @@ def test_loans_are_parks_at_the_opposite_prices(tmp_path):
 def test_policy_and_bound_enclose_the_exact_value(changes):
     """The fitted rule at most 0.3 % below, the bound at most 0.8 % above; and the derivatives."""
     case = short(**changes)
-    setup, value = make_setup(case, "native"), exact(case)
+    setup, value = make_setup(case, Native()), exact(case)
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     result = evaluate(problem, rule, paths=16384, engine=engine)
     assert result.standard_error < 1e-3 * value
@@ -247,7 +248,7 @@ def test_policy_and_bound_enclose_the_exact_value(changes):
     upper = bound(problem, rule, relaxation=relaxation, engine=engine, paths=1024).upper
     assert value <= upper.value + 3 * upper.standard_error
     assert upper.value - 3 * upper.standard_error <= value * 1.008
-    assert wrong_derivatives(problem, rule, paths=16) == []
+    assert wrong_derivatives(problem, rule, paths=16, engine=engine) == []
 
 
 @pytest.mark.prove
@@ -255,7 +256,7 @@ def test_derivatives_by_the_fees_are_unit_days():
     """Minus the discounted units at the end of each day, opened and closed, on the same paths; by
     the park fee within two errors of the lattice's central difference."""
     case = short()
-    setup = make_setup(case, "native")
+    setup = make_setup(case, Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     paths, discount = 8192, np.exp(-0.03 * case.day / 365)
     draws = problem.sources.evaluation.draws(np.arange(paths), problem.simulator)

@@ -15,6 +15,7 @@ from snapo.case.error import CaseError
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.lattice import lattice, refined
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
+from snapo.engine.native import Native
 from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate
 from snapo.solver.sensitivity import sensitivities
@@ -176,7 +177,7 @@ def test_policy_and_bound_enclose_the_exact_value():
 def test_strip_of_exchange_options():
     """D9, Margrabe: 363,520.474, by power 12,680.109, by gas -21,889.380, by correlation
     -11,945.55, with the rule and its decisions held fixed."""
-    setup = make_setup(d9(**STRIP), "native")
+    setup = make_setup(d9(**STRIP), Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     value = evaluate(problem, rule, paths=16384, engine=engine)
     assert abs(value.value - STRIP_VALUE) < 2 * value.standard_error
@@ -223,7 +224,7 @@ def test_every_derivative_is_that_of_differences():
     end = datetime.datetime(2026, 1, 5, 8)
     starts = [{"off": 1, "money": 250.0, "fuel": 6.0}, {"off": 2, "money": 520.0, "fuel": 14.0}]
     case = plant(end=end, min_up=1, min_down=1, before={"off": 2}, most_starts=2, starts=starts)
-    setup = make_setup(case, "native")
+    setup = make_setup(case, Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     assert wrong_derivatives(problem, rule, paths=16, engine=engine) == []
 

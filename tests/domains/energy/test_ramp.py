@@ -17,6 +17,7 @@ from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.intrinsic import intrinsic_value
 from snapo.domains.energy.methods.lattice import lattice
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
+from snapo.engine.native import Native
 from snapo.solver.bound import bound
 from snapo.solver.derivatives.bump import reactions
 from snapo.solver.derivatives.verdict import verdicts
@@ -246,7 +247,7 @@ def test_policy_bound_and_derivatives():
     the ramp the held derivative is that of the lattice."""
     end = datetime.datetime(2026, 1, 6)
     case = ramped(end=end)
-    setup = make_setup(case, "native")
+    setup = make_setup(case, Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     best = exact(case)
     value = evaluate(problem, rule, paths=16384, engine=engine)
@@ -274,7 +275,7 @@ EIGHT |= {"starts": [{"off": 1, "money": 250.0, "fuel": 6.0}]}
 def test_every_derivative_is_that_of_differences():
     """Eight hours with a limit of starts, with decisions held fixed."""
     case = ramped(**EIGHT, before={"on": 2, "power": 70.0}, most_starts=2)
-    setup = make_setup(case, "native")
+    setup = make_setup(case, Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     assert "power_before" in problem.inputs_by_name and case.contract.layout.levels
     assert wrong_derivatives(problem, rule, paths=16, engine=engine) == []
@@ -283,7 +284,7 @@ def test_every_derivative_is_that_of_differences():
 @pytest.mark.prove
 def test_a_derivative_at_a_kink_is_not_known():
     """With ramp = max - min, the derivatives by both of them; that by idle fuel is known."""
-    setup = make_setup(ramped(60.0, **EIGHT), "native")
+    setup = make_setup(ramped(60.0, **EIGHT), Native())
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     inputs = problem.inputs_by_name
     held = {name: Estimate(np.zeros((8, *x.value.shape))) for name, x in inputs.items()}

@@ -19,6 +19,7 @@ from snapo.domains.energy.methods.grid import check_nodes
 from snapo.domains.energy.methods.lattice import refined
 from snapo.domains.energy.setup import bare_problem, factors_of
 from snapo.engine import TRAJECTORY
+from snapo.engine.native import Native
 from snapo.problem.smooth import Exact
 from snapo.solver.derivatives.by_block import DerivativePass
 
@@ -180,7 +181,7 @@ def test_the_policy_is_near_the_lattice_and_below_the_bound(changes):
     """And keeps stock and flows in reserve on every path; the derivative with respect to the price
     of reserve is that of the lattice, by central differences."""
     case = battery(**DAY, **changes)
-    problem, rule, engine = rule_between(case, 0.997, 1.008)
+    problem, rule, engine = rule_between(case, 0.997, 1.008, Native())
 
     draws = problem.sources.evaluation.draws(np.arange(512), problem.simulator)
     rollout = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY)

@@ -28,6 +28,7 @@ from snapo.domains.gas_storage.read.case import read_case as read_store
 from snapo.domains.gas_storage.references.lattice import lattice as store_lattice
 from snapo.domains.gas_storage.setup import make_setup as store_setup
 from snapo.engine import TRAJECTORY
+from snapo.engine.native import Native
 from snapo.problem.smooth import Exact
 from snapo.solver.bound import bound
 from snapo.solver.evaluate import evaluate
@@ -201,7 +202,7 @@ def test_without_a_joint_limit_the_sum_of_both_stores(tmp_path):
 def test_policy_and_bound_enclose_the_exact_value(changes, tmp_path):
     """The fitted rule at most 0.5 % below, the bound at most 1 % above; and the derivatives."""
     this = case(tmp_path, **changes)
-    setup, value = make_setup(this, "native"), exact(this)
+    setup, value = make_setup(this, Native()), exact(this)
     problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
     result = evaluate(problem, rule, paths=16384, engine=engine)
     assert result.standard_error < 0.5e-2 / 3 * value
@@ -211,7 +212,7 @@ def test_policy_and_bound_enclose_the_exact_value(changes, tmp_path):
     upper = bound(problem, rule, relaxation=relaxation, engine=engine, paths=1024).upper
     assert value <= upper.value + 3 * upper.standard_error
     assert upper.value - 3 * upper.standard_error <= value * 1.01
-    assert wrong_derivatives(problem, rule, paths=16) == []
+    assert wrong_derivatives(problem, rule, paths=16, engine=engine) == []
     draws = problem.sources.evaluation.draws(np.arange(2048), problem.simulator)
     rollout = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY)
     flows = rollout.record["outputs"]

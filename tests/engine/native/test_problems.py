@@ -97,7 +97,9 @@ def test_engines_agree(name, constraints):
         return difference(exact, gradients(engine), least=1e-3)
 
     assert gap(Native("float64")) < 2e-11
-    assert gap(Native("float32")) < 1e-5 + 5 * gap(Xla("float32"))
+    single = gap(Native("float32"))
+    # XLA's own is compiled where it is needed.
+    assert single < 1e-5 or single < 1e-5 + 5 * gap(Xla("float32"))
 
 
 class Tabled(Store):

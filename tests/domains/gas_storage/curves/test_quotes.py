@@ -4,7 +4,6 @@ import datetime
 import json
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 from tests.domains.gas_storage.curves.test_smooth import QUOTES, REFERENCE
@@ -12,10 +11,10 @@ from tests.domains.gas_storage.storage_cases import bare, random_actions, read_c
 
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.curves.products import delivery
-from snapo.engine import Xla
-from snapo.problem.inputs import plain
+from snapo.engine.native import Native
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
+from snapo.solver.adjoint import pull_back
 from snapo.study import commands
 from snapo.study.domain import CaseRequest
 
@@ -143,7 +142,7 @@ def test_a_derivative_by_quote_is_the_bump_of_the_quote_with_decisions_held(tmp_
     def rolled(item):
         simulator, _, schedule = bare(item)
         draws = Pseudo(3).draws(np.arange(8), simulator)
-        engine = Xla("float64")
+        engine = Native("float64")
         return engine.values(simulator, None, schedule, draws, Exact(), actions=actions)
 
     def value(quotes) -> float:
@@ -151,12 +150,10 @@ def test_a_derivative_by_quote_is_the_bump_of_the_quote_with_decisions_held(tmp_
 
     simulator, inputs, schedule = bare(item)
     draws = Pseudo(3).draws(np.arange(8), simulator)
-    back = Xla("float64").adjoint(
+    back = Native("float64").adjoint(
         simulator, None, schedule, draws, Exact(), weights, actions=actions, wrt=("schedule",)
     )
-    with jax.enable_x64(True):
-        _, pull = jax.vjp(simulator.prepare, plain(inputs))
-        by_day = np.asarray(pull(back.schedule)[0]["forward_curve"])
+    by_day = pull_back(simulator, inputs, [back.schedule])["forward_curve"][0]
     by_quote = by_day @ item.quotes.matrix
     for i, (name, price) in enumerate(quotes.items()):
         up, down = (value(quotes | {name: price + h}) for h in (0.01, -0.01))

@@ -8,6 +8,7 @@ make the result low. `marginal` describes how the factors are integrated.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -20,25 +21,52 @@ from .marginal import FactorGrid, common_volume, factor_grid
 from .piecewise import visited
 
 
+class ExpectedPath(NamedTuple):
+    """The expected path of the decisions of a lattice; see `LatticeResult`."""
+
+    deltas: np.ndarray
+    end_delta: float
+    net: np.ndarray
+    inventory: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class LatticeResult:
     """Result of the dynamic program. Money is a present value on the valuation date.
 
     - `value`: the value of the contract, before fixed costs.
+    - `selected`: indices of the price factors on the grid, fast one first; `dropped`: those left
+      out.
+    - `follow`: the sweep forward, which is done once, when one of the following is read.
     - `deltas`: [T] derivative of the value with respect to each day's forward price, in discounted
       volume (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
-    - `selected`: indices of the price factors on the grid, fast one first; `dropped`: those left
-      out.
     """
 
     value: float
-    deltas: np.ndarray
-    end_delta: float
-    net: np.ndarray
-    inventory: np.ndarray
     selected: tuple[int, ...]
     dropped: tuple[int, ...]
+    follow: Callable[[], ExpectedPath]
+
+    @cached_property
+    def _expected(self) -> ExpectedPath:
+        return self.follow()
+
+    @property
+    def deltas(self) -> np.ndarray:
+        return self._expected.deltas
+
+    @property
+    def end_delta(self) -> float:
+        return self._expected.end_delta
+
+    @property
+    def net(self) -> np.ndarray:
+        return self._expected.net
+
+    @property
+    def inventory(self) -> np.ndarray:
+        return self._expected.inventory
 
 
 def lattice(
@@ -86,7 +114,7 @@ def lattice(
         step = step or volume_scale(schedule) / (inventories - 1)
         nodes = _regular(schedule, interpolation, step)
     days, value = _backward(schedule, interpolation, grid, nodes, volumes)
-    return LatticeResult(value, *_forward(schedule, grid, days), selected, dropped)
+    return LatticeResult(value, selected, dropped, lambda: _forward(schedule, grid, days))
 
 
 def _at_the_end(schedule, selected, dropped) -> LatticeResult:
@@ -95,7 +123,8 @@ def _at_the_end(schedule, selected, dropped) -> LatticeResult:
     stock = np.array([constants.inventory])
     value = float(end_value(schedule, stock, constants.end_forward)[0])
     delta = float(constants.end_fraction * constants.end_discount * constants.inventory)
-    return LatticeResult(value, np.zeros(0), delta, np.zeros(0), stock, selected, dropped)
+    expected = ExpectedPath(np.zeros(0), delta, np.zeros(0), stock)
+    return LatticeResult(value, selected, dropped, lambda: expected)
 
 
 def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
@@ -153,8 +182,8 @@ def _backward(schedule, interpolation, grid: FactorGrid, nodes: list[np.ndarray]
     return days[::-1], float(grid.start().expect(value)[0, 0])
 
 
-def _forward(schedule, grid: FactorGrid, days: list[DayDecisions]):
-    """Follows the decisions from today: deltas, end delta, expected net flows and inventories."""
+def _forward(schedule, grid: FactorGrid, days: list[DayDecisions]) -> ExpectedPath:
+    """Follows the decisions from today."""
     steps, constants = schedule.steps, schedule.constants
     horizon = len(days)
     deltas, net, stock = np.zeros(horizon), np.zeros(horizon), np.zeros(horizon + 1)
@@ -170,7 +199,7 @@ def _forward(schedule, grid: FactorGrid, days: list[DayDecisions]):
     left = nodes @ weight
     stock[horizon] = left.sum()
     end_delta = constants.end_fraction * constants.end_discount * (grid.by_forward(horizon) @ left)
-    return deltas, float(end_delta), net, stock
+    return ExpectedPath(deltas, float(end_delta), net, stock)
 
 
 MOVED = 1e-4  # of the value: a grid is fine enough when half its spacing moves the value by less

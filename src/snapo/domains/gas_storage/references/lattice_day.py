@@ -87,10 +87,10 @@ def decide(
     best = np.full((len(inventory), after.shape[1]), -np.inf)
     choice = np.zeros(best.shape, np.int8)
 
-    def offer(code: int, value: np.ndarray):
-        better = value > best
+    def offer(code: int, value: np.ndarray, where: np.ndarray | bool = True):
+        better = (value > best) & where
         np.copyto(best, value, where=better)
-        choice[better] = code
+        np.copyto(choice, np.int8(code), where=better)
 
     for code, target in ((HOLD, today.hold), (UP, today.up), (DOWN, today.down)):
         net = target - today.keep
@@ -104,8 +104,8 @@ def decide(
             floor, ceiling = (today.hold, today.up) if code == BUY_TO else (today.down, today.hold)
             target = nodes[node]
             within = (target > floor[:, None]) & (target < ceiling[:, None])
-            values = np.max(net_value, axis=0) + today.keep[:, None] * price
-            offer(code, np.where(within, values, -np.inf))
+            peak = net_value[node, np.arange(len(node))]
+            offer(code, peak + today.keep[:, None] * price, within)
     move_to = None
     if volumes == "every":
         move_to = _try_every_node(today, prices, nodes, after, best, choice)
@@ -168,9 +168,12 @@ def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> "csr_array":
     count, size = len(points), len(nodes)
     if size == 1:
         return csr_array(np.ones((count, 1)))
-    points = np.clip(points, nodes[0], nodes[-1])
-    left = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, size - 2)
+    points = np.minimum(np.maximum(points, nodes[0]), nodes[-1])
+    left = np.searchsorted(nodes[1:-1], points, side="right")
     share = (points - nodes[left]) / (nodes[left + 1] - nodes[left])
-    weights = np.stack([1 - share, share], axis=1).ravel()
-    columns = np.stack([left, left + 1], axis=1).ravel()
-    return csr_array((weights, columns, np.arange(0, 2 * count + 1, 2)), (count, size))
+    weights, columns = np.empty((count, 2)), np.empty((count, 2), np.int32)
+    weights[:, 0], weights[:, 1] = 1 - share, share
+    columns[:, 0], columns[:, 1] = left, left + 1
+    # SciPy uses indices of 32 bits unchanged, and searches longer ones for their largest.
+    rows = np.arange(0, 2 * count + 1, 2, dtype=np.int32)
+    return csr_array((weights.ravel(), columns.ravel(), rows), (count, size))
