@@ -51,7 +51,7 @@ def write(folder: Path, more: str = "") -> Path:
 
 def setup_of(folder: Path, more: str = ""):
     case = DOMAIN.with_simulator(*CODE).read(*load(write(folder, more)))
-    return make_setup(case, "xla")
+    return make_setup(case, "native")
 
 
 def test_what_is_left_out_is_what_solve_takes(tmp_path):
@@ -96,7 +96,7 @@ def trained(folder: Path, *stops: str) -> float:
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            commands.solve(CaseRequest(folder, (), CODE), tell, resume=i > 0, engine="xla")
+            commands.solve(CaseRequest(folder, (), CODE), tell, resume=i > 0, engine="native")
         assert seen
     return json.loads((folder / "run" / "parts" / "training.json").read_text())["solution"]["value"]
 
@@ -106,7 +106,9 @@ def test_a_run_is_that_of_solve_to_the_bit_and_goes_on_to_the_bit(tmp_path):
     """On features that are scaled, since it is about stopping; also where the run is interrupted."""
     setup = setup_of(tmp_path / "one", SHORT + LITTLE)
     plan = snapo.Training(steps=6, paths=64, validation_every=2, validation_paths=256)
-    solution = snapo.solve(setup.problem, training=plan, evaluation=setup.evaluation, engine="xla")
+    solution = snapo.solve(
+        setup.problem, training=plan, evaluation=setup.evaluation, engine="native"
+    )
     assert solution.convergence
     assert trained(tmp_path / "one") == solution.value
     assert trained(write(tmp_path / "two", SHORT + LITTLE), "step     2") == solution.value
