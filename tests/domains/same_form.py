@@ -12,6 +12,7 @@ from snapo.problem.code.version import path, text
 from snapo.problem.inputs import plain
 from snapo.problem.problem import Problem
 
+Shape = jax.ShapeDtypeStruct
 # How many pairs are compared: thirty find a form that leaves a rule out of it; the study takes all.
 PAIRS = pytest.mark.parametrize(
     "enough",
@@ -20,9 +21,9 @@ PAIRS = pytest.mark.parametrize(
 
 
 def programs(problem: Problem):
-    """Of `prepare`, and of one path's start, step and end."""
+    """Of `prepare`, and of one path's start, step and end: traced, and nothing is compiled."""
     with jax.enable_x64(True):
-        simulator, schedule = problem.simulator, problem.schedule
+        simulator = problem.simulator
         leaves, structure = jax.tree.flatten(simulator)
         rest, on_step = jax.tree.flatten(simulator.on_paths().on_step())
 
@@ -30,14 +31,15 @@ def programs(problem: Problem):
             own = jax.tree.unflatten(on_step, leaves)
             return path(own, None)(constants, now, *noise)
 
-        prepared = text(
-            lambda leaves, values: jax.tree.unflatten(structure, leaves).prepare(values),
-            leaves,
-            plain(problem.inputs),
-        )
+        def schedule(leaves, values):
+            return jax.tree.unflatten(structure, leaves).prepare(values)
+
+        numbers = leaves, plain(problem.inputs)
+        prepared = text(schedule, *numbers)
+        shapes = jax.eval_shape(schedule, *numbers)
+        constants = jax.tree.map(lambda leaf: Shape(leaf.shape, leaf.dtype), shapes.constants)
+        now = jax.tree.map(lambda leaf: Shape(leaf.shape[1:], leaf.dtype), shapes.steps)
         sizes = simulator.initial_noise_size, simulator.noise_size, simulator.action.size
-        now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)
-        constants = jax.tree.map(jnp.asarray, schedule.constants)
         vectors = [jnp.zeros(size) for size in sizes]
         return prepared, text(rolled, rest, constants, now, *vectors)
 

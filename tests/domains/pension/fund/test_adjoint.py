@@ -98,21 +98,21 @@ def test_every_input_agrees_with_central_differences(problem):
     simulator, inputs, schedule, policy = problem
     draws, smooth = Pseudo(1).draws(np.arange(PATHS), simulator), Smooth(jnp.asarray(0.5))
     weights = {name: np.full(PATHS, w / PATHS) for name, w in WEIGHT.items()}
-    gradients = []
-    for engine in (Xla("float64"), Native("float64")):
-        passed = engine.adjoint(simulator, policy, schedule, draws, smooth, weights)
-        gradients.append(pull_back(simulator, inputs, [passed.schedule]))
-    ours, native = gradients
+
+    def swept(engine, schedule):
+        return engine.adjoint(simulator, policy, schedule, draws, smooth, weights)
+
     engine, start = Xla("float64"), values(inputs)
-    with jax.enable_x64(True):
-        remade = jax.jit(lambda given: simulator.prepare(with_values(inputs, given)))
+    ours, native = (
+        pull_back(simulator, inputs, [swept(each, schedule).schedule])
+        for each in (engine, Native("float64"))
+    )
 
     def value(i, place, bump):
         moved = [each.copy() for each in start]
         moved[i].ravel()[place] += bump
-        with jax.enable_x64(True):
-            made = jax.tree.map(np.asarray, remade(moved))
-        totals = float64(engine.values(simulator, policy, made, draws, smooth).totals)
+        made = prepare(simulator, with_values(inputs, moved))  # compiled already
+        totals = float64(swept(engine, made).totals)
         return sum(w * totals[name].mean() for name, w in WEIGHT.items())
 
     dead, rng = [], np.random.default_rng(0)

@@ -20,7 +20,7 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
 from snapo.domains.pension.results.figures.plausible import remarks
-from snapo.engine import Xla
+from snapo.engine.native import Native
 from snapo.problem.policies.rules import Constant
 from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
@@ -49,7 +49,7 @@ def paths(one):
     simulator, inputs = PensionSimulator.of(one), pension_inputs(one)
     draws = Pseudo(1).draws(np.arange(1), simulator)
     schedule = prepare(simulator, inputs)
-    rolled = Xla("float64").values(
+    rolled = Native("float64").values(
         simulator, Constant(np.ones(1)), schedule, draws, Exact(), record=("outputs",)
     )
     paid = np.asarray(rolled.record["outputs"]["contribution"])[:, 0]

@@ -158,23 +158,21 @@ def test_engines_agree_and_every_derivative_is_that_of_central_differences():
     draws, smooth = Pseudo(1).draws(np.arange(8), simulator), Smooth(jnp.asarray(0.5))
     weight = {"funding_ratio": 1.0, "pv_cost": 0.05, "collateral_shortfall": 0.1}
     each = {name: np.full(8, w / 8) for name, w in weight.items()}
-    passed = [
-        engine.adjoint(simulator, policy, schedule, draws, smooth, each)
-        for engine in ENGINES.values()
-    ]
+
+    def swept(engine, schedule):
+        return ENGINES[engine].adjoint(simulator, policy, schedule, draws, smooth, each)
+
+    passed = [swept(engine, schedule) for engine in ENGINES]
     for a, b in zip(*(jax.tree.leaves(found.policy) for found in passed), strict=True):
         np.testing.assert_allclose(b, a, rtol=1e-7, atol=1e-11)
     ours, native = (pull_back(simulator, inputs, [found.schedule]) for found in passed)
     start = values(inputs)
-    with jax.enable_x64(True):
-        remade = jax.jit(lambda moved: simulator.prepare(with_values(inputs, moved)))
 
     def value(i, place, bump):
         moved = [numbers.copy() for numbers in start]
         moved[i].ravel()[place] += bump
-        with jax.enable_x64(True):
-            made = jax.tree.map(np.asarray, remade(moved))
-        found = float64(ENGINES["xla"].values(simulator, policy, made, draws, smooth).totals)
+        made = prepare(simulator, with_values(inputs, moved))  # compiled already
+        found = float64(swept("xla", made).totals)
         return sum(w * found[name].mean() for name, w in weight.items())
 
     rng = np.random.default_rng(0)

@@ -305,7 +305,7 @@ def test_a_market_that_stands_still_moves_money_as_the_books_say():
         simulator, _, schedule = simulated(case(steps, held_assets=held, flows=flows, plan=terms))
         draws = Pseudo(0).draws(np.arange(2), simulator)
         policy = Constant(np.array([0.0, 0.5]))
-        rolled = Xla("float64").values(
+        rolled = NATIVE.values(
             simulator, policy, schedule, draws, Exact(), record=("state", "outputs")
         )
         grow = np.exp(0.02 / 12)

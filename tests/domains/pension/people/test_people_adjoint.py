@@ -1,6 +1,7 @@
 """The derivative of everything about members and plan, by every number, against differences."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import jax
@@ -84,13 +85,21 @@ def whole(case):
 
 
 def slopes(value, inputs):
-    """Differences of fourth order at every entry of every input."""
+    """Differences of fourth order at every entry of every input; `value` as `of_points` makes it."""
     centre, unravel = ravel_pytree(inputs)
     steps = 1e-3 * np.maximum(np.abs(centre), 1e-2)
-    run = jax.jit(lambda points: jax.lax.map(lambda point: value(unravel(point)), points))
     one, two = np.diag(steps), 2 * np.diag(steps)
-    at = np.asarray(run(centre + np.concatenate([one, -one, two, -two]))).reshape(4, -1)
+    points = centre + np.concatenate([one, -one, two, -two])
+    at = np.asarray(value(points)).reshape(4, -1)
     return unravel((8 * (at[0] - at[1]) - (at[2] - at[3])) / (12 * steps))
+
+
+def of_points(value, inputs):
+    """`value` of many points [points, numbers of `inputs`], one after another, compiled."""
+    unravel = ravel_pytree(inputs)[1]
+    return jax.jit(
+        lambda points, *others: jax.lax.map(lambda x: value(unravel(x), *others), points)
+    )
 
 
 SLOW = pytest.param("open", marks=pytest.mark.study)
@@ -103,7 +112,7 @@ def test_every_number_of_members_and_mortality(name):
     with jax.enable_x64(True):
         value, inputs = whole(case)
         adjoint = jax.jit(jax.grad(value))(inputs)
-        differences = slopes(value, inputs)
+        differences = slopes(of_points(value, inputs), inputs)
         for key, centre in inputs.items():
             if key.startswith(OTHERS):
                 assert not np.any(adjoint[key])
@@ -130,14 +139,14 @@ RULES = {
 }
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("name", RULES)
-@pytest.mark.parametrize("ratio", [0.9, 1.01, 1.1, 1.24])
-def test_every_number_of_the_rules(name, ratio):
+@cache
+def of_rules(name):
+    """What the rules pay and give, of (their inputs, the funding ratio): its derivatives and its
+    values at many points, compiled once for all ratios."""
     terms = RULES[name]
     case = people_case(plan=terms)
 
-    def value(inputs):
+    def value(inputs, ratio):
         numbers = plan_terms(case, inputs)
         smooth = Smooth(0.3)
         shared = {"payroll": 50.0, "wage": 1.1, "step": 1 / 12, "smooth": smooth}
@@ -147,15 +156,22 @@ def test_every_number_of_the_rules(name, ratio):
         given, cut = indexation(terms, numbers, ratio=ratio, price_growth=0.025, smooth=smooth)
         return paid / 10 + 30 * given + 20 * cut
 
+    inputs = {
+        key: each
+        for key, each in plain(pension_inputs(case)).items()
+        if key.split("_")[0] in ("contribution", "indexation")
+    }
+    return inputs, jax.jit(jax.grad(value)), of_points(value, inputs)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("name", RULES)
+@pytest.mark.parametrize("ratio", [0.9, 1.01, 1.1, 1.24])
+def test_every_number_of_the_rules(name, ratio):
     with jax.enable_x64(True):
-        value = jax.jit(value)
-        inputs = {
-            key: each
-            for key, each in plain(pension_inputs(case)).items()
-            if key.split("_")[0] in ("contribution", "indexation")
-        }
-        adjoint = jax.grad(value)(inputs)
-        differences = slopes(value, inputs)
+        inputs, gradient, values = of_rules(name)
+        adjoint = gradient(inputs, ratio)
+        differences = slopes(lambda points: values(points, ratio), inputs)
         for key in inputs:
             # The rounded corners have a third derivative that jumps at their ends.
             np.testing.assert_allclose(adjoint[key], differences[key], 1e-5, 1e-7, err_msg=key)

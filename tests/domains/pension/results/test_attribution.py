@@ -18,7 +18,7 @@ from tests.domains.pension.market_cases import (
 
 from snapo.domains.pension.chapters.attribution import ROWS, Explained
 from snapo.domains.pension.records.inputs import pension_inputs
-from snapo.engine import Xla
+from snapo.engine.native import Native
 from snapo.problem.policies.rules import Constant
 from snapo.problem.problem import prepare
 from snapo.problem.scenarios import Pseudo
@@ -31,7 +31,7 @@ def explained(one, action, paths=4):
     schedule = prepare(simulator, pension_inputs(one))
     draws = Pseudo(2).draws(np.arange(paths), simulator)
     policy = Constant(np.asarray(action))
-    rolled = Xla("float64").values(simulator, policy, schedule, draws, Exact())
+    rolled = Native("float64").values(simulator, policy, schedule, draws, Exact())
     totals = {name: np.asarray(total) for name, total in rolled.totals.items()}
     start = float(schedule.constants.assets / schedule.constants.liability)
     return totals, start, totals.pop("funding_ratio")
