@@ -48,7 +48,9 @@ FULL = pipeline.PIPELINE
 # Whose proofs do without LLVM's passes, which change rounding (`engine/native/test_runtime.py`):
 # simulators whose code takes longer to be made than to run. All others make the code that users
 # run.
-WIDE = tuple(f"domains/{room}" for room in ("pension", "pharma", "control", "inventory", "energy"))
+WIDE = tuple(
+    f"domains/{room}" for room in ("pension", "pharma", "control", "inventory", "energy", "test_")
+)
 
 
 def pytest_configure(config):
@@ -81,7 +83,7 @@ def sketched(monkeypatch):
     monkeypatch.setattr(drawing, "_svg", sketch)
 
 
-MOST_MAPS = 30_000
+MOST_MAPS = 40_000
 MOST_DAYS = 14  # that compiled code is kept unused
 
 
