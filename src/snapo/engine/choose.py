@@ -77,7 +77,8 @@ def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
         if requested == "native":
             raise ValueError(f"engine: native cannot run here, because {missing}")
         return _xla(devices, missing)
-    reason = unsupported(problem.simulator, problem.schedule, policy, Smooth(np.float32(0.1)))
+    trees = problem.simulator, problem.schedule, policy, Smooth(np.float32(0.1))
+    reason = unsupported(*trees, quickly=True)
     if reason is None:
         why = "it was asked for" if requested == "native" else "it can compile this simulator"
         return Engines(Native("float32"), Native("float64"), "native", f"native, because {why}")

@@ -1,6 +1,8 @@
 """Kernels stored by an earlier process: used as they are, for the same sources and numbers alone."""
 
 import functools
+import sys
+from collections import OrderedDict
 from functools import partial
 from typing import NamedTuple
 
@@ -11,7 +13,8 @@ import pytest
 from tests.engine.native.problems import Store, Tanh
 from tests.miniatures import MINIATURES
 
-from snapo.engine.native import Native, call, forget_kernels
+from snapo.engine.choose import choose
+from snapo.engine.native import Native, call, forget_kernels, unsupported
 from snapo.lanes.machine import disk
 from snapo.problem.actions.sets import Box
 from snapo.problem.code import described
@@ -21,6 +24,7 @@ from snapo.problem.simulator import probe
 from snapo.problem.smooth import Smooth
 from snapo.study.domain import Options, load
 
+explain = sys.modules[unsupported.__module__]
 RECORD = ("state", "action", "outputs", "slack")
 
 
@@ -82,6 +86,19 @@ def test_a_stored_kernel_gives_the_same_bits_without_a_trace(kind, problem_of, f
     second = run(problem)
     assert jax.tree.structure(first) == jax.tree.structure(second)
     assert bits(first) == bits(second) and set(folder.glob("*.kernel")) == stored
+
+
+@pytest.mark.parametrize("kind", ["inventory", *PROOFS])
+def test_choosing_an_engine_leaves_the_kernel_of_derivatives(kind, problem_of, folder, monkeypatch):
+    """To examine a simulator of the package costs no kernel that evaluation does not need."""
+    problem = problem_of(kind)
+    features = probe(problem.simulator, problem.schedule)[1].shape[0]
+    policy = MLP(problem.simulator.action, features, key=jax.random.key(0), hidden=(4,))
+    monkeypatch.setattr(explain, "_reasons", OrderedDict())
+    evaluation = choose("native", problem, policy).evaluate.bind(problem, controls=False)
+    monkeypatch.setattr(call, "traced", refuse)
+    draws = Pseudo(0).draws(np.arange(100), problem.simulator)
+    evaluation.adjoint(policy, draws, Smooth(0.2), {problem.objective.outputs[0]: np.ones(100)})
 
 
 def test_a_simulator_of_the_user_is_not_stored(folder):

@@ -9,12 +9,13 @@ import numpy as np
 
 from snapo.lanes import Unsupported
 from snapo.lanes.machine.pipeline import assembly, host
+from snapo.problem.code.version import of_rollout
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import Smooth
 
-from ..base import TRAJECTORY, Window
+from ..base import TRAJECTORY, Window, uncontrolled
 from .call import KEPT, NativeCall, unavailable
 from .engine import Native
 from .kernel.context import KernelStages
@@ -79,18 +80,29 @@ def explain(
 
 
 def unsupported(
-    simulator: Simulator, schedule: Schedule, policy: Policy, smooth, precision: str = "float32"
+    simulator: Simulator,
+    schedule: Schedule,
+    policy: Policy,
+    smooth,
+    precision: str = "float32",
+    quickly: bool = False,
 ) -> str | None:
     """Why a simulator cannot be compiled: the primitive and the line of user code.
 
     None if it can: its value and gradient, with every record, and clipped by `state_scale`.
     Nothing is compiled; tracing takes some tenths of a second, once for all simulators of one form.
+
+    `quickly`: where no code is the user's own, only the kernel of derivatives is traced, which
+    evaluation uses again.
     """
     if (missing := unavailable()) is not None:
         return missing
-    engine = Native(precision)
+    engine, every = Native(precision), (TRAJECTORY, True)
+    if quickly and of_rollout(simulator, policy, schedule, smooth) is None:
+        engine, every = Native("float64"), ((), False)
+        simulator = uncontrolled(simulator.on_paths(), ())
     with engine.numbers():
-        call, setup = _whole(engine, simulator, schedule, policy, smooth, TRAJECTORY, True)
+        call, setup = _whole(engine, simulator, schedule, policy, smooth, *every)
         key = call.key(setup, None)
         if key not in _reasons:
             _reasons[key] = _reason(call, setup)
