@@ -44,9 +44,9 @@ def faults(text: str) -> list[str]:
                 found.append(f"{node.lineno}: {node.value!r}")
         elif isinstance(node, ast.Call) and node.args:
             name = getattr(node.func, "id", getattr(node.func, "attr", ""))
-            shown = ast.unparse(node.args[0])
+            shown = ast.unparse(node.args[0]) if name in FORMATTERS else ""
             is_error = re.search(r"(standard_error|_error|\.error)$", shown) and shown not in ERRORS
-            if name in FORMATTERS and is_error and "worst" not in shown:
+            if is_error and "worst" not in shown:
                 found.append(f"{node.lineno}: {ast.unparse(node)}")
     return found
 
