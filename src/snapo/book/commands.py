@@ -84,10 +84,10 @@ def sweep(
 
     - `assignments`: as of `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
       `sobol` points.
-    - `train`: whether each point trains its policy; else the policy of the case decides at all
+    - `train`: whether each point trains its policy; otherwise the policy of the case decides at all
       points.
 
-    **Raises:** `CaseError` for a mistake in the case, its axes, or a point of them.
+    **Raises:** `CaseError` for a mistake in the case, its axes, or one of their points.
     """
     book = sweep_book(path, assignments, sobol=sobol, train=train)
     folder = book.file.parent / "sweep" if out is None else out

@@ -1,4 +1,4 @@
-"""Stresses: how the file of a book gives them, and the numbers of a case under one, which are
+"""Stresses: their tables in the file of a book, and the numbers of a case under a stress, which are
 inputs, or the quotes from which a curve is made."""
 
 import datetime
@@ -54,7 +54,7 @@ class StressMove:
 
     - `key`: of the case, "market.forward_curve".
     - `when`: first and last day; None: everywhere.
-    - `value`: as TOML writes it; "": that of the case.
+    - `value`: as TOML writes it; "": the value in the case.
     """
 
     key: str
@@ -234,7 +234,7 @@ def moved_numbers(
 
 
 def check_tables(moves: Sequence[StressMove], tables: Mapping[str, Any]) -> None:
-    """**Raises:** `CaseError` for a key whose table is almost called like one of the case."""
+    """**Raises:** `CaseError` for a key whose table resembles a table of the case."""
     for move in moves:
         first, dot, _ = move.key.casefold().partition(".")
         names = [name.casefold() for name in tables]

@@ -1,7 +1,8 @@
 """The result of a job: a contract trained and valued, then valued under stresses.
 
 It depends on nothing but the job's bytes: the same on every machine with the same versions and
-processors of one kind. Code compiled for one contract serves all of the same form in a process.
+processors of one kind. In one process, code compiled for a contract serves all contracts of the
+same form.
 """
 
 import gc
@@ -65,7 +66,7 @@ LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
 def compute(data: bytes) -> bytes:
-    """The result of a job, with its cost. A mistake in a case is a result too."""
+    """The result of a job, with its cost. A mistake in a case is also a result."""
     job, started = BookJob.unpack(data), time.process_time()
     if not _same_bits(job):
         return OTHER
@@ -115,7 +116,7 @@ def _sentence(error: Exception, folder: str) -> str:
 
 
 class JobContract:
-    """The contract of a job: its case, and that under a stress; `folder`: for its files.
+    """The contract of a job: its case, and its case under a stress; `folder`: for its files.
 
     **Raises:** `CaseError` for a case that cannot be read.
     """

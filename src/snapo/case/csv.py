@@ -1,7 +1,7 @@
 """CSV files and arrays of a case, read so that every mistake has a line and a remedy.
 
 A CSV is UTF-8 (with or without a byte-order mark), with a header row that names the columns in any
-order; blank lines, lines that start with `#`, and further columns are passed over. Commas separate,
+order; blank lines, lines that start with `#`, and further columns are ignored. Commas separate,
 numbers have a decimal point, days are YYYY-MM-DD and months YYYY-MM; see `dialect` for others.
 """
 
@@ -50,7 +50,7 @@ def _lines(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterable[list
 
 
 def cell(value: Any) -> str:
-    """A value as a CSV of a case has it; "" for nothing."""
+    """The text of a value in a CSV of a case; "" for no value."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if isinstance(value, datetime.datetime):
@@ -240,11 +240,11 @@ def read_rows(
 ) -> list[Row]:
     """Reads the CSV that a case names; every row has all `columns`, with blanks stripped.
 
-    A Parquet file in its place is read as the CSV of the same table.
+    A Parquet file instead of it is read like the CSV of the same table.
 
-    Other columns are those of `optional`: a misspelt one must not count as left out. None allows
-    any. Names of columns are in lower case; `with_keys`: but those with a point, which are keys of
-    a case.
+    Other columns are those of `optional`: a misspelt column must not be taken for an omitted one.
+    None allows any. Names of columns are in lower case; with `with_keys`, except names with a
+    point, which are keys of a case.
     """
     path = file_in_folder(reference, (".csv", ".parquet"))
     name = reference.name

@@ -7,7 +7,7 @@ far from its neighbours.
     RATE = Plausible(-0.02, 0.2, "a fraction is expected, 0.02 is 2 %", group="interest rate")
     notes = implausible(inputs, [RATE], CaseFiles(file, data)).values()
 
-A zero is the same number in every unit and is never noted. Its position is the cell of the
+Zero is the same number in every unit, and gets no note. Its position is the cell of the
 case's files that contains it and resembles the name and label of its input.
 """
 
@@ -90,12 +90,12 @@ def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
 class Plausible:
     """The range of a kind of numbers, in the unit of the input.
 
-    It is of the inputs among `names`, of its `group` and `unit`, and with a name that ends in one
-    of `endings`, as far as these are set.
+    It applies to inputs among `names`, with its `group` and `unit`, and whose name has one of
+    `endings`, as far as these are set.
 
     - `hint`: a clause on the unit that is expected.
     - `ratio`: the largest ratio between a number and its neighbours along the curve.
-    - `by_size`: the range is of absolute values: the sign means something else.
+    - `by_size`: the range is that of absolute values, because the sign has another meaning.
     """
 
     low: float
@@ -109,7 +109,7 @@ class Plausible:
     by_size: bool = False
 
     def fits(self, entry: CheckedNumbers) -> bool:
-        """Whether the range is of this input."""
+        """Whether the range applies to this input."""
         return (
             (not self.names or entry.name in self.names)
             and self.group in ("", entry.group)
@@ -271,8 +271,8 @@ class CaseFiles:
         """The position of a number of the input `name`; the name where no file has it.
 
         Of the cells that contain the number, or have the key's name, it is the one whose key,
-        column and row share the largest number of terms with the input's name and label. Annual
-        rates of a file are continuous in the records of some cases.
+        column and row share the largest number of terms with the input's name and label. Some cases
+        convert the annual rates of a file to continuous ones.
         """
         terms, last = _terms(name), _terms(name.rpartition(".")[2])
         written = (value, math.expm1(value) if abs(value) < 100 else value)

@@ -75,7 +75,7 @@ class Quantity:
 
     @property
     def title(self) -> str:
-        """The meaning with the unit, in which names of other keys replace their values."""
+        """The meaning with the unit, in which the names of other keys stand for their values."""
         return self.meaning + f", in {self.unit.format_map(_Values())}" * (self.unit != "1")
 
     def read(self, raw: Any, key: "KeyContext") -> CaseInput | None:
@@ -105,7 +105,7 @@ class Quantity:
     def input(
         self, name: str, values: Any, labels: Sequence[str] = ("",), **more: Any
     ) -> CaseInput:
-        """Numbers with everything that is known of them."""
+        """Numbers with all their metadata."""
         values = np.asarray(values, np.float64)
         more.setdefault("index", np.array(0) if tuple(labels) == ("",) else np.arange(len(values)))
         about = {
@@ -236,7 +236,7 @@ def on_dates(table: CaseTable, days: Sequence[date], notes: list[str]) -> dict[s
 
 
 def stacked(name: str, parts: Sequence[CaseInput]) -> CaseInput:
-    """Several of the same quantity as one, index [..., len(parts)]; several are numbered from 1."""
+    """Several of one quantity as one input, index [..., len(parts)]; they are numbered from 1."""
     starts = np.cumsum([0, *(len(part.values) for part in parts)])
     prefixes = [f"{i} " if len(parts) > 1 else "" for i in range(1, len(parts) + 1)]
     return replace(
@@ -251,7 +251,7 @@ def stacked(name: str, parts: Sequence[CaseInput]) -> CaseInput:
 
 
 def numbers_in(record: Any) -> Iterator[CaseInput]:
-    """All numbers in a record, in the records within it and in their tuples; no empty ones."""
+    """All numbers in a record, in the records within it and in their tuples, without empty ones."""
     if isinstance(record, CaseInput):
         if record.values.size:
             yield record

@@ -150,7 +150,7 @@ def read_objective(
 ) -> ObjectiveTable:
     """Reads the table `name`, and checks that the keys are those of its kind.
 
-    Keys in `optional` may be left out where other domains need them.
+    Keys in `optional` may be omitted, although other domains require them.
     """
     objective = parse(ObjectiveTable, data, file, name)
     kind = objective.kind

@@ -1,4 +1,4 @@
-"""The methods of a simulator with numbers to call them by, and the lines that they consist of."""
+"""The methods of a simulator with arguments to call them with, and their lines of code."""
 
 import linecache
 import os
@@ -24,7 +24,7 @@ _LIBRARIES = f"{os.sep}site-packages{os.sep}"
 
 
 class Method(NamedTuple):
-    """A method as a function of `arguments`, by name in its order."""
+    """A method as a function of `arguments`, by name, in the order of the method."""
 
     name: str
     function: Callable[..., Any]

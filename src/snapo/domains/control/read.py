@@ -129,13 +129,13 @@ def _field(parameter: PlantParameter) -> Any:
 
 
 class At(CaseTable):
-    """An initial state that is known."""
+    """A fixed initial state."""
 
     at: float | list[float] = doc("initial state", allowed="a number, or a list of them")
 
 
 class UniformStart(CaseTable):
-    """An initial state anywhere between two numbers."""
+    """A uniformly distributed initial state between two numbers."""
 
     low: float = doc("smallest initial state", allowed="a number below high")
     high: float = doc("largest initial state", allowed="a number above low")
@@ -183,7 +183,7 @@ def formats() -> dict[str, Any]:
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
-    """Reads all tables, then looks whether their numbers fit together."""
+    """Reads all tables, then checks whether their numbers fit together."""
     table, name = parse(ControlFile, data, str(file), ""), str(file)
     plant = _plant(table.plant, name)
     selected = parse(plant_table(plant), table.plant, name, "plant")

@@ -47,7 +47,7 @@ class StoresTable(CaseTable):
 
 
 class NamedTable(NamedTuple):
-    """The table of a store: its name, the table, its place in messages."""
+    """The table of a store: its name, the table, and its name in messages."""
 
     name: str
     table: ContractTable

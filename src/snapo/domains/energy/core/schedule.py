@@ -13,10 +13,10 @@ class Step(NamedTuple):
 
     - `time`: years from the valuation date; `forward`: the forward price of the commodity.
     - `price`: the row of the price process; `ahead`: the shape of the curve.
-    - `unit_values`, `surprise`: tables of the fitted value, None without one.
+    - `unit_values`, `surprise`: tables of the fitted value, if there is one.
     - `auction`, `begins`, `scheduled_values`: where flows are scheduled at auctions and the
       differences are traded, the row of the prices of the auction, whether it is on this step, and
-      the table of the fitted value of schedules that are never left.
+      the table of the fitted value of schedules that are always kept.
     """
 
     time: Array

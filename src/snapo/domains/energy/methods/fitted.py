@@ -40,7 +40,7 @@ class FittedContract:
 
     @property
     def available(self) -> AnyRegression:
-        """The regression that it is the result of."""
+        """The regression that gave it."""
         return regression_of(self.basis)
 
 

@@ -1,9 +1,8 @@
-"""The upper bound: the best moves of each path with its prices known, penalised for knowing them.
+"""The upper bound: the best moves on each path with perfect foresight, minus a penalty.
 
 The penalty of ending a step in a mode and at levels is the innovation of the fitted value there,
-V(next prices) - E[V(next prices)], which has mean zero for decisions without that knowledge.
-Whatever V
-is, the bound holds; see `snapo.solver.bound`. V is linear between nodes, and where all volumes of
+V(next prices) - E[V(next prices)], which has mean zero for decisions without foresight. The bound
+is valid for any V; see `snapo.solver.bound`. V is linear between nodes, and where all volumes of
 best decisions lead from node to node (`ContractGrid.exact`) the best penalised moves do too.
 """
 
@@ -69,7 +68,7 @@ class EnergyRelaxation:
         return charge + np.asarray(rollout.totals.get(GAIN, 0.0), float)
 
     def charged_along(self, rollout, levels, mode, scale: np.ndarray) -> np.ndarray:
-        """[N] penalties of other levels [T + 1, N, levels] and modes [T + 1, N] on these prices."""
+        """[N] penalties of certain levels [T + 1, N, levels] and modes [T + 1, N] at these prices."""
         prices = self._path(rollout.record["state"].price, rollout.state.price)
         innovations, total = self._innovations(prices, scale), np.zeros(levels.shape[1])
         if innovations is None or self.fitted is None:

@@ -1,9 +1,9 @@
 """The exact value: dynamic programming in the levels, modes and one or two price factors.
 
 With a month-ahead index the nodes are those of the spot price's factor f and of the index's g.
-Within a month g stays: a step is the transition of f at each node of g. Into a month g becomes f of
-the day before, so that the value there is read at g = f, by a cubic spline between nodes of g, and
-no longer depends on the old g.
+Within a month g is constant: a step is the transition of f at each node of g. At the start of a
+month g becomes f of the day before, so that the value there is read at g = f, by a cubic spline
+between nodes of g, and no longer depends on the old g.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ TODAY = 15  # Gauss-Hermite nodes of g on the first date
 
 class IndexTransition(NamedTuple):
     """From the nodes of a date to those of the next: `fast` [from, to] weights of f; `read`
-    [from, to] those of g' = f, where g is renewed; `nodes`: how many of g there are before."""
+    [from, to] those of g' = f, where g is renewed; `nodes`: the number of nodes of g before."""
 
     fast: np.ndarray
     read: np.ndarray | None
@@ -85,7 +85,7 @@ class IndexGrid:
         return np.linspace(-1, 1, self.slow | 1) * SLOW_REACH * deviation
 
     def columns(self, t: int) -> int:
-        """Their number on a date."""
+        """The number of nodes of g on a date."""
         return len(self.index_nodes(t)) * len(self.fast.fast)
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
@@ -147,8 +147,8 @@ class PairGrid:
 
     @classmethod
     def made(cls, of: GaussianFactors, spacing: float, slow: int) -> "PairGrid":
-        """`spacing` of the spot price's, in deviations of the shock of a step; `slow`: how many of
-        the second."""
+        """`spacing` of the spot price's nodes, in deviations of the shock of a step; `slow`: the
+        number of nodes of the second."""
         return cls(of, factor_grid(of._replace(index=None), (0, 1), spacing, slow))
 
     def columns(self, t: int) -> int:
@@ -247,8 +247,8 @@ def _factor_grid(
 
 
 def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> Refined:
-    """The value, each of its grids halved until that moves it by less than 0.001 %, or 0.005 % with
-    two commodities."""
+    """The value; the spacing of each grid is halved until the value changes by less than 0.001 %,
+    or 0.005 % with two commodities."""
     index = None if factors is None else factors.index
     slow, enough = (SLOW, ENOUGH) if index is None or index.renewed else PAIR
     of_levels = partial(lattice, layout, schedule, factors, slow=slow)

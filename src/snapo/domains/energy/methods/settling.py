@@ -16,9 +16,9 @@ positive = partial(np.maximum, 0.0)
 class Settling(NamedTuple):
     """The end of one step.
 
-    - `arrive`: the number of the node of the next step for each node after; `lost`: the
-      money that settling takes there.
-    - `corners`: such nodes and their weights, where balances are between nodes.
+    - `arrive`: the number of the node of the next step for each node after; `lost`: the money that
+      settling costs there.
+    - `corners`: the nodes and their weights, if balances lie between nodes.
     - `held`: money of the nodes before and after a step, which earns the second minus the first:
       money of the levels, and of the units made up so far; None without either.
     - `missed` [modes, nodes after]: the charge for joint limits that are not kept; None without.
@@ -110,7 +110,7 @@ def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarr
 
 
 def ranges_of_balances(terms: StepTerms, start: np.ndarray, low: np.ndarray, high: np.ndarray):
-    """For each balance [T + 1] the lowest and the highest one at the start of each step.
+    """For each balance the lowest and the highest number at the start of each step, [T + 1].
 
     `start` [balances]; `low`, `high` [T + 1]: of the counted level, at the start and after each
     step.
