@@ -47,8 +47,7 @@ def _days(labels: tuple[str, ...]) -> bool:
 
 
 def described(name: str, entry: Input, slope: np.ndarray | None, source: str) -> dict[str, Any]:
-    """An input for the page: its metadata, its numbers, and d value / d number, where
-    that is known."""
+    """An input for the page: its metadata, its numbers, and d value / d number, if known."""
     factor, trade_unit = own_unit(entry)
     return {
         "name": name,
@@ -78,7 +77,7 @@ def own_unit(entry: Input) -> tuple[float, str]:
 def slopes(table: Sensitivities | None, inputs: Mapping[str, Input]) -> dict[str, np.ndarray]:
     """d value / d number of every input, flat: the derivative that the run reports.
 
-    If only the change along a bump of all numbers of an input is known, each has its share.
+    If only the change along a bump of all numbers of an input is known, it is shared among them.
     """
     if table is None:
         return {name: np.zeros(entry.value.size) for name, entry in inputs.items()}

@@ -6,15 +6,15 @@ A simulator and a policy receive `smooth` and write their limits with it::
     fraction = smooth.indicator(value - price, scale=1.0)
 
 With `Smooth(temperature)` every corner is rounded over a width of temperature times scale,
-`scale` being in the units of the argument; with `Exact()` the same code is the contract as
-written. The temperature is an array, so annealing it never recompiles.
+`scale` being in the units of the argument; with `Exact()` the same code gives the exact rules. The
+temperature is an array, so annealing it never recompiles.
 
 Corners (`positive_part`, `minimum`, `maximum`, `clip`, `absolute`) are rounded by a quartic of
-compact support: outside the width they ARE the exact function, and a smooth minimum never
+compact support: outside the width they equal the exact function, and a smooth minimum never
 exceeds the exact one, so that feasible volumes stay feasible. Jumps (`indicator`, `choose`,
 `share`) become logistic curves, whose tails have a slope towards the better side.
 All are finite in value and first and second derivative at the kink, at equal arguments, at
-infinities and at temperature zero: the branch not taken is evaluated at a harmless point.
+infinities and at temperature zero: the unused branch is evaluated at a safe point.
 """
 
 import abc

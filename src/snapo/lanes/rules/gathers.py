@@ -1,7 +1,7 @@
 """Reading at positions known only while running: gather and dynamic slices.
 
-Processors gather number by number. Neighbours in a table that all paths share are faster read path
-by path, and then transposed: one vector of lanes for each.
+Processors gather number by number. For neighbours in a table that all paths share it is faster to
+read path by path and then transpose, to one vector of lanes for each neighbour.
 """
 
 import math
@@ -77,8 +77,8 @@ def transposed(code: Code, rows: list[Ref]) -> list[Ref]:
     """Vectors of blocks, each block with as many numbers as there are vectors, a power of two:
     every block of them transposed.
 
-    Each round interleaves every vector with the one half of them further on. Of the bits of a
-    number's position, row before column, this moves the first to the end.
+    Each round interleaves every vector with the vector half of them further on. This moves the
+    first bit of the position of a number (row, then column) to the end.
     """
     width, lanes = len(rows), rows[0].lanes
     masks = [

@@ -1,7 +1,8 @@
 """Positions known only while running: their bounds, and the elements that lie there.
 
-A position known while compiling costs nothing. One that differs between paths becomes selections
-or rearrangements (`lookups`) of up to 16 candidates, else one masked gather over the lanes.
+A position known while compiling costs nothing. A position that differs between paths becomes
+selections or rearrangements (`lookups`) of up to 16 candidates, otherwise one masked gather over
+the lanes.
 """
 
 import numpy as np

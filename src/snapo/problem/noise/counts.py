@@ -1,8 +1,8 @@
 """Whole numbers: the quantile of a discrete distribution, with a derivative with respect to its
 parameters.
 
-Number k is drawn if the uniform u is between F(k - 1) and F(k). A step function has no
-derivative of use; a draw is given
+Number k is drawn if the uniform u is between F(k - 1) and F(k). A step function has no useful
+derivative; a draw gets
 
     d k = -(d F(k - 1) + d F(k)) / (2 p(k)),        p(k) = F(k) - F(k - 1).
 

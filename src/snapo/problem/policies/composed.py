@@ -78,7 +78,7 @@ NEEDED = (
 
 
 class Plain(Policy):
-    """An `eqx.Module` where a policy goes; `solve` creates it from any other module.
+    """An `eqx.Module` used as a policy; `solve` creates it from any other module.
 
     - `raw`: whether it is called as `network(observation)`: its outputs are unbounded, and are
       squashed into the action set. Otherwise it is called as `policy(observation, smooth)`, and its
@@ -119,7 +119,7 @@ class Plain(Policy):
 
 
 def as_policy(values: Any) -> Policy:
-    """The policy that was given, or a module as one. **Raises:** `TypeError` for all else."""
+    """The policy itself, or a module as a policy. **Raises:** `TypeError` for anything else."""
     if isinstance(values, Policy):
         return values
     if not isinstance(values, eqx.Module) or not callable(values):

@@ -68,7 +68,7 @@ class EnergyRelaxation:
         return charge + np.asarray(rollout.totals.get(GAIN, 0.0), float)
 
     def charged_along(self, rollout, levels, mode, scale: np.ndarray) -> np.ndarray:
-        """[N] penalties of certain levels [T + 1, N, levels] and modes [T + 1, N] at these prices."""
+        """[N] penalties at these prices of other levels [T + 1, N, levels] and modes [T + 1, N]."""
         prices = self._path(rollout.record["state"].price, rollout.state.price)
         innovations, total = self._innovations(prices, scale), np.zeros(levels.shape[1])
         if innovations is None or self.fitted is None:
