@@ -67,7 +67,7 @@ class Simulated(NamedTuple):
 
 
 def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
-    """Simulates every path once if recording does not change the bits of totals; otherwise twice.
+    """Simulates every path once if recording keeps the bits of totals; else totals separately.
 
     The complete trajectory is always recorded: another record would be compiled again.
     """

@@ -53,7 +53,8 @@ def sensitivities(
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
-    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` smooth ones.
+    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` also smooth
+    ones.
 
     The latter use `smooth_paths`; all are paths of the problem's evaluation. Standard errors come
     from 32 to 64 independent blocks of paths. `earlier` is a policy from the middle of training:
@@ -116,7 +117,7 @@ def sensitivities_and_totals(
 def through_policy(
     problem: Problem, policy: Policy, smooth: Smooth, engine: Engine | None
 ) -> DerivativePass:
-    """How `sensitivities` differentiates the smooth simulator."""
+    """The derivative pass of `sensitivities` through the smooth simulator."""
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
     return DerivativePass(problem, bound, policy, smooth, held=False)
 
@@ -141,7 +142,7 @@ def held_of_several(
     paths: int,
     engine: Engine | None = None,
 ) -> list[dict[str, Estimate]]:
-    """Held derivatives {input: Estimate} of each objective, as `sensitivities` gives of one.
+    """Held derivatives {input: Estimate} of each objective, as from `sensitivities` for one.
 
     The objectives share the recorded decisions and every forward sweep: one adjoint pass for each
     block of paths has a column of cotangents for each objective.
@@ -164,7 +165,7 @@ def second_order(
 
     The derivatives are those with decisions held fixed, but along a direction the decisions respond
     through the smooth policy: otherwise a value that is linear in prices has no second derivative.
-    Directions and results are {input: array}; a direction is zero if not named. `smooth`:
+    Directions and results are {input: array}; a missing direction is zero. `smooth`:
     `Smooth(0.005)` by default. XLA only; weights are held fixed if the objective is not linear.
     """
     engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs

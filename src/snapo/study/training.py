@@ -77,11 +77,11 @@ def trained(
     advantages: Iterable[Advantage] = (),
     exact: float | None = None,
 ) -> dict[str, Any]:
-    """The result of a study that trains; empty before it has.
+    """The result of a study that trains; empty before the training.
 
-    How much can still be gained is the "verdict" on the terminal and the first note, where the run
-    has a bound from above or an `exact` value. `advantages` over classical rules, on the same
-    paths: one that does better is in the notes, and replaces the verdict.
+    If the run has an upper bound or an `exact` value, the possible gain is the "verdict" on the
+    terminal and the first note. `advantages` over classical rules, on the same paths: a rule that
+    does better is in the notes, and replaces the verdict.
     """
     result = dict(run.get("solution", {}))
     if not result:

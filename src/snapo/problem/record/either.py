@@ -139,7 +139,7 @@ def backwards(step: Callable[[Any, Any], Any], last: Any, rows: Any, count: int)
 
 
 def running_maximum(x: Any) -> Any:
-    """[n] the running result over the elements of `x` [n]."""
+    """[n] the maximum of the elements up to each of `x` [n]."""
     return np.maximum.accumulate(x) if in_use() else jax.lax.cummax(x)
 
 

@@ -48,7 +48,7 @@ class ScheduleDerivatives(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """The memory that they take."""
+        """The memory of these derivatives."""
         leaves = jax.tree.leaves((self.passes, self.further))
         return sum(leaf.nbytes for leaf in leaves if any(leaf.strides))
 
@@ -106,7 +106,7 @@ class DerivativePass(NamedTuple):
         return self.of((self.problem.objective,), blocks)[0]
 
     def compile(self) -> None:
-        """Has the program of a pass ready, where it serves any number of paths."""
+        """Prepares the program of a pass, if it can be used for any number of paths."""
         draws, decider, options = self._asked(np.arange(2))
         nothing = {name: np.zeros(2) for name in self.problem.objective.outputs}
         self.bound_engine.adjoints(decider, draws, self.smooth, nothing, [1, 1], **options)

@@ -72,7 +72,7 @@ class Evaluation:
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
 
     def within(self, horizon: int) -> "Evaluation":
-        """The same with `fewer` long paths for all but the value."""
+        """The same with `fewer` paths, if they are long, for everything except the value."""
         counts = {name: fewer(getattr(self, name), horizon) for name in MINIMUM if name != "paths"}
         return replace(self, **counts)
 
@@ -86,10 +86,10 @@ MINIMUM = {
 class Effort(NamedTuple):
     """The number of paths that the derivatives of a policy may use in addition to its training.
 
-    The unit is one path that is valued. A training has valued and gone back over `steps * paths` of
+    The unit is one path that is valued. A training has valued and differentiated `steps * paths` of
     them; the surface around the policy, its margin and the bumps each value a third as many paths,
-    and more where a path is short. The numbers are chosen from the problem and the settings only,
-    never a clock: a run that is repeated has the same bits.
+    and more if a path is short. The numbers are chosen from the problem and the settings only,
+    never from a clock, so that a repeated run has the same bits.
 
     - `work`: the paths that may be valued for one purpose; `maximum`: paths on which it is done.
     - `fewest`: paths on which it is done in any case. Those of a path of more than three months by
@@ -170,8 +170,8 @@ def select(
     on these is not looked at again. Without a candidate of a finite value the first one is kept,
     uncompared.
 
-    - `paths`: at most.
-    - `top`: a further candidate, `TOP`, made where the others may be above the start.
+    - `paths`: the maximum. - `top`: a further candidate, `TOP`, made where the others may be above
+      the start.
     - `search`: whether its gain over the newest one is needed in any case.
     """
     source = fresh(problem.sources.validation)
@@ -278,7 +278,7 @@ def _same(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def fresh(source: Scenarios) -> Scenarios:
-    """Paths for the final choice, which nothing else uses where there are more."""
+    """Paths for the final choice, which are used for nothing else if there are enough."""
     if isinstance(source, Pseudo):
         return replace(source, stream=stream(VALIDATE, FINAL))
     return source

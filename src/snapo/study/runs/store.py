@@ -3,9 +3,9 @@
 mine/runs/2026-11-25T1530-7f3a     one run: when it began, by the clock on the wall, and four digits
 mine/run                           a symbolic link to the latest one (a text file without links)
 
-The latest is the last that came to its end with its numbers in order; while there is none, the last
-that began. A run that writes holds a lock of the operating system on a file, which a killed process
-gives back.
+The latest is the last run that finished with valid numbers or, if there is none, the last that
+began. A run that writes holds a lock of the operating system on a file, which is released if the
+process is killed.
 """
 
 import datetime
@@ -150,7 +150,7 @@ def _is_run(folder: Path) -> bool:
 
 
 def is_good(folder: Path) -> bool:
-    """Whether a run came to its end with its numbers in order."""
+    """Whether a run finished with valid numbers."""
     result = run_folder.read_table(folder / run_folder.RESULT) or {}
     return result.get("status") in GOOD
 
