@@ -1,4 +1,4 @@
-"""Which engine runs a problem, and why."""
+"""Chooses the engine that runs a problem, with the reason."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,7 +27,7 @@ class Engines(NamedTuple):
     reason: str
 
     def over(self, workers: Workers) -> "Engines":
-        """These engines, with workers that compute groups of paths where that saves time.
+        """These engines, with workers that compute groups of paths if that saves time.
 
         **Raises:** `ValueError` for other engines than the native one.
         """
@@ -57,8 +57,8 @@ def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     paths (`python -m benchmarks.gpu`). One engine trains in float32 and evaluates in float64,
     independently of its precision.
 
-    **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem, or
-    nothing at all if llvmlite is not installed.
+    **Raises:** `ValueError` for an unknown name, or if "native" cannot run this problem, or cannot
+    run at all because llvmlite is missing.
     """
     if isinstance(requested, Engines):
         return requested

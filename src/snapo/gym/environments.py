@@ -167,7 +167,7 @@ class Environment(gymnasium.Env):
     - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem
       (`terminated`), and outputs of the terminal state are not paid there. An end by the simulator
       (`over`) terminates in both cases, also at the last step.
-    - `decisions`: the set that its actions are elements of.
+    - `decisions`: the set of its actions.
     """
 
     metadata: ClassVar = {"render_modes": []}

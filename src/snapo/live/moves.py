@@ -196,7 +196,7 @@ class WhatIf:
         """
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
-        """(name, table) of the tables that can wait until the hand rests, after all of `stages`."""
+        """(name, table) of the tables that can wait until the user stops, after all of `stages`."""
         yield from ()
 
     @cached_property

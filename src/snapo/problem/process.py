@@ -135,7 +135,7 @@ class Gaps(TreeRecord):
         return cls(length, which, tuple(item <= 0 for item in length.tolist()))
 
     def shocks(self, correlation, pair) -> list[Float[Array, "F F"]]:
-        """The lower Cholesky factor of the covariance added by each; 0 for an empty one."""
+        """The lower Cholesky factor of the covariance of each interval; 0 for an empty one."""
         return [
             jnp.zeros_like(pair) if none else jnp.linalg.cholesky(correlation * integral(pair, gap))
             for none, gap in zip(self.none, jnp.asarray(self.length))

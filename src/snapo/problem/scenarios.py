@@ -30,7 +30,7 @@ SOBOL_DIMENSIONS = 21201  # of the direction numbers that scipy holds (Joe and K
 
 @dataclass(frozen=True)
 class Scenarios(abc.ABC):
-    """A source of noise. `draws` returns that of selected paths, `groups` the independent units."""
+    """A source of noise: `draws` returns it for selected paths, `groups` the independent units."""
 
     @abc.abstractmethod
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:

@@ -167,7 +167,7 @@ def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Setti
 
 
 def in_order(problem: Any, inputs: PyTree, policy: Any) -> tuple[PyTree, Any]:
-    """Inputs and policy: after a `Problem`, which has its own inputs, the policy comes at once."""
+    """Inputs and policy: a `Problem`, which has its own inputs, is followed by the policy."""
     behind = isinstance(problem, Problem) and policy is None
     return (
         (None, inputs)

@@ -2,9 +2,8 @@
 
 A job has the rows that some groups read. The kernel and the numbers of its steps, which are the
 same at every step of training, are sent to a worker that does not know them. It needs neither the
-simulator nor the policy. The result has the rows that the kernel wrote, with the sums of every
-group by themselves: they are added in the same way in all runs, so that the bits are those of one
-process.
+simulator nor the policy. The result has the rows that the kernel wrote, with separate sums for
+every group: they are added in the same way in all runs, so that the bits are those of one process.
 """
 
 import hashlib
@@ -39,10 +38,10 @@ ByteRows = Mapping[str, np.ndarray]
 
 
 class Distributed:
-    """Runs of kernels whose groups of paths workers compute, where that saves time.
+    """Runs of kernels whose groups of paths are computed by workers, if that saves time.
 
-    A kernel's first run is timed on this machine. Others go to workers where they would take
-    `MIN_SECONDS` here, and the time to move their rows. After the loss of a job this process
+    A kernel's first run is timed on this machine. Later runs go to workers if they would take at
+    least `MIN_SECONDS` here, plus the time to move their rows. After the loss of a job this process
     computes everything.
     """
 

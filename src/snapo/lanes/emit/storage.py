@@ -28,7 +28,7 @@ class Small:
 
     @property
     def uniform(self) -> Ref | None:
-        """The one register that fills the array, if it is one."""
+        """The register that fills the whole array, if there is only one."""
         if not self.items.size:
             return None
         if self.items.size == 1 or not any(
@@ -115,7 +115,7 @@ class Layout:
         self.size = offset + math.prod(shape) * stored * self.lanes
 
     def size_to(self, keys: Iterable[object]) -> int:
-        """Bytes of a row as far as these fields go."""
+        """Bytes of a row up to the end of these fields."""
         fields = [self.fields[key] for key in keys]
         sizes = (math.prod(shape) * dtype.itemsize for _, shape, dtype in fields)
         return max((field[0] + self.lanes * size for field, size in zip(fields, sizes)), default=0)

@@ -212,7 +212,7 @@ class Rows:
     def gather(self, code: Code, sums: Shared, tape_row: str, chunk_row: str, count: str) -> None:
         """Adds up the waiting steps of all that belongs to the whole call.
 
-        A vector without an outer product (a bias) rides along where it is also a product's rows.
+        A vector without an outer product (a bias) is summed with a product whose rows it equals.
         """
         alone: dict[ProgramValue, list[ArrayPlace]] = {}
         products: list[tuple[Outer, ArrayPlace]] = []

@@ -151,7 +151,7 @@ def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
 
 
 def fixed(problem: Problem) -> FeatureScale | None:
-    """Over time and paths, of the features that no decision moves; None if there is none."""
+    """The scale over time and paths of features that no decision affects; None if there is none."""
     moved = _moved(problem)
     if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
         return None

@@ -104,7 +104,7 @@ def memory(scale: FeatureScale | None) -> float:
 
 
 def updater(plan: Plan, updates: int = 1, scale: FeatureScale | None = None):
-    """The compiled update: ascend, and move the average along; with a scale, in its numbers."""
+    """The compiled update: an ascent step and the new average; with a scale, in scaled numbers."""
     numbers = _Numbers(plan.steps, plan.learning_rate, plan.warmup, plan.average, plan.decay)
     ascend = _ascent(numbers, updates, memory(scale))
     parts: list[Parts] = []

@@ -210,7 +210,7 @@ def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> P
 def begin_again(
     problem: Problem, training: TrainingPlan, progress: Progress, policy: Policy
 ) -> Progress:
-    """Continues from another start, which the next validation values; the best so far is kept."""
+    """Continues from another start, which the next validation values; keeps the best so far."""
     if progress.scale is not None:
         policy = progress.scale.plain(policy)
     moved = _begun_with(problem, training, progress, policy, progress.step)
@@ -238,7 +238,7 @@ def _begun_with(
 def last_calls(
     callbacks: Sequence[Callable[[Progress], object]], progress: Progress
 ) -> tuple[str, ...]:
-    """Calls the callbacks after an interrupt. One that fails loses nothing: its error is a note."""
+    """Calls the callbacks after an interrupt; the error of one that fails becomes a note."""
     notes = []
     for callback in callbacks:
         try:

@@ -166,8 +166,8 @@ def select(
 ) -> Selection:
     """The start, unless the best of the candidates is above it by two errors.
 
-    A few of the paths suffice where the choice is clear. A candidate that is plainly below another
-    on these is not looked at again. Without a candidate of a finite value the first one is kept,
+    A few of the paths are sufficient if the choice is clear. A candidate that is clearly below
+    another on these is dropped. Without a candidate of a finite value the first one is kept,
     uncompared.
 
     - `paths`: the maximum. - `top`: a further candidate, `TOP`, made where the others may be above

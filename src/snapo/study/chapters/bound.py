@@ -29,7 +29,7 @@ class BoundInterval:
 
 @dataclass(frozen=True)
 class ValueBounds:
-    """The row of a `snapo.Bound`; lower is the value of the run, upper that and the gap."""
+    """The row of a `snapo.Bound`; `lower` is the value of the run, `upper` adds the gap."""
 
     lower: BoundInterval
     upper: BoundInterval

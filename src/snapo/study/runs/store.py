@@ -156,7 +156,7 @@ def is_good(folder: Path) -> bool:
 
 
 def point_to(folder: Path) -> bool:
-    """Makes `run` point to a run in `runs`, unless a better one is there; whether it does now."""
+    """Makes `run` point to a run in `runs`, unless a better one is there; True if it does."""
     home = home_of(folder)
     if home is None:
         return False

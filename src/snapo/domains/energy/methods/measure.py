@@ -18,7 +18,7 @@ DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
 
 
 def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
-    """The largest volume of which all of a level are multiples; one for levels of the same flow."""
+    """The common divisor of all volumes of a level; the same for levels of one flow."""
     result: list[float | None] = [None] * len(layout.levels)
     for group in joined_levels(layout):
         volumes: set[float] = set()

@@ -9,11 +9,11 @@ M_T = rho kv mu_3, and a mass balance closes it: one equation for S = (c - c*) /
 volume of suspension that is M_T = M_T,in + c_in - c; per volume of solution, of which the
 suspension holds 1 - M_T / rho, M_T = M_T,in + (1 - M_T,in / rho) (c_in - c) / (1 - c / rho).
 
-That is solved by bisection without derivatives; two Newton steps then carry them, which is the
-implicit function theorem. With j below 1, or crystals in the feed, there is one steady state with
-crystals; of a clear feed with j = 1 none if nuclei are washed out faster than they form: the
-outlet is then the feed. Crystals in a feed below saturation would dissolve, which this does not
-follow: the outlet is then no number.
+This equation is solved by bisection without derivatives; two Newton steps then give them, which is
+the implicit function theorem. With j below 1, or crystals in the feed, there is one steady state
+with crystals; of a clear feed with j = 1 none if nuclei are washed out faster than they form: the
+outlet is then the feed. Crystals in a feed below saturation would dissolve, which is not modelled:
+the outlet is then NaN.
 """
 
 from dataclasses import dataclass, replace

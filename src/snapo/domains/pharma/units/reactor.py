@@ -1,4 +1,5 @@
-"""Reactors: tanks of the case's network, one or many in series, fed at the start or all the time.
+"""Reactors: tanks with the case's reactions, one or many in series, fed at the start or
+continuously.
 
 Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are integrated,
 and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction. Stirred and
@@ -116,7 +117,7 @@ class Reactor(Timed):
 
     @property
     def steps_transfer(self):
-        """No: for cells in series every implicit step would factorise a large matrix."""
+        """False: for cells in series every implicit step would factorise a large matrix."""
         return self.kind != "plug-flow"
 
     def sizes(self, inlets):

@@ -45,7 +45,7 @@ SPARE = 2 * SIDE_BY_SIDE + 2  # rows that may be written beyond the last
 
 
 def normal(code: Code, word: Ref, dtype: str) -> Ref:
-    """The normal of a word, operation by operation as `snapo.problem.noise.counter` has it."""
+    """The normal of a word, operation by operation as in `snapo.problem.noise.counter`."""
     a = Arithmetic(code, dtype, word.lanes)
     centre, outer = _PPND16 if dtype == "float64" else _PPND7
     mask = code.constant(0x7FFFFFFF, "uint32", word.lanes)
@@ -92,7 +92,8 @@ def ahead(size: int) -> int:
 def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> str:
     """The function that draws `size` normals for each of `count` steps from `first` on.
 
-    Into `out`, [count, size, lanes] and `SPARE` rows beyond; `%words` is as long, of 32 bits.
+    They are written to `out`, [count, size, lanes] with `SPARE` further rows; `%words` has the same
+    length, in 32 bits.
     """
     name = f"draw_{dtype}_{size}"
     if not module.first(name):
@@ -165,7 +166,7 @@ def vector(code: Code, scalar: str) -> Ref:
 
 
 def bind(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
-    """Binds this step's noise, drawn or given."""
+    """Binds this step's noise, drawn or supplied."""
     if not s.build.traced.setup.counter:
         _supplied(s, values, value)
     elif not value.size:

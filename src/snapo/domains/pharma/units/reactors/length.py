@@ -2,9 +2,9 @@
 
 u_t = -u_z by collocation at the points of Radau IIA in every element, the upstream one giving the
 first value (a discontinuous Galerkin method). With one point an element is a stirred tank, and the
-tube tanks in series. With four, a steady tube is integrated along its length by an implicit
-Runge-Kutta method of order seven: over eight elements exp(-7) comes out to 2e-6. For any number of
-points, each element conserves mass: its gain is inflow minus outflow.
+tube is a series of tanks. With four, a steady tube is integrated along its length by an implicit
+Runge-Kutta method of order seven: over eight elements exp(-7) is accurate to 2e-6. For any number
+of points, each element conserves mass: its gain is inflow minus outflow.
 """
 
 from typing import NamedTuple
