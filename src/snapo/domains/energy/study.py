@@ -36,7 +36,7 @@ from .setup import bare_problem, make_setup, setup_at
 def study(case: EnergyCase, options: Options) -> Study:
     """All parts of a run.
 
-    **Raises:** `CaseError` if the contract cannot be met, or has no gamma that was asked for.
+    **Raises:** `CaseError` if the contract cannot be met, or a requested gamma is not available.
     """
     if options.gamma:
         check_gamma(case)

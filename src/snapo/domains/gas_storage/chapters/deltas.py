@@ -36,7 +36,8 @@ class DailyDeltas:
 
     - `discounted`: of the present value, with `low` and `high` of its 95 % interval and the
       `standard_error` of the held derivative; `undiscounted`: the volume of futures.
-    - `moved`: by how much it moved in the second half of training; `intrinsic`: of that plan.
+    - `moved`: its change in the second half of training; `intrinsic`: the delta of the intrinsic
+      plan.
     """
 
     discounted: Floats = floats()
@@ -180,7 +181,7 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
 
 
 def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
-    """Paints the monthly deltas into one `Axes`; also used by the separate picture."""
+    """Draws the monthly deltas into one `Axes`; also used for the separate picture."""
     columns = [(x.undiscounted, x.half_width, x.intrinsic) for x in months]
     values, halves, intrinsic = np.array(columns, np.float64).T
     options = {

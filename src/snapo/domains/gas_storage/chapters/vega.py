@@ -5,7 +5,8 @@ The volatility s(d) of a delivery day d is that which the price model gives its 
     S(d) = F(d) exp(s(d) f(d) - s(d)^2 var f(d) / 2)
 
 all other days keep theirs. The vega of a month is the sum of the derivatives with respect to s(d)
-over its days, so that a volatility of all days has the sum over the months as its derivative.
+over its days, so that the derivative with respect to a volatility of all days is the sum over the
+months.
 """
 
 from collections.abc import Sequence
@@ -113,8 +114,8 @@ def by_date(problem: Problem, names: Sequence[str], count: int) -> Problem:
     """The problem with a number of these inputs for each of `count` dates, of the same value, and
     without other inputs.
 
-    A number that is used on all dates, or on some of them, becomes one for each; several factors
-    have one each for each date.
+    A number that is used on all dates, or on some of them, becomes one number for each date (for
+    each factor, if there are several).
     """
     values = {name: entry.value for name, entry in problem.inputs_by_name.items()}
     wide: dict[str, np.ndarray] = {}

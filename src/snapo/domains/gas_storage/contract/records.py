@@ -3,8 +3,8 @@
 T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
 without ratchets). Index T is the end date. Days are
 integers since the valuation date and may be negative for a payment that lies before it. A
-`CaseInput` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
-A simulator keeps contract and model without those numbers (see `snapo.problem.form`), and no more.
+`CaseInput` has the numbers as entered; the per-day array is `given.values[given.index]`. A
+simulator has only contract and model without these numbers (see `snapo.problem.form`).
 """
 
 import abc
@@ -30,7 +30,7 @@ from ..prices.process import PriceProcess
 
 
 class EndTerms(NamedTuple):
-    """Worth of the inventory left: linear between `levels`, plus `fraction` of its spot value.
+    """Value of the remaining inventory: linear between `levels`, plus `fraction` of its spot value.
 
     `levels`, `values` [M] are zeros where no table is given; undiscounted, in currency.
     """

@@ -37,7 +37,7 @@ from .terms import ContractTerms, Day, end_interval, inventory_limits, per_day
 class StorageSimulator(PricedSimulator):
     """The contract of a case; see `snapo.domains.gas_storage.contract.records` for its terms.
 
-    It holds no case: contracts of the same form differ only in arrays and inputs.
+    It contains no case: contracts of the same form differ only in arrays and inputs.
 
     **Arguments:**
 
@@ -48,7 +48,7 @@ class StorageSimulator(PricedSimulator):
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
     - `innovations`: the innovations of a fitted value of the store: the control variate
-      `value_surprise` instead of that of a hedge; its total is zero on average too.
+      `value_surprise` instead of that of a hedge; its total is also zero on average.
     - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
       rate.
     """

@@ -61,7 +61,7 @@ class PassedDays(NamedTuple):
 
 
 class TakenFlow(NamedTuple):
-    """A flow as it was: net volume into the store, and its price."""
+    """An actual flow: net volume into the store, and its price."""
 
     volume: float
     price: float
@@ -89,11 +89,12 @@ def passed_days(
 ) -> PassedDays:
     """The first `count` days of a case, after which `inventory` is in store.
 
-    Planned are the decisions of the policy at the forward prices. Without `flows` the difference of
-    the inventory to the plan is spread evenly over the days; of one day the flow taken is exact.
+    The plan is the policy's decisions at the forward prices. Without `flows` the difference of
+    the inventory to the plan is spread evenly over the days; for a single day the flow taken is
+    exact.
 
     - `elapsed`: days from the valuation date of the case to the second one.
-    - `flows`: as they were, on all of these days.
+    - `flows`: the actual flows, on all of these days.
 
     **Raises:** `CaseError` if a day has no flow, or the flows do not lead to the inventory.
     """

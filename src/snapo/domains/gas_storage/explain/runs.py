@@ -28,7 +28,7 @@ FIXED = "snapo explain needs flows that are decided at delivery: leave this key 
 
 @dataclass(frozen=True, eq=False)
 class ValuedRun:
-    """A run that came to its end: its case, and the value in its result.json.
+    """A finished run: its case, and the value in its result.json.
 
     - `shares` [G]: the shares of independent groups of paths in the value, None if they are not
       saved.
@@ -72,7 +72,7 @@ class ValuedRun:
         return run
 
     def check(self) -> None:
-        """**Raises:** `CaseError` if this run's change has no parts."""
+        """**Raises:** `CaseError` if the change of this run cannot be split."""
         case = self.case
         if not case.days:
             raise CaseError(str(self.file), "contract.end", case.end, "no decision is left")

@@ -2,8 +2,8 @@
 
 Each day has a grid of inventories: the multiples of one spacing that the starting inventory can
 lead to, with both ends of the interval and the ratchet levels. Values are linear in the inventory
-between them and decisions are feasible to rounding, so on a concave contract that grid can only
-make the result low. `marginal` describes how the factors are integrated.
+between them and decisions are feasible to rounding, so that for a concave contract this grid can
+only lower the result. `marginal` describes how the factors are integrated.
 """
 
 from collections.abc import Callable
@@ -91,12 +91,12 @@ def lattice(
     - `inventories`: grid points from 0 to the largest inventory; or `step`, the volume between; or
       `nodes`, [T + 1] inventories of each day and of the end date, see `breakpoints`.
     - `spacing`: the spacing of the fast factor's nodes, in standard deviations of its daily shock;
-      by default 0.15 for one factor, 0.3 for two. The error falls with its square; deltas need more
-      than values do.
+      by default 0.15 for one factor, 0.3 for two. The error falls with its square; deltas need a
+      finer grid than values.
     - `slow_nodes`: nodes of the second factor.
-    - `volumes`: "extremes" allows the most, the least and the smallest flow of each day;
-      "free" also to stop where the value of more gas falls below its price; "every" to stop on
-      every grid point, which "free" means with step ratchets.
+    - `volumes`: "extremes" allows the largest, the least and the smallest flow of each day; "free"
+      also a flow up to where the value of more gas falls below its price; "every" flows to every
+      grid point, like "free" with step ratchets.
     """
     every = range(factors.loading.shape[1])
     selected = relevant_factors(schedule, factors) if keep is None else tuple(keep)
@@ -218,12 +218,11 @@ class Refined(NamedTuple):
 
 
 def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) -> Refined:
-    """The lattice's value, the grids of volumes and of prices refined until they move it only
-    slightly.
+    """The lattice's value; the grids of volumes and of prices are refined until it is stable.
 
-    Where rates are constant the inventories are the breakpoints of the value, which are exact.
-    Otherwise the first grid of volumes holds every daily flow where these have a common measure: a
-    grid that does not makes a store of round volumes cheaper.
+    With constant rates the inventories are the breakpoints of the value, which are exact. Otherwise
+    the first grid of volumes contains every daily flow, if these have a common measure: any other
+    grid would lower the value of a store with round volumes.
     """
     if len(schedule.steps.forward) == 0:
         return Refined(lattice(schedule, factors, interpolation).value, 0.0)
@@ -248,8 +247,8 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
 
 
 def on_finer_grids(first: float, value: Callable[[int], float], enough: float = MOVED) -> Refined:
-    """The value on a grid that is halved until that moves it by less than the share `enough`, and
-    the last move."""
+    """The value on a grid that is halved until the value changes by less than the share `enough`,
+    and the last change."""
     before, moved = first, 0.0
     for times in range(1, HALVED + 1):
         after = value(2**times)

@@ -48,7 +48,7 @@ class NetworkService(CostAndService):
 
 
 def measure(run: StudyRun) -> NetworkService:
-    """Service and costs as of an item, and the places."""
+    """Service and costs as for an item, and the places."""
     case, paths = network_of(run.setup), service.paths_of(run)
     optional = [(case.ordering, "ordering"), (case.transshipment, "transshipment")]
     names = ["holding", "shortage", *(name for cost, name in optional if cost is not None)]

@@ -91,6 +91,6 @@ class LikelihoodWeights:
         return self.all * amount if self.drawn else amount
 
     def innovation(self, costs):
-        """0, with the derivative of `of(costs) - costs` [n] summed; costs count only in their
-        deviation from the average, since a smaller factor adds less noise."""
+        """0, with the derivative of the sum of `of(costs) - costs` [n]; only deviations of costs
+        from their average count, since a smaller factor adds less noise."""
         return jnp.sum((self.place_weights - 1) * (costs - self.usual)) if self.drawn else 0.0

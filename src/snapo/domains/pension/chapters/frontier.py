@@ -1,4 +1,5 @@
-"""The efficient frontier: contributions against the shortfall, from a sweep of a mixture's weight.
+"""The efficient frontier: contributions against the shortfall, from a sweep over the weight of
+contributions.
 
 For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon minus s times the
 present value of contributions over the liability of today. The sweep goes up and then down again;
@@ -114,7 +115,7 @@ def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> lis
 
 
 def best(candidates: Sequence[Candidate], goal: Objective) -> Candidate:
-    """The candidate with the highest value; the first of equals."""
+    """The candidate with the highest value; the first one among equals."""
     values = np.array([value_of(goal, item.totals) for item in candidates])
     return candidates[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))]
 

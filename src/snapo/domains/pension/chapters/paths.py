@@ -56,12 +56,12 @@ class YearlyFans:
 
 @dataclass(frozen=True)
 class PolicyMap:
-    """Weights over funding ratio and time: means over the paths that are there.
+    """Weights over funding ratio and time: means over the paths in each cell.
 
     - `years` [Y]: starts of years; `ratios` [R + 1]: edges of the columns.
-    - `growth` [Y, R]: the growth of the classes with a separate shock; `hedge` [Y, R]: of the mean
-      place of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW paths
-      are.
+    - `growth` [Y, R]: the growth of the classes with a separate shock; `hedge` [Y, R]: the mean
+      position of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW
+      paths are.
     """
 
     years: Floats

@@ -39,7 +39,7 @@ class PolicyWorth:
 
     - `difference`: the learned policy's value minus its own, paired path by path.
     - `equivalent`: the certainty equivalent, and `lead`: the learned policy's in log ratio per
-      year; NaN if the objective is no utility of a ratio.
+      year; NaN if the objective is not a utility of a ratio.
     - `median`, `p05`, `underfunded`: of the final ratio, the last its share of paths below 1.
     - `pv_contribution`: the mean present value of contributions, money.
     """
