@@ -24,8 +24,7 @@ class Only:
 
     - `applies`: the condition, from the tables of a case by name ("" is the whole file; missing
       tables are omitted).
-    - `when`: the same as a clause after "only". `instead`: the alternative that the case
-      has.
+    - `when`: the same as a clause after "only". `instead`: the alternative that the case has.
     """
 
     applies: Callable[[Tables], bool]

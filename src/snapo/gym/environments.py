@@ -58,9 +58,8 @@ class GymDynamics:
     """The exact simulator of a problem in single precision, step by step.
 
     The rewards of a path add up to its share of the objective; those of the terminal state come
-    with the step that ends the problem. With `endless` the horizon is a time limit, after which
-    the problem would continue: a state at which only the horizon ends the path has no terminal
-    rewards.
+    with the step that ends the problem. With `endless` the horizon is a time limit, after which the
+    problem would continue: a state at which only the horizon ends the path has no terminal rewards.
 
     **Raises:** `ValueError` if the objective is not a mean of sums, and so has no reward of a step.
     """
@@ -329,8 +328,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         return np.asarray(moved.observation), rewards, ended, late, info | counts
 
     def _moved(self, t, state, actions, noise, repeated):
-        """All paths moved; those to start `repeated` at their initial state, if nothing
-        counts."""
+        """All paths moved; those to start `repeated` at their initial state, if nothing counts."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])
 

@@ -41,9 +41,8 @@ class Constraints(TreeRecord):
     def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         """The share, 0 to 1, of a segment on which a line from `first` to `last` is positive.
 
-        Smooth: the mean of the logistic `indicator` along the segment,
-        w (log(1 + e^(first / w)) - log(1 + e^(last / w))) / (first - last); within
-        2 w log(2) / |first - last| of exact.
+        Smooth: the mean of the logistic `indicator` along the segment, w (log(1 + e^(first / w)) -
+        log(1 + e^(last / w))) / (first - last); within 2 w log(2) / |first - last| of exact.
         """
 
     @abc.abstractmethod

@@ -7,9 +7,8 @@ Haugh and Kogan 2004; Brown, Smith and Sun, Operations Research 58, 2010). A pen
 decision with the innovation that it profits from: V(next state) - E[V(next state) | now], for some
 V. The bound is valid for any V; with the exact value function it is the exact value on every path.
 
-The same penalty along the policy's path has mean zero, so it is taken from the policy's
-earnings as a control variate, and the gap of a path, perfect foresight minus policy, is never
-negative.
+The same penalty along the policy's path has mean zero, so it is taken from the policy's earnings as
+a control variate, and the gap of a path, perfect foresight minus policy, is never negative.
 """
 
 from collections.abc import Callable

@@ -157,8 +157,7 @@ def certify(
 ) -> dict[str, Any]:
     """Bounds the value of a run from both sides; returns the new content of its result.json.
 
-    **Raises:** `CaseError` if there is no such run, or nothing bounds its value, with the
-    reason.
+    **Raises:** `CaseError` if there is no such run, or nothing bounds its value, with the reason.
     """
     from . import run_folder
     from .prepare import case_of_run, options_of_run, use_every_core

@@ -174,8 +174,7 @@ def _written(out: Path) -> list[Path]:
 
 
 def become(out: Path, source: Path) -> None:
-    """Replaces the run of this folder by that of another one; its report is not
-    taken."""
+    """Replaces the run of this folder by that of another one; its report is not taken."""
     (out / PARTS).mkdir(parents=True, exist_ok=True)
     for file in _written(out):
         file.unlink(missing_ok=True)

@@ -205,8 +205,7 @@ def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
 
 
 def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[str]]:
-    """Entries of a study's `about` for a report: names of parts, `selected` and left
-    out."""
+    """Entries of a study's `about` for a report: names of parts, `selected` and left out."""
     return {
         PLANNED: [part.name for part in selected],
         LEFT_OUT: [part.name for part in parts if part not in selected],

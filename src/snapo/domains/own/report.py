@@ -1,5 +1,4 @@
-"""The report of a run of a user's simulator: the sections that every run can have, and
-limits."""
+"""The report of a run of a user's simulator: the sections that every run can have, and limits."""
 
 from typing import Any
 

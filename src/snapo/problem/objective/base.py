@@ -357,9 +357,8 @@ class Limit:
 class AtMost(Limit):
     """The mean of an output, or any objective of it, is at most `level`.
 
-    The same as `Mean("unserved") <= 0.05`; with a probability
-    `Probability("shortfall", 0.0, width=1.0) <= 0.01`. Training finds its price (see `solve`,
-    `constraints`).
+    The same as `Mean("unserved") <= 0.05`; with a probability `Probability("shortfall", 0.0,
+    width=1.0) <= 0.01`. Training finds its price (see `solve`, `constraints`).
 
     >>> snapo.AtMost("unserved", 0.05).name
     'mean of unserved at most 0.05'

@@ -12,10 +12,9 @@ This matters if many numbers are decided, each of which has to distinguish state
 and a cart train well without scaling.
 
 It also matters for optimal stopping. Stopping without regard to the state is worse than waiting, so
-the first steps lower the hazard everywhere. If features are small, the hazard vanishes before
-the network distinguishes states, and training never recovers: a max-call of five shares ended at
-its European value, 23.10 instead of 26.14, with one seed of three, and at 26.14 with scaled
-features.
+the first steps lower the hazard everywhere. If features are small, the hazard vanishes before the
+network distinguishes states, and training never recovers: a max-call of five shares ended at its
+European value, 23.10 instead of 26.14, with one seed of three, and at 26.14 with scaled features.
 
 A policy with a memory sees past observations, or internal numbers: the former are scaled like the
 present observation, the latter are left unchanged.

@@ -2,8 +2,7 @@
 
 The code treats some columns at a time, so that their values stay in the fastest cache. For one
 block of columns and one direction of flow, scratch memory has these rows: the value after the day
-minus that of the gas, at each node; maxima of 2, 4, 8 … consecutive nodes; and minus
-infinity.
+minus that of the gas, at each node; maxima of 2, 4, 8 … consecutive nodes; and minus infinity.
 """
 
 from collections.abc import Iterator

@@ -89,9 +89,8 @@ def passed_days(
 ) -> PassedDays:
     """The first `count` days of a case, after which `inventory` is in store.
 
-    The plan is the policy's decisions at the forward prices. Without `flows` the difference of
-    the inventory to the plan is spread evenly over the days; for a single day the flow taken is
-    exact.
+    The plan is the policy's decisions at the forward prices. Without `flows` the difference of the
+    inventory to the plan is spread evenly over the days; for a single day the flow taken is exact.
 
     - `elapsed`: days from the valuation date of the case to the second one.
     - `flows`: the actual flows, on all of these days.

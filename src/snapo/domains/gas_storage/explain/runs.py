@@ -172,8 +172,7 @@ class LaterPaths(Pseudo):
 def later_paths(
     source: Scenarios, earlier: Simulator, later: Simulator, passed: int
 ) -> LaterPaths | None:
-    """The paths of `earlier` after the first `passed` of its days; None if no shift gives
-    them."""
+    """The paths of `earlier` after the first `passed` of its days; None if no shift gives them."""
     if type(source) is not Pseudo:
         return None
     starts = [x.first_step if x.first_step <= x.initial_steps else 0 for x in (earlier, later)]

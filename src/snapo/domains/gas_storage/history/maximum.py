@@ -269,8 +269,7 @@ def _movement(calibration: Calibration, column: int) -> tuple[float, float]:
 
 
 def _vanishing(model: HistoryModel, maximum: Maximum, calibration: Calibration) -> str | None:
-    """The series whose measurement error tends to zero; None if no further series may be
-    exact."""
+    """The series whose measurement error tends to zero; None if no further series may be exact."""
     numbers = dict(zip(model.names, np.asarray(model.numbers(maximum.variables))))
     for i, name in enumerate(model.columns):
         deviation = numbers.get(f"deviation_{name}")

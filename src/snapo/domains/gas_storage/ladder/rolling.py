@@ -39,8 +39,7 @@ NEAR = 1e-9
 class TradeBlock(NamedTuple):
     """Days from `first` to `after`, not included, that trade as one, or that do not trade yet.
 
-    - `spread`: half the bid-offer, for a unit; `lot`: volumes a day are multiples of it, 0 for
-      any.
+    - `spread`: half the bid-offer, for a unit; `lot`: volumes a day are multiples of it, 0 for any.
     """
 
     first: int

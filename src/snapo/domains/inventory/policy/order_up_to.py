@@ -3,9 +3,8 @@
     order = deviation softplus(gap + first + gain · seen + network(seen))
 
 gap being the base-stock level minus the inventory position; all in standard deviations of demand.
-It starts as the base-stock rule. With a fixed cost per order, a second number decides
-whether there is one: if gap > wait + network(seen), an (s, S) rule whose numbers depend on the
-state.
+It starts as the base-stock rule. With a fixed cost per order, a second number decides whether there
+is one: if gap > wait + network(seen), an (s, S) rule whose numbers depend on the state.
 """
 
 import jax

@@ -174,8 +174,7 @@ def _for_planner(setup: Setup, numbers: dict[str, float]) -> dict[str, float]:
 
 
 def myopic_of(setup: Setup) -> Policy | None:
-    """The myopic rule, if it has no simpler form: lost sales, demand in whole units, and no
-    season.
+    """The myopic rule, if it has no simpler form: lost sales, demand in whole units, and no season.
 
     If demand waits, this rule is the base stock at the newsvendor's level.
     """

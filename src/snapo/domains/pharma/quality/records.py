@@ -54,8 +54,7 @@ class Attribute:
     - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: the unit of the limits and of all
       tables; attribute = `scale` times the measure in the domain's unit.
     - `low`, `high`: limits in `unit`; None if there is none. `citation`: the source of the limit
-      (guideline, version, table), or a note that the user set it; never empty if there is a
-      limit.
+      (guideline, version, table), or a note that the user set it; never empty if there is a limit.
     - `margin`: a small difference in `unit`, above 0: the width of smooth indicators.
     """
 
