@@ -97,9 +97,8 @@ def _toml(tables: Mapping[str, Any], key: str, value: AxisValue) -> str:
 def read_design(
     file: Path, entries: Sequence[Mapping[str, Any]], seed: int, columns: Collection[str] = ()
 ) -> Design:
-    """The design of the tables `[[axis]]`: the product of its axes. All axes with Sobol points
-    together count as one axis, scrambled with `seed`. `columns`: the labels that the contracts
-    already have.
+    """The design of the tables `[[axis]]`: the product of its axes. Axes with Sobol points together
+    count as one axis, scrambled with `seed`. `columns`: the labels of the contracts.
 
     **Raises:** `CaseError` for every mistake in them.
     """

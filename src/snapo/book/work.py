@@ -1,8 +1,7 @@
 """The result of a job: a contract trained and valued, then valued under stresses.
 
 It depends on nothing but the job's bytes: the same on every machine with the same versions and
-processors of one kind. In one process, code compiled for a contract serves all contracts of the
-same form.
+processors of one kind. In one process, contracts of the same form share compiled code.
 """
 
 import gc

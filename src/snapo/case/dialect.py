@@ -46,8 +46,7 @@ class Dialect:
         return cell
 
     def period(self, cell: str) -> str:
-        """A day as YYYY-MM-DD or a month as YYYY-MM, if it has another form; otherwise the cell
-        itself.
+        """A day as YYYY-MM-DD or a month as YYYY-MM, if it has another form; else the cell.
 
         **Raises:** `AmbiguousFormat` for 01/02/2024 in a file that does not distinguish day from
         month.

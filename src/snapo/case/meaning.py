@@ -22,8 +22,7 @@ Tables = Mapping[str, Any]
 class Only:
     """A key that has an effect only under a condition.
 
-    - `applies`: the condition, from the tables of a case by name ("" is the whole file; missing
-      tables are omitted).
+    - `applies`: the condition, from the tables of a case by name ("" is the whole file).
     - `when`: the same as a clause after "only". `instead`: the alternative that the case has.
     """
 

@@ -190,8 +190,7 @@ class Engine(abc.ABC):
         """This engine bound to the simulator and the schedule of a problem.
 
         `controls`: whether outputs that are only control variates are computed too; `simplest`:
-        whether policies are valued as their `simplest` ones: in training all policies have one
-        form.
+        whether policies are valued as their `simplest` ones (not in training).
         """
         simulator, outputs = problem.simulator.on_paths(), problem.objective.outputs
         simulator = simulator if controls else uncontrolled(simulator, outputs)

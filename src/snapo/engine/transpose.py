@@ -22,8 +22,7 @@ LARGE = 2**20  # numbers of a leaf, whose zeros as a cotangent are made where th
 def pull_back(
     simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
 ) -> dict[str, np.ndarray]:
-    """Transforms derivatives with respect to the schedule to the inputs: {name: [len(schedules),
-    *shape]}.
+    """Transforms derivatives from the schedule to the inputs: {name: [len(schedules), *shape]}.
 
     The transpose of `prepare`.
     """

@@ -117,8 +117,7 @@ class WorkerOrder(NamedTuple):
 class Desk:
     """Requests as they come: moves by page, the newest only, and everything else in order.
 
-    A newer move also stops a page's training, and so does "cancel", whose number belongs to no
-    move.
+    A newer move also stops a page's training, and so does "cancel", which has no move.
     """
 
     def __init__(self, lines: TextIO):

@@ -117,8 +117,8 @@ def certify_derivatives(
 
     Inputs that fail while some paths are on a kink are also checked nearby. Kinks of one path at
     the same point may cancel: both sides then have the same slope, which an adjoint that takes a
-    mean at every tie misses, and no second difference shows them. The check nearby counts for
-    these.
+    mean at every tie misses, and no second difference shows them. For these the nearby check
+    counts.
 
     Without the inputs of `Problem.in_mean`, see `in_the_mean`.
     """

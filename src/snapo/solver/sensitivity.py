@@ -53,8 +53,7 @@ def sensitivities(
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
-    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` also smooth
-    ones.
+    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` smooth ones.
 
     The latter use `smooth_paths`; all are paths of the problem's evaluation. Standard errors come
     from 32 to 64 independent blocks of paths. `earlier` is a policy from the middle of training:

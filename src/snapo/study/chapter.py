@@ -46,8 +46,7 @@ class Chapter(Generic[Result]):
     - `needs`: names of the parts that must be done before.
     - `key`: under which the file of the part has the result; "": the fields are keys of the file.
     - `table`: the table of the case, without which the part is not among those of the study.
-    - `optional`: whether a run without the part has no section on it; otherwise the section gives
-      the reason.
+    - `optional`: whether a run without the part has no section on it; else it gives the reason.
 
     No two chapters of a study may write the same key.
     """

@@ -25,8 +25,7 @@ def make_inputs(
     noise: Mapping[str, Any] | None = None,
     measurement: Mapping[str, Any] | None = None,
 ) -> PlantInputs:
-    """{"plant", "cost", "start", "noise", "measurement"} of a plant; numbers that are not specified
-    have its defaults.
+    """{"plant", "cost", "start", "noise", "measurement"} of a plant, by default its own numbers.
 
     - `start`: {state: {"at"}, {"low", "high"} or {"mean", "deviation"}}.
     - `noise`: {state: standard deviation of a step's disturbance}; or a matrix that multiplies

@@ -29,7 +29,7 @@ class Variable(NamedTuple):
 
     - `start`: the default distribution of an initial state: {"at"}, {"low", "high"} or {"mean",
       "deviation"}.
-    - `turn`: whether it is an angle, which is unwrapped in the state; its cost and features repeat
+    - `turn`: whether it is an angle, unwrapped in the state; its cost and features repeat
       every 2 pi.
     """
 

@@ -66,8 +66,8 @@ def setup_at(setup: Setup, case: EnergyCase) -> Setup:
 def rebuilt(problem: Problem) -> Problem:
     """The problem with the fitted value and the scales of features of its inputs.
 
-    Its nodes are as far apart as before, and read in the same way: values of different inputs are
-    then equally accurate.
+    Its nodes are as far apart as before, and read in the same way: values are then equally
+    accurate.
     """
     table = simulator_of(problem).unit_values
     problem = _bare(problem)

@@ -41,8 +41,7 @@ class Seats(NamedTuple):
     """The path of every lane of all blocks, part by part; the last path of a part fills its last
     block.
 
-    - `path`: [blocks x lanes] the number of each lane's path; `inner`: whether the path counts in
-      this lane.
+    - `path`: [blocks x lanes] the number of each lane's path; `inner`: whether it counts.
     - `edges`: [parts + 1] the first block of every part, and the number of all blocks.
     """
 

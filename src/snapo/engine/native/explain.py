@@ -56,8 +56,7 @@ def explain(
     - `policy`: by default a small network.
 
     **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
-    the layout of memory, and LLVM IR. Raises `Unsupported` with the reason if it cannot be
-    compiled.
+    the layout of memory, and LLVM IR. Raises `Unsupported` with the reason.
     """
     schedule = simulator.prepare(None) if schedule is None else schedule
     if policy is None:

@@ -67,8 +67,7 @@ class Learned:
       with `snapo.gym.Agent(policy)`, saved and exported like every policy.
     - `comparison`: its value in the environment and in the model, and the gap, on fresh initial
       states that no round used.
-    - `steps`: total number in the real environment; `hold`: the number of steps for which a
-      decision is held.
+    - `steps`: total number in the real environment; `hold`: the steps of a held decision.
     - `rounds`: the history; `selected`: the round of this policy, from 1: the one with the highest
       reward in the real environment from the common initial observations.
     - `model`, `inputs`: the simulator and its inputs after the last fit: `snapo.Problem(model,

@@ -241,8 +241,7 @@ def compared(
     """Episodes in the real environment up to `maximum` steps, at least one, and the same in the
     model.
 
-    With the seeds `common`, every second episode has other seeds and noise, and is used only for
-    the next fit.
+    With the seeds `common`, every second episode has others and noise, for the next fit only.
     """
     agent = Agent(available.units.undone(policy))
     played: list[Episode] = []

@@ -135,8 +135,7 @@ def _factors(op: Op | None) -> list[ProgramValue] | None:
 def simplify(program: Program) -> Program:
     """Removes products with one, and selections by constant masks.
 
-    It runs after sums are fused, so that their terms, and the last place of every number, are
-    unchanged.
+    It runs after sums are fused, so that the last place of every number is unchanged.
     """
     replaced: Replaced = {}
     ops = []

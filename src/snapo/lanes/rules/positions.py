@@ -1,8 +1,7 @@
 """Positions known only while running: their bounds, and the elements that lie there.
 
 A position known while compiling costs nothing. A position that differs between paths becomes
-selections or rearrangements (`lookups`) of up to 16 candidates, otherwise one masked gather over
-the lanes.
+selections or rearrangements (`lookups`) of up to 16 candidates, otherwise one masked gather.
 """
 
 import numpy as np

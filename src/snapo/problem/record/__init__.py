@@ -38,8 +38,7 @@ else:
 def field(*, static: bool = False, converter: Callable[[Any], Any] | None = None, **more) -> Any:
     """A field of a record: `dataclasses.field` with two arguments more.
 
-    - `static`: whether it is part of the structure, which JAX compares and compiled code depends
-      on.
+    - `static`: whether it is part of the structure, on which compiled code depends.
     - `converter`: a function of the value, whose result is stored.
     """
     return dataclasses.field(metadata={STATIC: static, CONVERTER: converter}, **more)

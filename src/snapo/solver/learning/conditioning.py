@@ -18,8 +18,7 @@ Once adjoints no longer grow backwards in time, the bound is lifted: those that 
 than usual belong to important paths, such as those near ruin, and a rule trained with a bound on
 them takes too much risk.
 
-If the whole horizon is chaotic, training uses shorter windows (`learning.windows`) that are not
-chaotic.
+If the whole horizon is chaotic, training uses windows that are not (`learning.windows`).
 
 On a chaotic horizon adjoints grow a hundredfold and more backwards in time, and differently on
 every path, so that a few paths dominate all others: the gradient is noise, whatever the clipping.

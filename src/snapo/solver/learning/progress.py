@@ -28,8 +28,7 @@ INTERRUPTED = "interrupted"  # status of a training that Ctrl-C has ended
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C during work that is partly done.
 
-    - `result`: the part done: the `Progress` of a training, a `Solution`, the tables of a run's
-      part.
+    - `result`: the part done: a `Progress`, a `Solution`, or the tables of a run's part.
     - `notes`: sentences on callbacks that failed after the interrupt.
     """
 

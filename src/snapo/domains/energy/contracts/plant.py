@@ -150,8 +150,7 @@ def layout_of(
     """Modes and moves; for each move its class if it is a start (else -1), whether the plant is on,
     and the index of its power (0 if it is off or there is no ramp).
 
-    - `off`: the hours off from which each class of starts applies; `counted`: whether starts are
-      counted.
+    - `off`: the hours off from which a class of starts applies; `counted`: whether starts count.
     - `first`: whether the plant is on before the first hour, and for how many hours.
     """
     longest = max(min_down, *off, 1)

@@ -7,8 +7,7 @@ differences of two of them: at a corner every power is min, max, top or that bef
 plus a whole number of ramps. These are also the best powers where later prices are not known. By
 induction backwards, the value is convex in the power of the hour before between neighbouring steps,
 as maxima and means of convex functions are; the best next power is then a step, or one ramp away
-from the power before, which is a step if that power is one. So no powers between the steps are
-needed.
+from the power before, which is a step if that power is one. No other powers are needed.
 """
 
 from itertools import count

@@ -6,8 +6,8 @@ The MW are those that can be called either way: the smaller of the powers that m
 sold. Calls themselves are not modelled: it is assumed that they cancel on average and are paid
 separately. Prices of reserve are known today.
 
-With blocks of several steps a block is in reserve from its first step to its last one: the mode
-shows whether it is.
+With blocks of several steps a block is in reserve from its first step to its last one: its mode
+shows this.
 """
 
 from dataclasses import replace

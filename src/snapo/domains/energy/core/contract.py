@@ -228,8 +228,7 @@ class FallingLimit(NamedTuple):
     """The limit of the first level falls as the last one rises, by `by` when the last one gets
     beyond a multiple of `every`.
 
-    It limits flows that raise the first level, whatever that level is. The value jumps at
-    multiples.
+    It limits flows that raise the first level, at any level. The value jumps at multiples.
     """
 
     every: Float[Array, " T"]
@@ -336,8 +335,7 @@ class EnergyContract(TreeRecord):
     @abc.abstractmethod
     def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
         """The numbers; `at`: those of an input where they are used. `paid` [T]: discount factors
-        of the commodity; `settled` [T]: discount factors of money that is owed after the step, a
-        day later.
+        of the commodity; `settled` [T]: those of money that is paid a day after the step.
         """
 
     @abc.abstractmethod

@@ -123,7 +123,7 @@ class Surprises(eqx.Module):
 def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
     """The value at the start of a step minus its expectation for the start of the next one.
 
-    Summed over the steps, and less `first`, it is the sum of the innovations. The value is 0 after
+    Summed over the steps, minus `first`, it is the total innovation. The value is 0 after
     the last step.
     """
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))

@@ -1,7 +1,6 @@
 """Idle levels: levels whose limits no plan can reach, so that nothing depends on them.
 
-They have one node. With a node for each of their volumes, the grids of the other levels would be
-coarser.
+They have one node. With a node for each volume, the grids of other levels would be coarser.
 """
 
 from typing import Any

@@ -16,8 +16,8 @@ positive = partial(np.maximum, 0.0)
 class Settling(NamedTuple):
     """The end of one step.
 
-    - `arrive`: the number of the node of the next step for each node after; `lost`: the money that
-      settling costs there.
+    - `arrive`: the number of the node of the next step for each node after; `lost`: the money lost
+      there.
     - `corners`: the nodes and their weights, if balances lie between nodes.
     - `held`: money of the nodes before and after a step, which earns the second minus the first:
       money of the levels, and of the units made up so far; None without either.

@@ -24,8 +24,7 @@ NOTHING = "0xFFF0000000000000"  # minus infinity
 class Ways(NamedTuple):
     """All ways of one step, in the order of the nodes where they begin, of all modes.
 
-    - `first` [nodes + 1], `corner` [ways + 1]: the first way of each node, and the first corner of
-      each way.
+    - `first` [nodes + 1], `corner` [ways + 1]: the first way of a node, the first corner of a way.
     - `move`, `flow` [ways], `volume` [ways]; `node`, `weight` [corners]: where they end.
     """
 

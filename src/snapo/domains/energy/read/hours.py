@@ -173,8 +173,7 @@ def hourly_curve(
 
 
 def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
-    """[T] the row of each hour, by its local time; an hour that occurs twice has two rows, in
-    order.
+    """[T] the row of each hour, by its local time; an hour that occurs twice has two rows.
 
     **Raises:** `CaseError` for an hour without a price, and for a row between the first and the
     last hour that repeats an hour, or belongs to none.

@@ -83,8 +83,7 @@ class PolynomialBasis:
         return self._assemble(ahead, self._level(states, days))
 
     def increments(self, states: np.ndarray) -> np.ndarray:
-        """[T + 1, K, paths] functions minus their expectation a day before, with conditional mean
-        zero.
+        """[T + 1, K, paths] functions minus their conditional expectation a day before.
 
         `states` [T + 1, F, paths]. The first row is relative to the valuation date.
         """

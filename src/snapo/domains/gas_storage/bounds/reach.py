@@ -24,8 +24,7 @@ class ReachableLevels(NamedTuple):
 
 
 class Bends(NamedTuple):
-    """Inventories between nodes from which an endpoint of the reach is a node: the value may bend
-    there.
+    """Inventories between nodes whose reach has a node as endpoint: the value may bend there.
 
     Sorted by cell, which lies between nodes `left` and `right`; `share` of the way to the right,
     `target` the node met, `keep` the inventory without any flow. `cells` are those with bends,

@@ -32,8 +32,7 @@ class Hindsight:
 
     - `fitted_value`: the V of the penalty, None for none (perfect foresight).
     - `inventories`: points of the grid from 0 to the largest inventory. Between them the value is
-      bounded from above (`best_value`): a coarse grid gives a higher bound, and never an invalid
-      one.
+      bounded from above (`best_value`): a coarse grid only gives a higher bound.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
 """Fitted value iteration: the value of gas as functions of Gaussian price factors, day by day.
 
 Its marginal values are the baseline of a policy. The expectation of the fitted value has hinges
-that a day's noise has smoothed; polynomials approximate them, so that a policy has few numbers to
-compute.
+that a day's noise has smoothed; polynomials approximate them, so that a policy computes few
+numbers.
 
 Its daily innovations are a control variate. Relative to the value of the store before its price is
 known, they have a mean of zero for every policy (Rogers, Mathematical Finance 12 (2002); Andersen
@@ -188,11 +188,9 @@ INNOVATION_LEVELS = 16
 class InnovationTable(NamedTuple):
     """The value on T days and on the end date, as functions of inventory and price factors.
 
-    - `low`, `high`: [T + 1] the interval of the levels, evenly spaced; beyond it the value is
-      constant.
+    - `low`, `high`: [T + 1] the interval of the levels, evenly spaced; constant beyond it.
     - `now`: [T + 1, levels, n] coefficients of the functions of `FittedMarginal`; present values.
-    - `ahead`: [T, levels, n] coefficients of its expectation a day before, on the next date's
-      levels.
+    - `ahead`: [T, levels, n] of its expectation a day before, on the next date's levels.
     - `first`: its expectation on the valuation date.
     - `whiten`, `common`, `shift`, exponents: [T + 1, …], as in `FittedMarginal`.
     """

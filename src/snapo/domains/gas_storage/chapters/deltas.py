@@ -36,8 +36,7 @@ class DailyDeltas:
 
     - `discounted`: of the present value, with `low` and `high` of its 95 % interval and the
       `standard_error` of the held derivative; `undiscounted`: the volume of futures.
-    - `moved`: its change in the second half of training; `intrinsic`: the delta of the intrinsic
-      plan.
+    - `moved`: its change in the second half of training; `intrinsic`: of the intrinsic plan.
     """
 
     discounted: Floats = floats()

@@ -4,8 +4,7 @@ These are for policies, and differentiable: backwards from the end, an inventory
 some flow reaches a feasible one. Between ratchet rows every condition is linear in the inventory,
 so the feasible ones are an interval there; neighbouring intervals are joined and the longest is
 selected. That is the complete reachable set where I - withdrawal(I) and I + injection(I) do not
-decrease; where step ratchets break that, it is the largest interval in which every point is
-feasible.
+decrease; with step ratchets it may be only the largest interval of feasible points.
 
 JAX evaluates the formulas in a simulator, NumPy in a check of a case.
 """

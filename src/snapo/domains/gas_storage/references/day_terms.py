@@ -70,8 +70,7 @@ def rates(schedule, interpolation: Interpolation, t: int) -> DayRates:
 def flow_ends(
     schedule, day_rates: DayRates, t: int, inventory: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(keep, down, up): inventories [n] after a day's loss, and after the smallest and largest
-    flow.
+    """(keep, down, up): inventories [n] after losses, and after the smallest and largest flow.
 
     Only rates and forced flows apply; the limits of the next day are ignored.
     """

@@ -26,8 +26,7 @@ from ..policy.search import SEARCH_PATHS
 class RuleResult:
     """The result of a rule, minus its cost, and its standard error.
 
-    - `difference`, `difference_error`: to the trained rule, paired path by path; None for the
-      trained rule.
+    - `difference`, `difference_error`: to the trained rule, paired path by path; None for itself.
     - `numbers`: the numbers of the rule, in a planner's terms.
     """
 

@@ -11,8 +11,8 @@ if f is differentiated to the left at them: the sum of (f(k) - f(k - 1)) (-d F(k
 parts. Costs of an inventory with whole orders are such functions of every demand. For a Poisson
 demand d demand / d mean is k / mean.
 
-At whole numbers stock is differentiated upwards, and so demand downwards; the simulator writes its
-corners accordingly.
+At whole numbers stock is differentiated upwards, and so demand downwards; the simulator does the
+same.
 
 Where demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
 variance larger by 1/12, and with the derivative of that quantile.

@@ -42,8 +42,7 @@ TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
 class BondsPriced(PensionSimulator):
     """The fund, with the discounted value of bonds at the horizon: "bond 10".
 
-    Values are per unit of the forward price; bonds are index-linked if the liability follows
-    prices.
+    Values are per unit of the forward price, index-linked if the liability follows prices.
     """
 
     def terminal(self, constants, state, smooth):

@@ -1,5 +1,4 @@
-"""The efficient frontier: contributions against the shortfall, from a sweep over the weight of
-contributions.
+"""The efficient frontier: contributions against the shortfall, from a sweep over their weight.
 
 For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon minus s times the
 present value of contributions over the liability of today. The sweep goes up and then down again;

@@ -1,5 +1,4 @@
-"""Reactors: tanks with the case's reactions, one or many in series, fed at the start or
-continuously.
+"""Reactors: tanks with the case's reactions, one or several in series, fed at once or continuously.
 
 Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are integrated,
 and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction. Stirred and

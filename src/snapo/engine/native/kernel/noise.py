@@ -92,8 +92,8 @@ def ahead(size: int) -> int:
 def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> str:
     """The function that draws `size` normals for each of `count` steps from `first` on.
 
-    They are written to `out`, [count, size, lanes] with `SPARE` further rows; `%words` has the same
-    length, in 32 bits.
+    They go to `out`, [count, size, lanes] with `SPARE` further rows; `%words` has as many 32-bit
+    words.
     """
     name = f"draw_{dtype}_{size}"
     if not module.first(name):
