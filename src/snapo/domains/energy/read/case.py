@@ -333,7 +333,7 @@ def _by_steps(market: GasMarket, count: int) -> GasMarket:
 def decision_days(
     where: TableContext, start: datetime.date, end: datetime.date, valuation: datetime.date
 ) -> tuple[datetime.date, ...]:
-    """The days on which the contract may still act, seen from the valuation date."""
+    """The remaining decision days of the contract, from the valuation date on."""
     first = max(start, valuation)
     if end <= first:
         message = f"the first day without a decision must come after {first}"

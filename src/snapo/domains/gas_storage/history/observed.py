@@ -60,7 +60,7 @@ class ObservedMarket:
         return bool(self.curve_days) and self.curve_days[0] <= day
 
     def curve(self, day: datetime.date, days: Sequence[datetime.date]) -> np.ndarray:
-        """[n] the forward prices of days, as known on a day: of the last curve until then.
+        """[n] the forward prices of days, from the last curve known on a day.
 
         A day of delivery has the price of the shortest product with it; days before the first
         product have the spot price.

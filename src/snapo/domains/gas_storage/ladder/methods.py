@@ -155,9 +155,9 @@ class DeskMethods:
             return np.concatenate(list(parts))
 
     def least_squares(self) -> Followed:
-        """The rule of a regression on other paths, on these.
+        """The rule of a regression on other paths, followed on these.
 
-        **Raises:** `ValueError` if prices have other risks than their factors'.
+        **Raises:** `ValueError` if prices have risks other than their factors.
         """
         factors = self._exact_factors
         basis = gaussian_basis(factors, priced=bool(np.any(self._end_price)))

@@ -1,4 +1,4 @@
-"""Rolling intrinsic: on each trading day the plan in traded products that gains most.
+"""Rolling intrinsic: on each trading day the best plan in traded products.
 
 On every path the store (or swing) is planned against that day's forward curve in the products that
 trade then, and the difference from the positions is traded at once. Each unit traded, also of a
@@ -65,7 +65,7 @@ class FlatContract(Protocol):
         ...
 
     def reached(self, t: int) -> tuple[float, float]:
-        """The same after a step, before settling."""
+        """Lowest and highest level after a step, before settling."""
         ...
 
     def limits(
@@ -87,7 +87,7 @@ class FlatContract(Protocol):
         ...
 
     def end_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray | None:
-        """The same of levels at its end, before settling; None if there is none."""
+        """The money of levels at the end of a step, before settling; None if there is none."""
         ...
 
     def discount(self, first: int, after: int) -> np.ndarray:
@@ -95,7 +95,7 @@ class FlatContract(Protocol):
         ...
 
     def settled(self, t: int, levels: np.ndarray) -> np.ndarray | None:
-        """The cost of settling after a step, if the level is then set to zero; else None."""
+        """The cost of settling after a step, if the level is then set to zero; otherwise None."""
         ...
 
     def final(self, levels: np.ndarray, price: np.ndarray) -> np.ndarray:
@@ -225,7 +225,7 @@ class ForwardPosition(NamedTuple):
 
 
 class RollingPlan(NamedTuple):
-    """The prices of each period, what it should end at, and the value today [N]."""
+    """The prices of each period, its target at the end, and the value today [N]."""
 
     prices: list[tuple[Slopes, Peaks]]
     value: np.ndarray

@@ -24,7 +24,7 @@ SHIFT = Quantity("price", NOT_NEGATIVE, "price model", move=1.0, limits=Range(0.
 class SignedPrices(GivenFactors):
     """Factors of a price that may be negative: it does not scale with the forward curve.
 
-    Its scale for a policy is the same for a curve with a constant added.
+    Its scale for a policy does not change if a constant is added to the curve.
     """
 
     proportional = False

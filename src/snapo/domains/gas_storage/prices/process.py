@@ -60,7 +60,7 @@ class Delivery(NamedTuple):
     """The days that a process has prices for, and the market around it.
 
     - `days`: the T decision days; `end`: the end date, which follows them as number T.
-    - `price_days`: those that need a price: the end date only if remaining gas is paid by it.
+    - `price_days`: the days that need a price; the end date only if remaining gas is paid at it.
     - `valuation`: the day on which the curve is known.
     - `curve`: the forward price of each of `price_days`.
     - `nominated`: [T + 1] the day on which the flow of each date is fixed; None: on its own day.
@@ -88,7 +88,7 @@ class Delivery(NamedTuple):
 
     @property
     def times(self) -> "Times":
-        """All of it that a process keeps."""
+        """The part that a process keeps."""
         years, before = np.array([days / YEAR for days in self.ahead]), self.ahead[0]
         rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
         age = (before - 1 - np.arange(max(rows, 1))) / YEAR
@@ -216,7 +216,7 @@ class PriceProcess(Process):
 
     @classmethod
     def of(cls, delivery: Delivery, **numbers: CaseInput) -> Self:
-        """The process with these numbers, by field, on the days of a delivery."""
+        """The process with these numbers by field, on the days of a delivery."""
         return cls(delivery.times, **numbers)  # pyright: ignore
 
     @property
@@ -297,7 +297,7 @@ Registered = TypeVar("Registered", bound=PriceProcess)
 
 
 def register(process: type[Registered]) -> type[Registered]:
-    """Makes a process known under its `kind`; one without a part of its behaviour is refused."""
+    """Registers a process under its `kind`; an incomplete class is refused."""
     missing = missing_members(process)
     if missing:
         raise TypeError(f"price process {process.__name__} has no {', '.join(missing)}")
