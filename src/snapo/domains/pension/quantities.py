@@ -1,10 +1,10 @@
 """The quantities of a pension case: unit, range, standard move and group, declared once.
 
 The standard moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
-ratios one percentage point, quantities (money, members, death probabilities) one per cent of
-themselves. Groups, which reports and readers ask for: "curve" (nodes of a curve), "volatility",
-"premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan".
-The unit "money" is the currency of the case.
+ratios one percentage point, quantities (money, members, death probabilities) a relative change of
+one per cent. Groups, which reports and readers use: "curve" (nodes of a curve), "volatility",
+"premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan". The unit
+"money" is the currency of the case.
 """
 
 import math

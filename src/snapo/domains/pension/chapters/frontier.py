@@ -2,11 +2,11 @@
 
 For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon minus s times the
 present value of contributions over the liability of today. The sweep goes up and then down again;
-each time a policy is trained from the best one for its aim so far, wherever that one was trained,
-and in the end each share takes the best of all. Were aims and points measured on the same paths,
-points would be in order only for that reason: of two policies that are each best for their aim, the
-one for the larger s has lower contributions. They are chosen on the validation paths and measured
-on fresh ones, so that they are in order within their errors.
+each time a policy is trained from the best one for its aim so far, for whichever share that one was
+trained, and in the end each share takes the best of all policies. If aims and points were measured
+on the same paths, points would be in order for that reason alone: of two policies that are each
+best for their aim, the one for the larger s has lower contributions. They are chosen on the
+validation paths and measured on fresh ones, so that they are in order within their errors.
 """
 
 from collections.abc import Sequence

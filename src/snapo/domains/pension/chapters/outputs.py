@@ -56,7 +56,7 @@ OF_POTS = (
 @dataclass(frozen=True)
 class OutputValue:
     """A figure of the final ratio or of contributions, with its standard error; `money`: whether it
-    is money, else it is a share."""
+    is money or a share."""
 
     key: str = ""
     name: str = ""

@@ -172,7 +172,7 @@ class RecordedPaths:
 
     @property
     def overlay(self) -> np.ndarray:
-        """[T, N, b] where in its range each notional was set, from 0 to 1."""
+        """[T, N, b] the position of each notional in its range, from 0 to 1."""
         return self.action[:, :, len(self.case.assets.classes) :]
 
 
@@ -279,8 +279,8 @@ def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBr
     """Shares of the paths that break a limit.
 
     "weights": a weight or a group leaves its bounds; with swaps, "collateral": eligible assets do
-    not cover the need under stress. Less than `round_off` is no breach: the learned policy often
-    holds exactly as many swaps as its assets back, and the last bit may lie on either side.
+    not cover the need under stress. Less than `round_off` is not a breach: the learned policy often
+    holds exactly as many swaps as its assets back, so that the last bit decides.
 
     **Arguments:**
 

@@ -86,8 +86,8 @@ def derived(case: PensionCase) -> DerivedNumbers:
 class PensionSimulator(Simulator):
     """The fund of a case; see `snapo.domains.pension.records` for its terms.
 
-    It has no case: all in which two funds of one form differ is an array, or an input. What a step
-    reads of these is in the schedule.
+    It has no case: all in which two funds of one form differ is an array, or an input. The schedule
+    has the numbers of these that a step reads.
     """
 
     model: PensionModel

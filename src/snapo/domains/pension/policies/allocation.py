@@ -30,10 +30,10 @@ class AllocationLimits(Policy):
     """Turns real numbers, one per class and swap bucket, into an action within all limits.
 
     Weights are `smooth.simplex` of the first n numbers, which reaches every mix inside the bounds,
-    negative and levered ones where the bounds allow them; places of the notionals in their ranges a
-    logistic curve of the rest. Where these ranges are shares of the assets, swaps are scaled down
-    together to the collateral behind the weights; where they are shares of the liability, a
-    policy does not see enough for that, and the simulator counts the shortfall.
+    with negative and levered ones if the bounds allow them. The positions of the notionals in their
+    ranges are a logistic curve of the other numbers. If these ranges are shares of the assets,
+    swaps are scaled down together to the collateral behind the weights. If they are shares of the
+    liability, a policy does not observe enough for that, and the simulator counts the shortfall.
     """
 
     low: Frozen
@@ -180,13 +180,13 @@ class PensionPolicy(Policy):
 
 
 def new_policy(case: PensionCase, simulator: Simulator, schedule: Schedule, key) -> PensionPolicy:
-    """The network of a case, untrained: it keeps about the present holdings."""
+    """The network of a case, untrained: it approximately keeps the present holdings."""
     features = probe(simulator, schedule)[1].shape[0]
     return PensionPolicy(case, features, key=key, hidden=case.hidden)
 
 
 def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """[b] notionals where the policy puts them, from their `positions` in the ranges, 0 to 1.
+    """[b] notionals of the policy, from their `positions` in the ranges, 0 to 1.
 
     `values`: [b] the money to which limits refer (see `limit_unit`).
     """

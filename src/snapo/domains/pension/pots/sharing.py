@@ -6,7 +6,7 @@
     a cohort's part of it  = exposure x pot, over the sum of these and of the reserve
 
 R, the return of a cohort's annuity, is that of its payments on the curve of the path, so that a pot
-that is fully protected buys the same pension whatever rates do; Rc is the return of cash over the
+that is fully protected buys the same pension at any rates; Rc is the return of cash over the
 step. If all assets of the fund earn Rc, so do every pot and the reserve, for any protections and
 exposures: there is no ex-ante redistribution.
 
@@ -52,8 +52,8 @@ class Reserve(NamedTuple):
 
 
 class ClosedPots(NamedTuple):
-    """After the end of a year: `pots` [C], `reserve`, the money `filled` into it (negative where it
-    was too large and was returned) and `released` from it."""
+    """After the end of a year: `pots` [C], `reserve`, the money `filled` into it (negative if it
+    was too large and money was returned) and `released` from it."""
 
     pots: Float[Array, " C"]
     reserve: Array

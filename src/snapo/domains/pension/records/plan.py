@@ -17,7 +17,7 @@ class Indexation(TreeRecord):
     `cap` (per year); "conditional": the capped one times a ramp, 0 at `lower_ratio` and 1 at
     `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging` months
     (1 to 12). Cuts: if the policy ratio lies below `required_ratio`, pensions are cut by
-    (1 - ratio / required_ratio) / `cut_years`; no cuts where `cut_years` is 0.
+    (1 - ratio / required_ratio) / `cut_years`; no cuts if `cut_years` is 0.
 
     `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`, `rate`: index [].
     """

@@ -114,7 +114,7 @@ def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:
 
 
 def side_by_side(case: PensionCase, paid: Due) -> Bases:
-    """The same from expected payments, discounted only on the curve."""
+    """The same results from expected payments, discounted on the curve only."""
     assert case.funding is not None
     assets = float(case.assets.amount.used())
     funding = case.funding
