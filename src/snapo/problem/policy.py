@@ -297,7 +297,7 @@ def parameters(policy: Policy) -> np.ndarray:
 
 def load_policy(file: Path | str) -> Policy:
     """The policy saved by `policy.save(file)`, or policy.npz of a solution or a run; its shape need
-    not be known, nothing is executed.
+    not be known, and nothing is executed.
 
     **Raises:** `PolicyFileError` if the file is missing or damaged, contains something else, or
     weights of inconsistent sizes.

@@ -1,4 +1,4 @@
-"""The evidence of a run: its training, its checks, its making, and the spread between its seeds."""
+"""The evidence of a run: its training, its checks, its origin, and the spread between its seeds."""
 
 import re
 from collections.abc import Sequence

@@ -223,7 +223,7 @@ def solve_seeds(
 
     `seeds`: how many, from the seed of the case on, or the seeds themselves.
 
-    **Raises:** `CaseError` if the case trains nothing, or another run lies in the folder.
+    **Raises:** `CaseError` if the case trains nothing, or the folder contains another run.
     """
     began = time.perf_counter()
     loaded = load(request)

@@ -1,4 +1,4 @@
-"""The design space: the map, the largest box inside, and where the space ends."""
+"""The design space: the map, the largest box inside, and the boundary of the space."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,8 @@ class SpaceMap:
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
     - `levels`: the levels of contours; `required`: probability. `box`: the largest inside, None if
-      the set point itself does not do. `ends`: the ends of the space along the lines of the map.
+      the set point itself does not do. `ends`: the boundary of the space along the lines of the
+      map.
     """
 
     axes: tuple[str, ...]

@@ -146,7 +146,7 @@ def _note(run: RunFiles) -> str:
 
 
 def marks(run: RunFiles) -> list[Mark]:
-    """Verdicts on the numbers, then on the process; nothing good is above a bad status."""
+    """Verdicts on the numbers, then on the process; a bad status comes first."""
     rows, state = checks(run), run.result.status or "ok"
     verdicts = check_marks([(name, valid) for name, valid, _ in rows], "numerical checks")
     if state not in GOOD and all(mark.good for mark in verdicts):

@@ -1,6 +1,6 @@
 """The statement of a case: purpose, flowsheet, equations, parameters with their sources, numbers.
 
-It is known before a number is computed, so that it is a part of `about` of a study.
+It is available before a number is computed, so that it is a part of `about` of a study.
 """
 
 import re
@@ -147,7 +147,7 @@ class NumericsStatement:
 
 @dataclass(frozen=True)
 class Statement:
-    """Everything that is known before a number is computed; `connections`: "from" and "to"."""
+    """The description before any number is computed; `connections`: "from" and "to"."""
 
     purpose: str = ""
     scope: str = ""

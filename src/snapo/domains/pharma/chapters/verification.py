@@ -37,9 +37,8 @@ CLOSED = 1e-10  # relative gap of a balance
 class Balance:
     """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 if all are 0.
 
-    Material that a unit has not taken in counts as accumulation. It cannot be less than nothing, so
-    the
-    balance of a unit that takes more than there is stays open.
+    Material that has not entered a unit counts as accumulation. It cannot be negative, so the
+    balance of a unit that takes more than its feed does not close.
 
     Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
     if they use it (of mass: the error of rounded molar masses); "solvent": kg with anti-solvent
@@ -157,7 +156,7 @@ def largest_gap(row: ConvergenceRow) -> float:
 
 
 def examine(run: StudyRun) -> Convergence:
-    """In time, and on cells along a length and over sizes where there are any."""
+    """The convergence in time, and on cells along a length and over sizes if there are any."""
     complete = process(run)
     return replace(convergence(complete), cells=on_finer_cells(complete))
 
@@ -279,7 +278,7 @@ DIFFERENCES = Chapter(
 
 
 def verification(run: RunFiles) -> Section:
-    """Every check that this very run was put to."""
+    """Every check of this run."""
     batch, attribution = ONE_BATCH.of(run), ATTRIBUTION.of(run)
     loops = [
         Text(

@@ -31,7 +31,7 @@ class FirstOrder(NamedTuple):
 def first_order(times: np.ndarray, response: np.ndarray, step: float) -> FirstOrder:
     """The process that best fits a response [n] at `times` s [n] after a step of this size.
 
-    By least squares over time constants and dead times, each with its best gain.
+    The fit is by least squares over time constants and dead times, each with its best gain.
 
     **Raises:** `ValueError` if nothing responds.
     """

@@ -122,12 +122,12 @@ def _differences(process: PharmaProcess, inputs) -> Jacobian:
 
 
 def convergence(process: PharmaProcess, inputs=None, tolerance: float = 1e-10) -> Convergence:
-    """Every attribute and its derivative with respect to every parameter, three ways; the case's
-    own is judged.
+    """Every attribute and its derivative with respect to every parameter, by three methods; that of
+    the case is tested.
 
-    `tolerance` is that of the adaptive solution, or the case's if that is tighter. Where units hold
-    steps its derivatives are differences of its values: through an implicit solver with error
-    control the adjoint takes minutes to compile.
+    `tolerance` is that of the adaptive solution, or the case's if that is tighter. If units hold
+    their steps, its derivatives are differences of its values: through an implicit solver with
+    error control the adjoint takes minutes to compile.
     """
     numerics = process.case.numerics
     tight = min(tolerance, numerics.tolerance)

@@ -108,7 +108,7 @@ def _of_variance(varied: "Spread", shares: np.ndarray, name: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Where the batch-to-batch spread of each attribute comes from, to first order.
+    """The sources of the batch-to-batch spread of each attribute, to first order.
 
     - `sources`: [V] names; `part`: [Q, V] standard deviation that each one causes.
     - `total`: [Q] of independent sources together, in quadrature (a correlation adds its terms).

@@ -40,7 +40,7 @@ class Connection:
 
 @dataclass(frozen=True, eq=False)
 class Flowsheet:
-    """All that material flows through, and how time is integrated.
+    """The flowsheet, and the integration over time.
 
     - `units`: in the order in which material flows. `measures`: names of those that are asked for.
     """
@@ -60,7 +60,7 @@ class PharmaCase:
     - `purpose`: a sentence for the report. `assumptions`: the user's, in addition to those of the
       units.
     - `pairs`: pairs of parameter names for second derivatives of every attribute.
-    - `held`: names of `CaseInput`s that are no inputs.
+    - `held`: names of `CaseInput`s that are not inputs.
     - `parts`: names of those parts of a run that are wanted, () for all.
     - `control`, `design_space`, `estimation`, `optimise`: None if it does not ask for them.
     """

@@ -1,4 +1,4 @@
-"""Mass action: the reactions of a case, and how fast each goes at a temperature and composition."""
+"""Mass action: the reactions of a case, and their rates at a temperature and composition."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class FlowNetwork:
 
     @property
     def runs_out(self) -> np.ndarray:
-        """[R, S] where a reaction uses a species on which its rate does not depend."""
+        """[R, S] whether a reaction uses a species on which its rate does not depend."""
         return (self.stoichiometry < 0) & (self.order == 0)
 
 
@@ -86,7 +86,7 @@ def rates(network: FlowNetwork, constants: Array, concentration: Sequence[Array]
 
 def fastest_rate(network: FlowNetwork, temperature: np.ndarray, maximum: np.ndarray) -> float:
     """1/s: a bound on the norm of d r / d extents below concentrations `maximum` [S] in kmol/m3, at
-    the given temperatures in K; infinite if an order lies between 0 and 1."""
+    these temperatures in K; infinite if an order lies between 0 and 1."""
     if ((network.order > 0) & (network.order < 1)).any():
         return np.inf
     inverse = 1 / temperature[:, None] - (1 / network.reference if network.reference else 0.0)

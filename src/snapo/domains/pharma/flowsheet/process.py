@@ -62,7 +62,7 @@ class Batch(NamedTuple):
 class PharmaProcess:
     """A case with its compiled functions: made once, called often without compiling again.
 
-    - `case`: as it was given, with the steps that it needs. `form`: the form of its flowsheet,
+    - `case`: the case, with the steps that it needs. `form`: the form of its flowsheet,
       which is all that the functions are compiled for.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
       `entries`: [P] their positions. `traces` counts how often the flowsheet was traced.
@@ -131,9 +131,9 @@ class PharmaProcess:
     def either(
         self, key: Any, make: Callable[[bool], Callable], *arguments, of=lambda result: result
     ):
-        """The function `make(own)` at `arguments`: first on held steps, and where those are refused
-        on steps chosen for this run, compiled for the first run that needs it. A result is refused
-        if a number in `of(result)` is non-finite."""
+        """The function `make(own)` at `arguments`: first on held steps; if those are refused, on
+        steps chosen for this run, compiled when first needed. A result is refused if a number in
+        `of(result)` is non-finite."""
         result = self.compiled(key, lambda: make(False))(*arguments)
         if self.case.numerics.held and not all(map(_finite, jax.tree.leaves(of(result)))):
             result = self.compiled(("own", key), lambda: make(True))(*arguments)

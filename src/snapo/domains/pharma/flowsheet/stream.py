@@ -157,7 +157,7 @@ class Ledger(NamedTuple):
 
 
 def ledger(species: int, **entries: Any) -> Ledger:
-    """A ledger in which all is zero but these entries."""
+    """A ledger in which everything is zero except these entries."""
     none, zero = jnp.zeros(species), jnp.zeros(())
     return Ledger(none, none, none, none, zero, zero)._replace(**entries)
 

@@ -1,10 +1,10 @@
-"""Where the design space ends, with an interval, along the lines of its map.
+"""The boundary of the design space, with an interval, along the lines of its map.
 
 Every point of the map has the same draws. Between two points the distance of each draw from each
 limit is interpolated linearly, so that the share of the draws that keep all limits is known at any
 position on a line, to second order in the map's spacing. The boundary is where that share falls
-below the required one. A position belongs to its 95 % interval where Wilson's interval of the share
-there contains the required one: the test of a share, inverted (Casella and Berger, Statistical
+below the required one. A position belongs to its 95 % interval if Wilson's interval of the share
+there contains the required one: an inverted test of a share (Casella and Berger, Statistical
 Inference, section 9.2).
 """
 
@@ -26,7 +26,7 @@ LEVEL = 0.95
 def interval(share, of: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest probability supported by the `share` of a number of draws (Wilson 1927).
 
-    It is of use near 0 and 1 too: of 128 draws that all hold, the lowest is 0.971.
+    It is also valid near 0 and 1: if all of 128 draws meet the limits, its lower limit is 0.971.
     """
     z = ndtri((1 + level) / 2)
     p = np.asarray(share, np.float64)

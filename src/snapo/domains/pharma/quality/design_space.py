@@ -132,7 +132,7 @@ class LargestBox:
 def largest_box(
     result: ProbabilityMap, nominal: Sequence[float], required: float
 ) -> LargestBox | None:
-    """The largest box between grid points that holds the set point and only good points.
+    """The largest box between grid points that contains the set point and only good points.
 
     Exact search: every pair of grid points on each axis that encloses `nominal` (the case's units),
     points counted by a summed-area table. None if the set point's cell is not good.

@@ -2,9 +2,9 @@
 
 Residuals are (model - measured) / error, their derivatives the model's own. With errors known as
 standard deviations the covariance is (J^T J)^-1 (Bard, Nonlinear Parameter Estimation, 1974);
-intervals use Student's t with n - p degrees of freedom, which is slightly conservative. Where chi^2
-is significantly too large, or the errors are known only up to a factor, the covariance is
-multiplied by chi^2 / (n - p), to agree with the residuals.
+intervals use Student's t with n - p degrees of freedom, which is slightly conservative. If chi^2 is
+significantly too large, or the errors are known only up to a factor, the covariance is multiplied
+by chi^2 / (n - p), to agree with the residuals.
 
 The search begins at the numbers of the case and at points of a Halton sequence within the bounds.
 Minima with a chi^2 as good as the best one that are not connected to it are reported.
@@ -76,7 +76,7 @@ class ParameterFit:
 
 
 def fit(process: "PharmaProcess", estimation: Estimation) -> ParameterFit:
-    """Least squares within the bounds, from the case's numbers and from others."""
+    """Least squares within the bounds, starting from the case's numbers and from other points."""
     model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
     low, high = (variables_of(np.array(x), log) for x in (estimation.low, estimation.high))
@@ -153,7 +153,7 @@ def _scale(chi2: float, freedom: int, errors: str) -> float:
 
 
 def variables_of(values: np.ndarray, log: np.ndarray) -> np.ndarray:
-    """[P] the fitted variables of numbers: their logarithm where `log`."""
+    """[P] the fitted variables of numbers: their logarithm if `log`."""
     return np.where(log, np.log(np.where(log, values, 1.0)), values)
 
 

@@ -1,4 +1,4 @@
-"""Proven acceptable ranges: how far one parameter may move with all others at their set point.
+"""Proven acceptable ranges: the range of one parameter with all others at their set point.
 
 There are two criteria: the nominal model, and a required probability under all variation. All edges
 of all parameters are searched side by side, so that batches run together.
@@ -91,7 +91,7 @@ class AcceptableRange:
 @dataclass(frozen=True)
 class ProvenRange:
     """`nominal`: of the model at its nominal numbers; `probable`: with the `required` probability,
-    as `samples` draws say."""
+    estimated from `samples` draws."""
 
     parameter: str
     unit: str

@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Distribution:
-    """How a number varies from batch to batch, about its nominal value.
+    """The variation of a number from batch to batch, around its nominal value.
 
     - "normal": standard deviation `spread`; "lognormal": nominal times exp(spread z - spread^2/2),
       so that the mean is the nominal; "uniform": nominal plus or minus `spread`. The unit of
@@ -49,7 +49,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Attribute:
-    """A quality attribute: a measure of a unit and the limit that it must keep.
+    """A quality attribute: a measure of a unit and the limit that it must meet.
 
     - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: the unit of the limits and of all
       tables; attribute = `scale` times the measure in the domain's unit.
@@ -93,7 +93,7 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class DesignSpace:
-    """Where the probability of meeting all limits is mapped.
+    """The map of the probability of meeting all limits.
 
     - `axes`: two or three names of `Parameter`s, over their `low` to `high`; `points`: per axis.
     - `samples`: draws of the uncertainty per point, the same at every point.

@@ -132,7 +132,7 @@ def key(field: Any, name: str = "", **more: Any) -> Any:
 
 
 def species_key(meaning: str, allowed: str) -> Any:
-    """A field for one of the case's species: its name, or its number where the field is an int."""
+    """A field for one of the case's species: its name, or its number if the field is an int."""
     return key(doc(meaning, allowed=allowed), type=TextKey, species=True)
 
 

@@ -1,4 +1,4 @@
-"""Time steps that are broken where the solution has kinks, and graded towards an event.
+"""Time steps with nodes where the solution has kinks, graded towards an event.
 
 A fixed mesh converges to the derivatives of the solution only if no step straddles a kink. So
 the mesh is broken at every profile node, and at the event (supersaturation crosses zero), which
