@@ -20,7 +20,7 @@ Formed = TypeVar("Formed")
 
 @dataclass(frozen=True, eq=False)
 class InputUse:
-    """Where the numbers of a `CaseInput` are used; `values`: themselves where they are no input."""
+    """Where the numbers of a `CaseInput` are used; `values`: the numbers if not an input."""
 
     name: str
     index: np.ndarray

@@ -1,4 +1,4 @@
-"""The fund after each scenario of its file of shocks: which inputs and prices move, and how."""
+"""The fund after each scenario of its file of shocks: the moves of inputs and prices."""
 
 import re
 from collections.abc import Callable, Sequence

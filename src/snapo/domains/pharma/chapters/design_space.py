@@ -123,7 +123,7 @@ def boundary_rows(
 
 
 def show(run: RunFiles, result: SpaceMap) -> list[Block]:
-    """The probability that all limits hold over the axes, and the attribute that breaks them."""
+    """The probability of meeting all limits over the axes, and the attribute that fails first."""
     names = stated(run).attribute_names
     blocks: list[Block] = [_in_words(result)]
     blocks += [_map(result, at, position, names) for at, position in _slices(result)]

@@ -232,7 +232,7 @@ class Making:
 
     @classmethod
     def of(cls, case: PharmaCase) -> "Making":
-        """All that is known before the run; a training records its versions and seed itself."""
+        """The information before the run; a training records its versions and seed itself."""
         files = {file.name: file.read_bytes() for file in case_files(case.file.parent)}
         alone = case.control is None
         return cls(

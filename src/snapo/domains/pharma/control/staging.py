@@ -65,7 +65,7 @@ def staged(units: Iterable[Unit], control: Control) -> tuple[Timed, ...]:
 
 
 def decided(units: Iterable[Unit], control: Control, stage: str) -> tuple[int, ...]:
-    """Numbers of the `Manipulated` that belong to a stage's unit, or ("") to all the others."""
+    """Indices of the `Manipulated` of a stage's unit, or (for "") of all other units."""
     names = {entry.name for entry in staged(units, control)}
 
     def unit_of(item: Manipulated) -> str:
