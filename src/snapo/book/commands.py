@@ -59,7 +59,7 @@ def solve(
     shard: tuple[int, int] | None = None,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """Values a book; see `run_book`. `on`: where, see `executors.worker_pools`.
+    """Values a book; see `run_book`. `on`: where its jobs run, see `executors.worker_pools`.
 
     **Raises:** `CaseError` for a mistake in the book, or if its workers cannot be reached.
     """

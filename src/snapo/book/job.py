@@ -186,7 +186,7 @@ class OutputFigures(NamedTuple):
         nominal: float | None = None,
         within: float | None = None,
     ) -> "OutputFigures":
-        """Over the paths [N] that are finite."""
+        """The statistics over the paths [N] that are finite."""
         finite = np.isfinite(values)
         values, groups = values[finite], None if groups is None else groups[finite]
         if len(values) < 2:

@@ -38,7 +38,7 @@ class Dialect:
     first: Order | None = None
 
     def number(self, cell: str) -> str:
-        """A cell's text with a decimal point, where it is a number with a decimal comma."""
+        """A cell's text with a decimal point, if it is a number with a decimal comma."""
         if not self.comma:
             return cell
         if COMMA.fullmatch(cell) or THOUSANDS.fullmatch(cell):

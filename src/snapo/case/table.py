@@ -148,7 +148,7 @@ def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
 
 
 def doc(meaning: str, default: Any = ..., allowed: str = "", **more: Any) -> Any:
-    """A field of a `CaseTable` with its meaning, required where there is no default.
+    """A field of a `CaseTable` with its meaning, required if it has no default.
 
     `allowed`: its values as text, where its type does not state them; `more`: as for
     `pydantic.Field`.

@@ -1,9 +1,9 @@
 """Every input's adjoint against central differences, on the same few paths, with decisions held
 fixed.
 
-In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
-a few of them separately. An input without effect under the random policy is tested at low, middle
-or high actions. Inputs that change no single path (`in_mean`) are not tested here.
+It is done in float64 with smooth limits. All numbers of an input are bumped together with random
+signs, and a few of them separately. An input without effect under the random policy is tested at
+low, middle or high actions. Inputs that change no single path (`in_mean`) are not tested here.
 """
 
 from dataclasses import replace

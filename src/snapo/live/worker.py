@@ -223,7 +223,7 @@ def _write(valuation: WhatIf, order: WorkerOrder) -> None:
 
 
 class Cancelled(Exception):
-    """The page no longer needs it."""
+    """Cancels work that a page no longer needs."""
 
 
 def _train(

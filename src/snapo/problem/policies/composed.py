@@ -98,7 +98,7 @@ class Plain(Policy):
         return self.action.squash(self.module(observation), smooth)
 
     def for_problem(self, interface: Interface, key) -> "Plain":
-        """Itself with its set of actions. **Raises:** `ValueError` if sizes do not fit."""
+        """The policy with its set of actions. **Raises:** `ValueError` if sizes do not fit."""
         made = Plain(self.module, self.raw, interface.action)
         size, features = interface.action.size, interface.features
         name = type(self.module).__name__

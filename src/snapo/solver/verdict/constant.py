@@ -52,7 +52,7 @@ def caught(progress: Progress, training: TrainingPlan) -> bool:
 
 
 def exploring(training: TrainingPlan, action: Actions) -> TrainingPlan:
-    """The training with more of every decision drawn, if decisions have bounds."""
+    """The training with a larger random share of every decision, if decisions have bounds."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     if not (bounded and action.exploration_size and training.cools):
         return training

@@ -292,7 +292,7 @@ class StepTerms(NamedTuple):
 
 
 class StepPrices(NamedTuple):
-    """Prices of one step: the spot price, and the index where there is one."""
+    """Prices of one step: the spot price, and the index if there is one."""
 
     spot: Any
     index: Any = None

@@ -24,7 +24,7 @@ class Head(NamedTuple):
     - `positions` [pairs, SEGMENTS - 1]: between segments, as shares of the free volume.
     - `room` [pairs]: the free volume, over the largest volume of a step.
     - `base` [choices]: gain of each move without its free volume, over price and volume scale; very
-      low for moves that are not allowed. Empty where there is no choice.
+      low for moves that are not allowed. Empty if there is no choice.
     """
 
     units: Array

@@ -114,7 +114,7 @@ class UnitValuePolicy(Policy):
 
     @property
     def simplest(self) -> "UnitValuePolicy":
-        """Without a network that adds nothing."""
+        """The policy without a network, if the network adds nothing."""
         return without_idle_network(self)
 
 

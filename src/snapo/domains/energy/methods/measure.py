@@ -1,6 +1,6 @@
 """The common measure of the volumes of a contract: the largest of which all are multiples.
 
-And the widths between nodes where that measure is too small.
+Also the spacing of nodes if that measure is too small.
 """
 
 from collections.abc import Iterable

@@ -157,7 +157,8 @@ class PolynomialBasis:
     def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
         """[T, levels, n] of the expectation a day before of polynomials [T, levels, n].
 
-        Of the dates after the first, times the exponential; then the constant, if there is one.
+        They are for the dates after the first, times the exponential; then comes the constant, if
+        any.
         """
         size, moves = len(self.powers), self._moves[1:]
         plain = after[:, :, :size]

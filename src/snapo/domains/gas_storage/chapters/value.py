@@ -59,7 +59,7 @@ def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicV
 
 
 def measure_reference(run: StudyRun) -> Reference:
-    """By dynamic programming, if the price process has a lattice."""
+    """The value by dynamic programming, if the price process has a lattice."""
     setup = run.setup
     lattice = factors(setup.problem)
     if lattice is None or not lattice.exact:

@@ -63,7 +63,7 @@ class MonthVega:
 
 @dataclass(frozen=True)
 class Vegas:
-    """By parameter, then by month, the sum of each parameter last."""
+    """The vegas by parameter, then by month, with the sum of each parameter last."""
 
     vega_by_month: tuple[MonthVega, ...] = ()
 

@@ -47,7 +47,7 @@ def _no_table() -> tuple[Any, Any]:
 class EndRule(TreeRecord):
     """A rule for the end date; prices and money are those of the end date, undiscounted.
 
-    As it is read it has the numbers of the case, and in a simulator it has none: `owed`,
+    When read, it has the numbers of the case; in a simulator it has none: `owed`,
     `needs_price` and `value_known` are for the reader and the study.
     """
 

@@ -88,8 +88,8 @@ class StorageSimulator(PricedSimulator):
         return made.scaled(numbers)
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
-        """With the scales of features of these inputs: the mean size of forward prices, and the
-        largest volume that may move on a day."""
+        """The simulator with the scales of features of these inputs: the mean size of forward
+        prices, and the largest volume that may move on a day."""
         rows: Any = self.contract.ratchets
         size = self.process.price_scale(self.curve.in_numpy(values), values)
         rates = [

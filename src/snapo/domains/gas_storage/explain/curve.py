@@ -45,7 +45,7 @@ class PeriodEffect(NamedTuple):
 
 
 class CurveEffect(NamedTuple):
-    """By period, and in total.
+    """The effects by period, and in total.
 
     - `before`, `after` [G]: shares of groups of paths in the values at both curves.
     - `error`: the error of the part of their difference that is beyond the second order.

@@ -49,7 +49,7 @@ class Demand(TreeRecord):
     @classmethod
     @abc.abstractmethod
     def read(cls, section: TableContext, table: Any, maximum: float) -> Self:
-        """From its table, whose numbers have their units; `maximum`: the largest factor of a
+        """Makes it from its table, whose numbers have units; `maximum`: the largest factor of a
         period."""
 
     def inputs(self) -> tuple[CaseInput, ...]:

@@ -279,7 +279,7 @@ def sources(case: PensionCase) -> dict[str, list[CaseInput]]:
 
 
 def measure_variance(run: StudyRun) -> tuple[SourceVariance, ...]:
-    """With all sources, then without each; none under supplied scenarios."""
+    """The ratio with all sources, then without each; none under supplied scenarios."""
     case, setup, policy = case_of(run), run.setup, run.solution.policy
     assert policy is not None
     if case.scenarios is not None:

@@ -58,7 +58,8 @@ class FrontierPoint:
     ratio, at most 0) with standard errors, the median funding ratio and the share of paths below 1.
 
     - `share`: the weight of contributions, NaN for the policy of the run.
-    - `efficient`: whether no other point has less of both; None for the policy of the run.
+    - `efficient`: whether no other point has lower contributions and a smaller shortfall; None for
+      the policy of the run.
     """
 
     share: Number = np.nan

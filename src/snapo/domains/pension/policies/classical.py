@@ -42,7 +42,7 @@ class ConstantMix(Policy):
 
 
 class GlidePath(Policy):
-    """From one mix to another, linear in the funding ratio between two bounds; swaps too.
+    """Moves from one mix to another, linearly in the funding ratio between two bounds; also swaps.
 
     `logits` [2, n + b] of the mixes at and below the lower bound, at and above the upper one;
     `bounds` [2] in `UNIT`. It starts with the same `mix` at all ratios.

@@ -1,6 +1,6 @@
 """Today's balance sheet: key rates of assets, swaps and liabilities, trades, collateral, stresses.
 
-All of it is closed form on today's curve; no path is simulated.
+All numbers are in closed form on today's curve; no path is simulated.
 """
 
 from collections.abc import Callable

@@ -40,10 +40,10 @@ class Balance:
     Material that has not entered a unit counts as accumulation. It cannot be negative, so the
     balance of a unit that takes more than its feed does not close.
 
-    Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
-    if they use it (of mass: the error of rounded molar masses); "solvent": kg with anti-solvent
-    and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent heat, `inflow`
-    with the heat of reaction.
+    The balances of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by
+    reactions, below 0 if they use it (of mass: the error of rounded molar masses); "solvent": kg
+    with anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent
+    heat, `inflow` with the heat of reaction.
     """
 
     unit: str

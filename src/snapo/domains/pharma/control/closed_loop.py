@@ -1,4 +1,4 @@
-"""The process in closed loop: a policy decides temperatures and ratios on measurements. As a
+"""The process in closed loop: a policy decides temperatures and ratios on measurements. Also as a
 problem: its objective, the best of several recipes, and its setups.
 """
 

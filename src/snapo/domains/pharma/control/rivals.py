@@ -63,7 +63,8 @@ def simc(process: FirstOrder, closed: float | None = None) -> tuple[float, float
 def ziegler_nichols(process: FirstOrder) -> tuple[float, float]:
     """Gain and integral time in s: Kc = 0.9 tau / (k theta), Ti = theta / 0.3.
 
-    From the reaction curve. J. G. Ziegler and N. B. Nichols, Trans. ASME 64 (1942) 759.
+    The settings from the reaction curve. J. G. Ziegler and N. B. Nichols, Trans. ASME 64 (1942)
+    759.
     """
     return 0.9 * process.lag / process.gain / process.dead, process.dead / 0.3
 

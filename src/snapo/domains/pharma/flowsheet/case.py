@@ -42,7 +42,7 @@ class Connection:
 class Flowsheet:
     """The flowsheet, and the integration over time.
 
-    - `units`: in the order in which material flows. `measures`: names of those that are asked for.
+    - `units`: in the order in which material flows. `measures`: the names of the requested ones.
     """
 
     network: FlowNetwork
@@ -93,7 +93,7 @@ class PharmaCase:
 
     @property
     def flowsheet(self) -> Flowsheet:
-        """With the measures that attributes, and an optimisation, name."""
+        """The case with the measures that attributes and an optimisation refer to."""
         terms = () if self.optimise is None else self.optimise.terms + self.optimise.per
         names = [attribute.measure for attribute in self.attributes]
         names += [term.of for term in terms if term.entry is None]

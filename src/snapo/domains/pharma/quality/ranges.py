@@ -37,8 +37,8 @@ Good = Callable[[Sequence[Changes]], GradedPoints]
 
 
 def goods(process: "PharmaProcess", required: float, samples: int, seed: int) -> tuple[Good, Good]:
-    """By the model at its nominal numbers; and with the `required` probability of `samples` draws,
-    a parameter with a distribution varying about its point."""
+    """Ranges by the model at its nominal numbers; and with the `required` probability of `samples`
+    draws, a parameter with a distribution varying about its point."""
     case = process.case
     limits = AttributeLimits.of(case)
     margins = np.array([attribute.margin for attribute in case.attributes])

@@ -89,7 +89,7 @@ def gains(
 def gain(of: Payments, price: Float[Array, " J"], growth: Float[Array, " J"]) -> Float[Array, " k"]:
     """Gains of a unit of money in each holding whose payments at `price` rise by `growth`.
 
-    By sums over the payments, which need no matrix of amounts due.
+    It is computed by sums over the payments, without a matrix of amounts due.
     """
     coupon, annuity = coupons(of, price)
     last = np.argmax(of.principal, axis=1)
