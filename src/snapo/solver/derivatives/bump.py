@@ -118,8 +118,8 @@ def reactions(
     centre: Totals | None = None,
     engine: Engine | None = None,
 ) -> dict[str, Reaction]:
-    """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks, of
-    `maximum` paths together.
+    """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks with
+    `maximum` paths in total.
 
     Every input is bumped on a few of the blocks. If the reaction is inaccurate, all blocks and a
     wider move follow, the least certain input first, until about `rollouts` paths were valued.

@@ -105,7 +105,7 @@ class HedgeBook:
         self._exposures = FittedExposures.of(paths, products)
 
     def trade(self, t: int, inventory: float, factors: np.ndarray) -> None:
-        """The end of step t: marks the positions and trades, after its flow.
+        """Marks the positions and trades at the end of step t, after its flow.
 
         `inventory` after it, `factors` [F] of the day.
         """

@@ -28,7 +28,7 @@ class SecondRows(NamedTuple):
     variance: Array
 
     def expected(self) -> Array:
-        """[T + 1] today's expectation."""
+        """[T + 1] today's expectation of its price."""
         return self.forward
 
     def price(self, factor):

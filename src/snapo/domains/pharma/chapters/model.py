@@ -127,7 +127,7 @@ class UncertaintyStatement:
 
 @dataclass(frozen=True)
 class NumberStatement:
-    """A number as used in the computation; `parameter`: the parameter that it is, or ""."""
+    """A number as used in the computation; `parameter`: the name of its parameter, or ""."""
 
     input: str
     label: str
