@@ -162,7 +162,7 @@ def write(
 
 
 def single(values: EmittedValues, op: Op) -> None:
-    """One operation, without a loop that it would share."""
+    """Writes one operation that shares no loop."""
     if elementwise.supported(op.name):
         _by_element(values, op)
         return

@@ -106,7 +106,8 @@ class Deltas(NamedTuple):
     now: Mapping[str, Estimate]
 
     def along(self, name: str, direction: np.ndarray, by: np.ndarray) -> Interval:
-        """The derivative along a direction of an input, with its 95 % interval; `by`: a bump.
+        """The derivative along a direction of an input, with its 95 % interval; `by`: the bump of
+        the input.
 
         What the run knows of its policy's error, and of a reaction that held derivatives miss,
         is that at the run's inputs.

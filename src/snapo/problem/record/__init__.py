@@ -183,7 +183,7 @@ class Input(TreeRecord):
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
       number (see `step`).
     - `judge_bump`: the bump of every number with which its derivative is tested, the policy
-      reacting; by default 1 % of each. Specify it where values change on a grid of the input.
+      reacting; by default 1 % of each. Specify it if values change on a grid of the input.
     - `move`: the amount by which reports and sliders move it, in `unit`; None: a relative move.
     - `display_unit`, `display_factor`: the preferred unit, and the number of these in one `unit`: a
       rate of 1/year is 10,000 bp. By default `unit` itself.

@@ -50,7 +50,7 @@ class DailyDeltas:
 
 @dataclass(frozen=True)
 class MonthDelta:
-    """The delta of a delivery month, `month` as "2021-04", with the meanings of `DailyDeltas`.
+    """The delta of a delivery month, `month` as "2021-04"; fields as in `DailyDeltas`.
 
     - `sampling`, `policy`: the parts of the half-width of the discounted interval; `source`: see
       `solver.derivatives.interval.Reported`; `smooth`: through the policy's reaction.

@@ -4,8 +4,9 @@ The volatility s(d) of a delivery day d is that which the price model gives its 
 
     S(d) = F(d) exp(s(d) f(d) - s(d)^2 var f(d) / 2)
 
-all other days keep theirs. The vega of a month is the sum of the derivatives with respect to s(d)
-over its days, so that a volatility of all days has their sum as derivative.
+and the volatilities of all other days are unchanged. The vega of a month is the sum of the
+derivatives with respect to s(d) over its days, so that a volatility of all days has their sum as
+derivative.
 """
 
 from collections.abc import Sequence

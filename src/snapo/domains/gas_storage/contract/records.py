@@ -1,4 +1,4 @@
-"""A gas-storage case as resolved data: frozen records of NumPy arrays, every date settled.
+"""A gas-storage case as resolved data: frozen records of NumPy arrays, with all dates resolved.
 
 T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
 without ratchets). Index T is the end date. Days are

@@ -118,8 +118,8 @@ class GammaMatrix(NamedTuple):
         return np.sqrt(np.maximum(excess, 0.0)) / 2
 
     def along(self, prices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[n] the matrix times prices [n], and its standard error: without costs zero, where prices
-        move in proportion to the curve and it is level within each product, since the value is
+        """[n] the matrix times prices [n], and its standard error: zero without costs, if prices
+        move in proportion to a curve that is level within each product, since the value is then
         homogeneous of degree one."""
         product = Estimate(self.symmetric.blocks @ prices)
         return product.value, np.hypot(1.0, BIAS) * product.standard_error

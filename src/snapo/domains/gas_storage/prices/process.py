@@ -99,7 +99,7 @@ class Delivery(NamedTuple):
 
 
 class Times(TreeRecord):
-    """When a process has prices, and how they are expected today.
+    """The dates on which a process has prices, and their expectations today.
 
     - `years` [T + 1]: time of each date from the valuation date, Act/365; `gaps` between them.
     - `curve`: the forward price of each date, but for an end date that needs none.

@@ -117,7 +117,7 @@ PLACES = Chapter("service", "Places", NetworkService, measure, show, short="Plac
 
 
 def service_and_places(run: StudyRun) -> dict[str, Any]:
-    """The part "service" of a network: a row has no entry where a place has no such number."""
+    """The part "service" of a network: a row omits the numbers that a place does not have."""
     entries = PLACES.data(measure(run))
     rows = [{name: x for name, x in row.items() if x is not None} for row in entries["places"]]
     return entries | {"places": rows}

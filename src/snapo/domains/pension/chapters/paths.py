@@ -98,7 +98,7 @@ class FirstAllocation:
 
 @dataclass(frozen=True)
 class PathTables:
-    """The results of the recorded paths; `recovery`: before the regulator, if the case has one."""
+    """The results of the recorded paths; `recovery`: towards the regulator, if the case has one."""
 
     by_year: YearlyFans
     policy_map: PolicyMap

@@ -1,4 +1,4 @@
-"""A fund's position before its regulator: required own funds, policy ratio, and the way to recover.
+"""A fund's position before its regulator: required own funds, policy ratio, and recovery.
 
 Required own funds follow the standard model: S1 rates, S2 shares and property, S3 currencies, S4
 commodities, S5 credit, S6 insurance, S10 active management; S7 to S9 are zero by law. Annex 3 of

@@ -100,8 +100,8 @@ class Goal:
 
     - `kind`: "mean" and "cvar" are of `attribute` (maximised, or minimised with `sense` -1) with
       limits as penalties; "probability" is of all limits together and needs no attribute.
-    - `level`: the level of "cvar". `penalty`: lost per `Attribute.margin` of violation, in units of
-      `attribute`'s margin.
+    - `level`: the level of "cvar". `penalty`: the loss per `Attribute.margin` of violation, in
+      units of `attribute`'s margin.
     """
 
     kind: Literal["mean", "cvar", "probability"]

@@ -1,9 +1,9 @@
 """A stiff unit on held steps: chosen once by error control, the same in every run.
 
-With the steps held as shares of the duration, the end is a fixed composition of smooth maps of the
-inputs, and its derivatives, in any mode and order, are exactly those of the numbers computed. The
-error estimate of every step is computed again in every run, so that a run for which the steps are
-too long is known.
+With the steps held as shares of the duration, the final state is a fixed composition of smooth maps
+of the inputs, and its derivatives, in any mode and order, are exactly those of the numbers
+computed. The error estimate of every step is computed again in every run, so that a run for which
+the steps are too long is known.
 """
 
 from typing import NamedTuple

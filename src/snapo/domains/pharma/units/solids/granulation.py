@@ -9,7 +9,7 @@ solids, with the constant total V,
 the moments 0 and 2 of Smoluchowski's equation with the kernel b / N. They have a closed form: with
 b constant N = N0 exp(-b t / 2) and M2 = M2(0) + 2 V^2 / N0 (exp(b t / 2) - 1). Sizes are assumed to
 be lognormal with these moments. The granules consolidate: their porosity falls exponentially
-towards its least value (for both see the review of Iveson, Litster, Hapgood and Ennis, Powder
+towards its minimum (for both see the review of Iveson, Litster, Hapgood and Ennis, Powder
 Technology 117, 3, 2001). Both rates depend on speed and moisture by an empirical power law.
 
 A granule continues as a particle with its own density: the stream's moments are those of granules,
