@@ -185,7 +185,7 @@ class Row:
         return int(match[1]), int(match[2])
 
     def label(self, column: str) -> str:
-        """The text of a cell; a day or a month as YYYY-MM-DD or YYYY-MM, where that is certain."""
+        """The text of a cell; a day or a month as YYYY-MM-DD or YYYY-MM, if that is certain."""
         try:
             return self.dialect.period(self.cells[column])
         except AmbiguousFormat:

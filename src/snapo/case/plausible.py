@@ -65,7 +65,7 @@ class CheckedNumbers(NamedTuple):
 
 
 def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
-    """The numbers of an input of a case or of a simulator; `name` where it has none."""
+    """The numbers of an input of a case or of a simulator; `name` if it has none."""
     if isinstance(entry, CheckedNumbers):
         return entry
     values = entry.values if hasattr(entry, "values") else entry.value
@@ -178,7 +178,7 @@ def _apart(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
 def around(values: np.ndarray) -> np.ndarray:
     """[n] the median of the neighbours along a curve; equal numbers in a row count once.
 
-    Where there are no more than three numbers it is the median of all the others.
+    If there are no more than three numbers it is the median of all the others.
     """
     if not values.size:
         return values
@@ -268,7 +268,7 @@ class CaseFiles:
     data: Mapping[str, Any]
 
     def position(self, name: str, label: str, value: float) -> str:
-        """The position of a number of the input `name`; the name where no file has it.
+        """The position of a number of the input `name`; the name if no file has it.
 
         Of the cells that contain the number, or have the key's name, it is the one whose key,
         column and row share the largest number of terms with the input's name and label. Some cases

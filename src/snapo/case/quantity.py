@@ -64,7 +64,7 @@ class Quantity:
     name: str = ""
 
     def __call__(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
-        """A field of a `Table` with this meaning, required where there is no default."""
+        """A field of a `Table` with this meaning, required if there is no default."""
         return declared(replace(self, meaning=meaning, **changes), default)
 
     @property

@@ -150,7 +150,7 @@ def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
 def doc(meaning: str, default: Any = ..., allowed: str = "", **more: Any) -> Any:
     """A field of a `CaseTable` with its meaning, required if it has no default.
 
-    `allowed`: its values as text, where its type does not state them; `more`: as for
+    `allowed`: its values as text, if its type does not state them; `more`: as for
     `pydantic.Field`.
     """
     return Field(default, title=meaning, **({"description": allowed} if allowed else {}), **more)

@@ -130,7 +130,7 @@ class Clip:
 
 
 def factor_of(norm, limit: Float[Array, " 2"]):
-    """The factor for an adjoint of this norm: the share kept, or less where the bound applies."""
+    """The factor for an adjoint of this norm: the share kept, or less if the bound applies."""
     return jnp.minimum(limit[1], limit[0] / norm)
 
 

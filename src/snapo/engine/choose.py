@@ -52,7 +52,7 @@ EngineName = str | Engine | Engines
 def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The requested engines: by name, as one engine, or as a pair that was chosen before.
 
-    "auto" takes the native engine where it can run this problem, even if there is a GPU: its
+    "auto" takes the native engine if it can run this problem, even if there is a GPU: its
     gradient of 512 paths takes a tenth of the time, and a GPU is faster only from about 20,000
     paths (`python -m benchmarks.gpu`). One engine trains in float32 and evaluates in float64,
     independently of its precision.

@@ -218,7 +218,7 @@ def _step(x: ArrayLike) -> Array:
 
 
 def _finite_difference(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
-    """a - b where that is finite, else 0, and whether it was."""
+    """a - b if that is finite, else 0, and whether it was."""
     finite = xp.isfinite(xp.asarray(a) - xp.asarray(b))
     return xp.where(finite, a, 0.0) - xp.where(finite, b, 0.0), finite
 

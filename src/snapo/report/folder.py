@@ -94,7 +94,7 @@ class RunResult:
 
     @classmethod
     def read(cls, folder: Path) -> "RunResult":
-        """The result of the run in `folder`; an empty one where there is none, or it is damaged."""
+        """The result of the run in `folder`; an empty one if there is none, or it is damaged."""
         return cls.of(read_table(folder / RESULT) or {})
 
 

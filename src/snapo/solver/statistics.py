@@ -193,7 +193,7 @@ class Skewed(NamedTuple):
 def skewed_mean(values: np.ndarray, groups: np.ndarray | None = None) -> Skewed:
     """The mean over paths of numbers that a few large ones may dominate.
 
-    Up to a skewness of 3 Student's interval of 32 block means. Above, where that is too short,
+    Up to a skewness of 3 Student's interval of 32 block means. Above, if that is too short,
     the bootstrap-t: t-values of resampled means instead of Student's (Efron and Tibshirani, An
     Introduction to the Bootstrap, 1993, section 12.5).
     """

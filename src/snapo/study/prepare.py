@@ -231,7 +231,7 @@ def _over(study: "Study", workers: "Workers", file: str) -> "Study":
 
 
 def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":
-    """The study with the remarks on its case among its notes, also where it has none."""
+    """The study with the remarks on its case among its notes, also if it has none."""
     every = dict.fromkeys([*notes, *study.about.get("notes", ())])
     return replace(study, about={**study.about, "notes": list(every)})
 

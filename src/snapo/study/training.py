@@ -96,7 +96,7 @@ def trained(
 
 
 def _with_room(result: RunResult, left: Room) -> dict[str, Any]:
-    """Word and notes where it is known how much can be gained; next to a bound none asks for
+    """Word and notes if it is known how much can be gained; next to a bound none asks for
     more steps."""
     notes, word = result.notes, result.convergence
     if left.near:

@@ -230,7 +230,7 @@ def words_of(aims: tuple[Aim, ...]) -> str:
 
 
 def unit_of(aims: tuple[Aim, ...], units: Mapping[str, str]) -> str:
-    """The unit of the sum: that of its parts, where they all have the same."""
+    """The unit of the sum: that of its parts, if they all have the same."""
     result = {units.get(aim.output, "") if aim.table.keeps_unit else "" for aim in aims}
     return result.pop() if len(result) == 1 else ""
 

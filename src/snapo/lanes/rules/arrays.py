@@ -1,4 +1,4 @@
-"""Primitives that rearrange arrays: views where that is possible, else copies."""
+"""Primitives that rearrange arrays: views if that is possible, else copies."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -79,7 +79,7 @@ Start = Ref | int
 
 
 def clamped(values: EmittedValues, start: ProgramValue, last: int) -> Start:
-    """A start index within [0, last]: a number where it is known."""
+    """A start index within [0, last]: a number if it is known."""
     if start.constant is not None:
         return int(np.clip(int(start.constant), 0, last))
     return _clamp(values.code, values.small(start)[()], last)

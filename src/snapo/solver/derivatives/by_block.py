@@ -75,7 +75,7 @@ class PassResult(NamedTuple):
 
 class Pulled(NamedTuple):
     """One adjoint pass: derivatives at the schedule, of the policy [P], its bad paths, and the
-    totals of its paths where they are known."""
+    totals of its paths if they are known."""
 
     schedule: PyTree
     policy: np.ndarray

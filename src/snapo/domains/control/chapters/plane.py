@@ -86,7 +86,7 @@ def measure(run: StudyRun) -> Plane:
 
 
 def _pair(plant: Plant, states: list[str]) -> list[str]:
-    """The two states of the picture: an angle with its speed where there is one."""
+    """The two states of the picture: an angle with its speed if there is one."""
     return list(plant.portrait) if plant.portrait else states[:2]
 
 

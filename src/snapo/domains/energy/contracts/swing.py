@@ -4,7 +4,7 @@
                - sum over years of discount x shortfall x max(annual minimum - taken, 0)
 
 with minimum <= q <= maximum on each day and, over each contract year, at most the annual maximum,
-and at least its minimum where that is firm. I is the month-ahead index, see
+and at least its minimum if that is firm. I is the month-ahead index, see
 `gas_storage.prices.index`. Source: P. Jaillet, E. Ronn, S. Tompaidis, "Valuation of commodity-based
 swing options", Management Science 50 (2004).
 """

@@ -244,7 +244,7 @@ class Intraday(NamedTuple):
     """Trades of differences from a schedule, see `intraday.py`; in units of a market.
 
     - `half_spread`: money for each unit of the difference; `discount`: its discount factor.
-    - `sold`: units sold for each unit of a flow, negative where they are bought.
+    - `sold`: units sold for each unit of a flow, negative if they are bought.
     """
 
     half_spread: Float[Array, " T"]

@@ -46,7 +46,7 @@ class UnitValues(NamedTuple):
     every: Array | None = None
 
     def read(self, factors: Array) -> Array:
-        """[n] the functions of the factors: polynomials, hinges where the table has them, times
+        """[n] the functions of the factors: polynomials, hinges if the table has them, times
         the exponential; the constant."""
         size, count = self.slopes.shape[-1], self.reading.whiten.shape[-2]
         plain = len(powers(count))

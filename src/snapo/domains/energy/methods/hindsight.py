@@ -119,7 +119,7 @@ class EnergyRelaxation:
         return np.asarray(spots)
 
     def _index(self, states) -> np.ndarray | None:
-        """[T, N] where there is one."""
+        """[T, N] if there is one."""
         if self.factors is None or self.factors.index is None:
             return None
         of, factors = self.factors, self._factors(states)

@@ -146,7 +146,7 @@ class _UnitRows:
     def _after(self, t: int, later: np.ndarray) -> np.ndarray:
         """[modes, nodes after, n] coefficients after a step, as expected before the next one.
 
-        Where there is a choice of moves, with the hinges: polynomials without them lose 0.5 to
+        If there is a choice of moves, with the hinges: polynomials without them lose 0.5 to
         0.8 % of a few rights. For volumes they gain nothing, and take three times as long.
         """
         end, available, constant = self.grid.steps[t].end, self.available, self.basis.constant

@@ -7,7 +7,7 @@ exponential there is a constant, since proportional costs do not scale with it.
 
     Y(t + 1) = R Y(t) + noise,   E[he_a(Y(t + 1)) | Y(t)] = sum over |b| = |a| of M[a, b] he_b(Y(t))
 
-with M = rho^a on the diagonal where the factors are independent (Mehler's formula); otherwise M
+with M = rho^a on the diagonal if the factors are independent (Mehler's formula); otherwise M
 follows from the generating function exp(s.y - s.s / 2), whose expectation is that at R' s. With
 mean m and deviation s of y(t + 1), E[(y(t + 1) - k)+] = s phi(d) + (m - k) Phi(d), d = (m - k) / s.
 """

@@ -55,7 +55,7 @@ class DayGrid(NamedTuple):
 def day_grids(
     schedule, interpolation: Interpolation, inventories: int, bends: bool = True
 ) -> list[DayGrid]:
-    """All T days; the value of the best flow is linear between nodes where that is possible.
+    """All T days; the value of the best flow is linear between nodes if that is possible.
 
     Without `bends` the grids are for values of the best flow, not for values above them.
 

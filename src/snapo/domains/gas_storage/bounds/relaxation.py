@@ -164,7 +164,7 @@ def path_of(rollout, name: str):
 
 
 def spots_on_paths(process: PriceProcess, prices, rollout) -> np.ndarray:
-    """[T + 1, N] spot prices of a rollout; NaN-free also where the end date needs none.
+    """[T + 1, N] spot prices of a rollout; NaN-free also if the end date needs none.
 
     `prices`: the prepared schedule of the process.
     """

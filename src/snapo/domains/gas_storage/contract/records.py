@@ -32,7 +32,7 @@ from ..prices.process import PriceProcess
 class EndTerms(NamedTuple):
     """Value of the remaining inventory: linear between `levels`, plus `fraction` of its spot value.
 
-    `levels`, `values` [M] are zeros where no table is given; undiscounted, in currency.
+    `levels`, `values` [M] are zeros if no table is given; undiscounted, in currency.
     """
 
     levels: Float[Array | np.ndarray, " M"]

@@ -47,7 +47,7 @@ class StorePaths:
       curve, the price of the end last; `discount` [T + 1]: the discount of the payment for the gas
       of each of these dates.
     - `states` [T + 1, F, N] of the factors; `levels` [T + 1, N] at the start of each day and at the
-      end; `sold` [T + 1, N]: volume at the spot price, negative where bought.
+      end; `sold` [T + 1, N]: volume at the spot price, negative if bought.
     - `money` [N]: the present value of all payments.
     """
 

@@ -35,7 +35,7 @@ class Economics(NamedTuple):
 
     `first_in`, `last_in`, `first_out` and `last_out` are the table's marginal values of gas at the
     end of the day, as of its gas payment: of the first and the last unit of the most injection, and
-    of the most withdrawal. Where the value has a corner, a first unit in has the value of the slope
+    of the most withdrawal. If the value has a corner, a first unit in has the value of the slope
     above it and a last one of the slope below; for withdrawn units it is the opposite. `buy` is the
     cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and `room_out` are the
     free flows in units of the largest rate, `level` the joint level of the slow price factors.

@@ -93,7 +93,7 @@ class FittedKnots(NamedTuple):
 
 
 def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Array:
-    """[size] the polynomials times the exponential, then the constant where there is one.
+    """[size] the polynomials times the exponential, then the constant if there is one.
 
     `reading` has a day's `whiten`, `common`, `shift` and `exponents`; whitened factors are cut at
     `reach`. With exponents, the last factor is the spikes, and each function of the other factors

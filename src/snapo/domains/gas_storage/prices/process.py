@@ -106,7 +106,7 @@ class Times(TreeRecord):
     - `age` [n]: time from the end of each of the n days after the valuation date to the first date;
       negative for later days, which are there so that few numbers n are compiled. `before`: n, or 0
       if the first date is the valuation date.
-    - `notice` [T + 1]: where flows are nominated, `years` is the time of the nomination, and
+    - `notice` [T + 1]: if flows are nominated, `years` is the time of the nomination, and
       `notice` that from there to the date; the price is then the forward price of the date.
     """
 
@@ -221,7 +221,7 @@ class PriceProcess(Process):
 
     @property
     def calendar(self) -> tuple[float, ...]:
-        """[T + 1] where flows are nominated, the time from each nomination to its date; else ()."""
+        """[T + 1] if flows are nominated, the time from each nomination to its date; else ()."""
         return ()
 
     @abc.abstractmethod

@@ -131,7 +131,7 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
     A non-reverting factor with the same loading on all days, independent of the others, scales all
-    prices in proportion, where they are proportional to the curve; without proportional costs it
+    prices in proportion, if they are proportional to the curve; without proportional costs it
     leaves the value unchanged (a change of numeraire), and almost so with small costs (a fixed
     payment for the gas left counts as one). It is dropped unless it is the only factor.
     """

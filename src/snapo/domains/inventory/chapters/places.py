@@ -24,7 +24,7 @@ class PlaceService:
 
     - `level`: up to which it orders, with a cost of an order over its orders only.
     - `supplier`: empty if goods come from outside.
-    - `orders`, `order_size`: in a period, where an order has a cost; `sent`, `received`: in a pool.
+    - `orders`, `order_size`: in a period, if an order has a cost; `sent`, `received`: in a pool.
     - `demand`, `fill_rate`: if it has customers.
     """
 

@@ -70,7 +70,7 @@ class NetworkSimulator(Simulator):
     numbers of demand from which a path starts, which no input changes; `weights`, `counted` [T] as
     of the case; and its estimates `safety_factors` [n], `usual_costs` [n] and `memory` [m].
 
-    State: "stock" [n]; where a lead time is above zero "coming" [n, longest lead time], the next
+    State: "stock" [n]; if a lead time is above zero "coming" [n, longest lead time], the next
     arrival first; with fixed costs the "likelihood" [m] ratios of the draws of training: 1, with a
     derivative. Action [n]: the amount that each place orders; with pools of stores further parts,
     [m] each: "held", the amount that a store holds back after demand; "band" and "shift", the
@@ -195,7 +195,7 @@ class NetworkSimulator(Simulator):
         return Levels(jnp.swapaxes(mean, 0, 1), level.T, unit, reach @ jnp.stack(typical))
 
     def _demands(self, inputs: Any) -> list[tuple[Demand, dict[str, Any]]]:
-        """(demand, its parameters, and the season where there is one) of every place that sells."""
+        """(demand, its parameters, and the season if there is one) of every place that sells."""
         parameters = []
         for i in self.network.sellers:
             start = f"{self.network.sites[i].name}."

@@ -24,9 +24,9 @@ class AssetRow:
 
     - `kind`: the word in the table; `description`: its meaning in one phrase, for the report.
     - `part`: the part of an attribution that its return over cash belongs to.
-    - `collateral`: the share that is eligible where the table has none.
+    - `collateral`: the share that is eligible if the table has none.
     - `risk`: the risk, in addition to rates and spreads, that a regulator sees in it where the
-      table has none, one of `records.regulation.RISKS`; "none" only where there is none.
+      table has none, one of `records.regulation.RISKS`; "none" only if there is none.
     - `linked`: whether its payments follow prices.
     - `own_shock`: whether it has a separate mean and volatility, and counts as growth.
     """

@@ -10,7 +10,7 @@ from snapo.problem.record import TreeRecord, field
 
 class Indexation(TreeRecord):
     """Increases once a year in calendar month `month`: the month of pensions in payment, and of all
-    other rights equally where the plan has no `Revaluation`.
+    other rights equally if the plan has no `Revaluation`.
 
     "none"; "fixed": by `rate`, a part of the payments themselves (see `people.fixed_increases`);
     "full": price growth since the last time; "capped": the same within `floor` and
@@ -58,7 +58,7 @@ class Contribution(TreeRecord):
     - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
       plus `spread_factor` per year times (liability - assets), surplus is spread too;
       "target": normal cost plus the gap to `target_ratio` times the liability, as level payments
-      in periods of `level_steps`; where that is None, the gap over `recovery_years` a year.
+      in periods of `level_steps`; if that is None, the gap over `recovery_years` a year.
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.
     - `floor`, `cap`: share of salaries; `sponsor_limit`: maximum money per year, grows with wages.

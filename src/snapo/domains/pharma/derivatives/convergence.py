@@ -70,7 +70,7 @@ class ConvergenceRow:
     """One number of the answer: a value ("value" as `parameter`) or a derivative.
 
     `mesh`, `finer`, `adaptive`: by the case's method, by twice its steps or a tenth of its
-    tolerance, and error-controlled (where the case is, the tighter one again); gaps are relative
+    tolerance, and error-controlled (if the case is, the tighter one again); gaps are relative
     to the value, for a derivative to the largest in its attribute's row, or where these are
     smaller to the attribute's margin and a margin in half the normal range.
     """

@@ -184,7 +184,7 @@ class Marches:
     """Attributes of many batches on the mesh, and their derivatives with respect to `by`, at draws
     of `entries`.
 
-    Raises `engine.Unsupported`, when called, where the native engine cannot run a unit.
+    Raises `engine.Unsupported`, when called, if the native engine cannot run a unit.
     """
 
     def __init__(self, process: Batches, entries: Sequence[Entry], by: Sequence[Entry]):

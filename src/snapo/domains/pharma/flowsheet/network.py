@@ -28,7 +28,7 @@ class FlowNetwork:
     several.
 
     - `species`, `reactions`: [S], [R] names. `molar_mass`: [S] kg/kmol (the same as g/mol).
-    - `stoichiometry`: [R, S], negative where used; `molar_mass` times a row adds up to zero.
+    - `stoichiometry`: [R, S], negative if used; `molar_mass` times a row adds up to zero.
     - `order`: [R, S] exponents, not negative; by default those of the reactants.
     - `prefactor`: "kinetics.prefactor", index [R], labels are the reactions, (m3/kmol)^(n-1)/s
       with n the reaction's total order; `activation`: "kinetics.activation", [R], J/mol.

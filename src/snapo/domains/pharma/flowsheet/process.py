@@ -223,7 +223,7 @@ class PharmaProcess:
         `entries`.
 
         The rest is as in `inputs`. All chunks have the same shape: the last one is padded with its
-        first row. They run on all cores. "auto" takes the native engine where it can run the case.
+        first row. They run on all cores. "auto" takes the native engine if it can run the case.
         """
         key = tuple(entries), tuple(sensitivities)
         nominal, draws = self.nominal_inputs(inputs), np.asarray(draws, np.float64)

@@ -39,7 +39,7 @@ class ParameterFit:
     """The fitted numbers, in the domain's units; P numbers, n measurements.
 
     - `values`, `low`, `high`: [P] with their confidence interval; NaN if not identified.
-    - `at_bound`: [P] "low" or "high" where a number is at that bound, else ""; its interval is then
+    - `at_bound`: [P] "low" or "high" if a number is at that bound, else ""; its interval is then
       one-sided, and the others assume it held there.
     - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted);
       0 for numbers at a bound. `scale`: the factor on (J^T J)^-1.

@@ -52,7 +52,7 @@ class UnitQuantity(Quantity):
     form: Literal["input", "profile", "number"] = "input"
 
     def __call__(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
-        """A field of a record with this meaning, required where there is no default."""
+        """A field of a record with this meaning, required if there is no default."""
         changed = replace(self, meaning=meaning, **changes)
         return key(declared(changed, default), changed.alias)
 

@@ -28,7 +28,7 @@ ROUNDS = 3  # a solver that stops short starts again from where it stopped
 class Conditions(NamedTuple):
     """The Karush-Kuhn-Tucker conditions at a point, in variables scaled to 0..1.
 
-    With f the goal to be minimised (minus the goal where it is maximised), grad f is the sum of
+    With f the goal to be minimised (minus the goal if it is maximised), grad f is the sum of
     non-negative multipliers times the gradients of the active constraints (x - low, high - x and
     the inequalities): relaxing one of these by one unit improves the goal by its multiplier.
 

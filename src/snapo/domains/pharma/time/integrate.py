@@ -171,7 +171,7 @@ LOOSE = 0.05
 
 def too_long(problem: Dynamics, numerics: Numerics, track: Track) -> Float[Array, ""]:
     """s at which the residuals of a `track` on the mesh first add up to more than `LOOSE`; the
-    duration where they never do."""
+    duration if they never do."""
     mesh = make_mesh(
         edges_of(tuple(profile for profile, _ in problem.controls)), numerics.steps, problem.event
     )

@@ -27,7 +27,7 @@ class ChosenSteps(NamedTuple):
 def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
     """Steps of which each has an error of at most `tolerance`; `maximum` are tried.
 
-    Where they do not reach the end, the last is where they came to. Without derivatives.
+    If they do not reach the end, the last is where they came to. Without derivatives.
     """
     nodes = jnp.asarray(edges_of(tuple(profile for profile, _ in problem.controls)))
 

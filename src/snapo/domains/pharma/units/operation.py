@@ -62,7 +62,7 @@ class Outcome(NamedTuple):
 class Unit(ABC):
     """The contract of a unit operation with reading, flowsheet, balances and report.
 
-    - `type`: the word of the file; `variant`: that of its `kind` where it chooses among the
+    - `type`: the word of the file; `variant`: that of its `kind` if it chooses among the
       classes of one type, else "". `title`: its name in the report.
     - `table`: `[units.NAME]`, of its declared fields and `more_keys`. `reacts`: whether it reads
       the case's reactions.
@@ -140,7 +140,7 @@ class Unit(ABC):
         record: bool = False,
         end: Float[Array, " m"] | None = None,
     ) -> Outcome:
-        """Runs the unit; with `record`, its track is kept. `end`: its final y, where known."""
+        """Runs the unit; with `record`, its track is kept. `end`: its final y, if known."""
 
     def finer(self) -> Self:
         """The unit on twice as many cells along its length or over sizes; itself if it has none."""

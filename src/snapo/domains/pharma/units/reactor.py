@@ -188,7 +188,7 @@ def _heat(jacket: Jacket | None, network: FlowNetwork, inputs) -> _Heat | None:
 
 
 def _controls(unit: Reactor, inputs):
-    """Temperature, of the jacket where there is one."""
+    """Temperature, of the jacket if there is one."""
     profile = unit.jacket.temperature if unit.jacket else unit.temperature
     return ((profile, use(inputs, profile.value)),)
 

@@ -69,7 +69,7 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
     is a batch; temperatures are weighted by volume, that is with equal heat capacities per volume.
 
     Crystals must be of one kind: density and shape come from the streams with crystals. They
-    stay counted where all are counted on one grid.
+    stay counted if all are counted on one grid.
     """
     total = {name: sum(getattr(stream, name) for stream in streams) for name in AMOUNTS}
     times = jnp.stack([item.duration for item in streams])

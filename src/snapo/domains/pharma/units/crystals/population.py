@@ -225,8 +225,8 @@ def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"
 
     With F and B its gain by the forward and the backward difference:
     F B (F + B) / (F^2 + B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and
-    Astrophysics 108, 1982). It is the difference where both agree, at most 1.21 times the smaller
-    one where they agree in sign, and at most a fifth of it where they do not. Van Leer's has a
+    Astrophysics 108, 1982). It is the difference if both agree, at most 1.21 times the smaller
+    one if they agree in sign, and at most a fifth of it if they do not. Van Leer's has a
     kink where F or B changes its sign: with it, central differences over 0.02 K of a cooling
     crystalliser were 0.7 % off its derivative, and with this one 4e-5.
     """
