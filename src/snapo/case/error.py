@@ -12,7 +12,7 @@ class CaseError(ValueError):
 
     **Arguments:**
 
-    - `file`: the file with the mistake, as the user knows it.
+    - `file`: the file with the mistake, by its name for the user.
     - `where`: the key ("contract.max_injection"), the line ("line 7") or the date.
     - `value`: the value found; `None` if one is missing.
     - `allowed`: a correct value, described in a clause.

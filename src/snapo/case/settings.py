@@ -75,7 +75,7 @@ class TrainingTable(CaseTable):
 class FollowingTable(TrainingTable):
     """`[training]` of a plant or of a user-defined simulator: six keys are chosen from the problem.
 
-    They do so where they are left out, as in `snapo.Training`.
+    This applies to omitted keys, as in `snapo.Training`.
     """
 
 

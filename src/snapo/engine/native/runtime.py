@@ -62,7 +62,7 @@ class Back:
 
 
 class ThreadTable(NamedTuple):
-    """One thread's table of addresses, [columns, slots], and where it is."""
+    """One thread's table of addresses, [columns, slots], and its own address."""
 
     table: np.ndarray
     address: int

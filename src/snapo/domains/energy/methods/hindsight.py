@@ -2,8 +2,8 @@
 
 The penalty of ending a step in a mode and at levels is the innovation of the fitted value there,
 V(next prices) - E[V(next prices)], which has mean zero for decisions without foresight. The bound
-is valid for any V; see `snapo.solver.bound`. V is linear between nodes, and where all volumes of
-best decisions lead from node to node (`ContractGrid.exact`) the best penalised moves do too.
+is valid for any V; see `snapo.solver.bound`. V is linear between nodes. If all volumes of best
+decisions lead from node to node (`ContractGrid.exact`), so do the best penalised moves.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -32,8 +32,9 @@ TODAY = 15  # Gauss-Hermite nodes of g on the first date
 
 
 class IndexTransition(NamedTuple):
-    """From the nodes of a date to those of the next: `fast` [from, to] weights of f; `read`
-    [from, to] those of g' = f, where g is renewed; `nodes`: the number of nodes of g before."""
+    """The transition from the nodes of a date to those of the next: `fast` [from, to] weights of f;
+    `read` [from, to] those of g' = f, where g is renewed; `nodes`: the number of nodes of g
+    before."""
 
     fast: np.ndarray
     read: np.ndarray | None

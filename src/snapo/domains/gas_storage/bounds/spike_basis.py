@@ -77,7 +77,7 @@ class SpikeBasis:
 
     @cached_property
     def plain_first(self) -> np.ndarray:
-        """The same of those without hinges."""
+        """The same expectations of the functions without hinges."""
         return np.kron(self.inner.plain_first, self.spikes.first_moment(self.exponents))
 
     def increments(self, states: np.ndarray) -> np.ndarray:

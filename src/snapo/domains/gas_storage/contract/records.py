@@ -76,7 +76,7 @@ class EndRule(TreeRecord):
 
     @abc.abstractmethod
     def value_known(self, inventory: float, price: float) -> float:
-        """The same in NumPy where price and inventory are known: no decision is left."""
+        """The same value in NumPy at a known price and inventory: no decision is left."""
 
 
 class LevelAtEnd(EndRule):

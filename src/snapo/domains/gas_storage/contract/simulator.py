@@ -1,8 +1,8 @@
 """One path of a gas storage contract: prices, feasible flows, cash.
 
 The action is two fractions: of the injection and of the withdrawal that are feasible today
-beyond the forced flow. Feasible means within the day's rates and such that the inventory stays
-where the contract can still be met, so no penalty is needed.
+beyond the forced flow. Feasible means within the day's rates and such that the contract can still
+be met from the new inventory, so no penalty is needed.
 
 Signs: volumes are positive, `cash_flow` is received by the holder. Money is discounted to the
 valuation date.

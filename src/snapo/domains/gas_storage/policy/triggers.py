@@ -24,8 +24,8 @@ SPOTS = 241  # spot prices tried for a trigger
 
 
 class Triggers(NamedTuple):
-    """Inject where the spot is below `injection`, withdraw above `withdrawal`; NaN if the policy
-    does so at no spot price of `spots_around`."""
+    """Gas is injected at a spot price below `injection`, and withdrawn above `withdrawal`; NaN if
+    the policy does so at no spot price of `spots_around`."""
 
     injection: Float[np.ndarray, " n"]
     withdrawal: Float[np.ndarray, " n"]

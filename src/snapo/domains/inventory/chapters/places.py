@@ -22,7 +22,7 @@ from .service import CostAndService, PathMean
 class PlaceService:
     """A place: averages of a period, each with its standard error.
 
-    - `level`: up to which it orders, with a cost of an order over its orders only.
+    - `level`: the order-up-to level; if an order has a cost, the mean over orders only.
     - `supplier`: empty if goods come from outside.
     - `orders`, `order_size`: in a period, if an order has a cost; `sent`, `received`: in a pool.
     - `demand`, `fill_rate`: if it has customers.

@@ -1,4 +1,4 @@
-"""Rules of thumb of one item: where a rule starts, and the cost of a period to expect."""
+"""Rules of thumb of one item: the start of a rule, and the expected cost of a period."""
 
 from collections.abc import Callable
 from typing import Any

@@ -31,7 +31,7 @@ def brownians(case: PensionModel) -> tuple[str, ...]:
 def all_names(
     factors: Sequence[str], ratings: Sequence[str], currencies: Sequence[str], assets: Assets
 ) -> tuple[str, ...]:
-    """The same from parts of a case."""
+    """The correlation from parts of a case."""
     local = tuple(assets.classes[i].name for i in assets.shocks)
     market = ("inflation", "price index", "wage", MORTALITY)
     return (*factors, *market, *ratings, *currencies, *local)

@@ -130,7 +130,7 @@ def _solvent(streams: Iterable[Stream]) -> float:
 
 @dataclass(frozen=True)
 class CheckedPoint:
-    """A point of operation: the largest gap of the adjoint, and where it is.
+    """A point of operation: the largest gap of the adjoint, and its position.
 
     - `at`: values of the parameters. `kinks`: entries whose one-sided derivatives differ.
     """

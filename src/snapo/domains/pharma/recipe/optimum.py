@@ -164,8 +164,8 @@ class BestSoFar:
             raise Stopped(f"it stopped after {taken:.0f} s")
 
     def best(self, start: np.ndarray) -> np.ndarray:
-        """The best point evaluated: least violation first, then the goal; the start where none
-        was."""
+        """The best point evaluated, by the smallest violation, then the goal; the start if there is
+        none."""
         return start if self._best is None else self._best[1]
 
 

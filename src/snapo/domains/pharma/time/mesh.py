@@ -38,7 +38,7 @@ class PiecewiseTime(NamedTuple):
         return jnp.asarray(local)[self.source]
 
     def endpoints(self, profile: Profile, value) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        """The profile where each piece begins and where it ends; in between it is straight."""
+        """The profile at the start and the end of each piece; in between it is linear."""
         local = self.of(profile)
         first = values_in(profile, value, local, self.breaks[:-1])
         return first, values_in(profile, value, local, self.breaks[1:])

@@ -16,8 +16,8 @@ FIRST = 1e-6  # share of the duration that is tried first
 
 
 class ChosenSteps(NamedTuple):
-    """`end`: where the steps end, shares of the duration, of which the first `count` hold;
-    `fastest`: 1/s, the fastest answer of any state on the way, from the norms of df/dy."""
+    """`end`: the ends of the steps as shares of the duration, the first `count` of which are valid;
+    `fastest`: 1/s, the fastest response of any state, from the norms of df/dy."""
 
     end: Float[Array, " most"]
     count: Array
@@ -27,7 +27,7 @@ class ChosenSteps(NamedTuple):
 def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
     """Steps of which each has an error of at most `tolerance`; `maximum` are tried.
 
-    If they do not reach the end, the last is where they came to. Without derivatives.
+    If they do not reach the end, the last one is the point that they reached. Without derivatives.
     """
     nodes = jnp.asarray(edges_of(tuple(profile for profile, _ in problem.controls)))
 

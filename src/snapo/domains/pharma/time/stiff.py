@@ -61,7 +61,7 @@ def limit_of(tolerance: float) -> float:
 
 
 class Stepped(NamedTuple):
-    """`final` y [m], not a number if a step was refused; `states`: [n + 1, m] or None; `share`
+    """`final` y [m], NaN if a step was refused; `states`: [n + 1, m] or None; `share`
     of the duration at which the refused step begins, else 1; `error`: the largest of a step."""
 
     final: Float[Array, " m"]

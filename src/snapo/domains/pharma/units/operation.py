@@ -62,8 +62,8 @@ class Outcome(NamedTuple):
 class Unit(ABC):
     """The contract of a unit operation with reading, flowsheet, balances and report.
 
-    - `type`: the word of the file; `variant`: that of its `kind` if it chooses among the
-      classes of one type, else "". `title`: its name in the report.
+    - `type`: its word in the file; `variant`: its `kind`, if that selects a class of the type, else
+      "". `title`: its name in the report.
     - `table`: `[units.NAME]`, of its declared fields and `more_keys`. `reacts`: whether it reads
       the case's reactions.
     - `symbols`: the symbols of the equations, each with its meaning; `assumptions`: sentences for

@@ -8,7 +8,7 @@ below 0 it is gone; in the moments it stays, of a size below 0, and grows again 
 
 By finite volumes, the population balance itself: n_t + (G n)_L = 0 with births B at the smallest
 size, n(L, t) crystals per m3 and m. The state is the number of crystals in each cell of a fixed
-grid; between cells they pass at n G, n being the density on the side from which they come, by
+grid; between cells they pass at n G, n being the density on the upstream side, by
 slopes with a limiter: of second order where n is smooth, and (almost) without new extremes where it
 is not. Crystals that dissolve shrink, and vanish below the smallest size. None grows out of the
 largest cell: crystals that accumulate there are reported, since the grid is too short. Moments take
