@@ -77,7 +77,7 @@ class Watched:
         return self(arguments, None)
 
     def nothing(self, many: int) -> Change:
-        """No change, at this number of points."""
+        """A change of no site, for this number of points."""
         truths = [np.zeros((many, *x.shape), bool) for x in self.shapes.truths]
         return Change(np.int32(NONE), truths, np.int32(NONE), np.float64(0))
 

@@ -84,7 +84,7 @@ class Product(Actions):
         return self._each(lambda item, part: item.squash(part, smooth), raw)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """Maps each part near its base."""
+        """Adds a correction to the base of each part, within its set."""
         return self._each(lambda item, *values: item.near(*values, smooth), base, correction)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:

@@ -112,7 +112,7 @@ def matrix(correlation: Any) -> Float[Array, "K K"]:
 
 
 def cholesky(correlation: Any) -> Float[Array, "K K"]:
-    """The lower root of the correlation matrix."""
+    """The lower Cholesky factor of the correlation matrix."""
     return jnp.linalg.cholesky(matrix(correlation))
 
 

@@ -111,8 +111,8 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
 
 
 def by_date(problem: Problem, names: Sequence[str], count: int) -> Problem:
-    """The problem with a number of these inputs for each of `count` dates, of the same value, and
-    without other inputs.
+    """The problem with these inputs only, each with a separate number of the same value for each of
+    `count` dates.
 
     A number that is used on all dates, or on some of them, becomes one number for each date (for
     each factor, if there are several).

@@ -118,7 +118,7 @@ class Times(TreeRecord):
     notice: Float[np.ndarray, " T+1"] | None = None
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
-        """The forward price of each date; an end date without a price has the last."""
+        """The forward price of each date; an end date without a price has the last one."""
         return self.on_dates(use(inputs, self.curve))
 
     def on_dates(self, prices: Any) -> Any:
