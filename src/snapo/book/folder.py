@@ -200,7 +200,7 @@ class BookFolder:
         self.path = path
 
     def prepare(self, record: Mapping[str, Any], keep: bool) -> None:
-        """Makes the folder ready; `keep`: with the results that it has.
+        """Prepares the folder; `keep`: its results remain.
 
         **Raises:** `CaseError` if it cannot be written, or contains something else.
         """

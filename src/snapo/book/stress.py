@@ -218,7 +218,7 @@ def moved_numbers(
     """{input, or numbers from which one is made: its numbers under the moves}; `inputs`: the inputs
     of the unstressed case.
 
-    **Raises:** `CaseError` if a move fits no number.
+    **Raises:** `CaseError` if no number can take a move.
     """
     values, sources = dict[str, np.ndarray](), sources_of(case)
     for move in moves:

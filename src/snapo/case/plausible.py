@@ -45,10 +45,9 @@ class CheckedNumbers(NamedTuple):
     """The numbers of an input, as all checks of this module read them.
 
     - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] as in the case's files.
-    - `display_unit`, `display_factor`: the unit of the trade, and how many of it make one `unit`.
-    - `source`: the input that they are made from; they are not noted where that one is.
-    - `range`: the plausible one of its declaration; `positions`: [n] their positions, where
-      recorded.
+    - `display_unit`: the unit of the trade; one `unit` is `display_factor` of these.
+    - `source`: the input that they are made from; if there is a note on it, they have none.
+    - `range`: the plausible range in the declaration; `positions`: [n] of the numbers, if recorded.
     """
 
     name: str

@@ -37,7 +37,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing with a caption on how to read it; `folded` as of a `Table`."""
+    """A drawing with a caption on how to read it; `folded` as in a `Table`."""
 
     kind: ClassVar[str] = "chart"
     svg: Markup

@@ -220,7 +220,7 @@ def objective_of(aims: tuple[Aim, ...]) -> Objective:
 
 
 def words_of(aims: tuple[Aim, ...]) -> str:
-    """ As text: "mean of cash + 0.5 x mean of the worst 10 % of cash"."""
+    """As text: "mean of cash + 0.5 x mean of the worst 10 % of cash"."""
     text = ""
     for aim in aims:
         sign = "" if not text and aim.weight > 0 else "- " if aim.weight < 0 else "+ "

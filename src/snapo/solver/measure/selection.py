@@ -42,7 +42,7 @@ class Evaluation:
 
     - `paths`: fresh scenarios for the value.
     - `sensitivity_paths`: for the derivatives with decisions held fixed; `smooth_paths`: for those
-      through the smooth policy, and 0 omits the change of held ones during training too.
+      through the smooth policy; 0 also omits the change of held derivatives during training.
     - `judge_paths`: maximum for bumps of every input, which test the held derivatives.
     - `search_paths`: maximum for the value around the policy, from which the part of every interval
       due to the policy is computed.

@@ -1,4 +1,4 @@
-"""The bound from above of any stopping problem, without input from its user.
+"""An upper bound for any stopping problem, without input from its user.
 
 The inner problem is optimal stopping with perfect foresight and any number of rights (Rogers 2002;
 Haugh and Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each

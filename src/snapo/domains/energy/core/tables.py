@@ -30,7 +30,7 @@ class UnitValues(NamedTuple):
     - `moves` [moves, rows …, n]: for the mode and the levels to which a move leads, relative to the
       first move of its mode; None if there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow; the last row that gains is
-      found in that number of searches. None if one row is enough, since no volume is longer.
+      found in that number of searches. None if no volume spans more than one row.
     - `between`: the same for levels between rows: the number of searches for the last piece between
       two rows of any level that gains. Then `units` is None.
     - `every` [pairs, rows]: the volume of a row, if the value jumps between levels: all of these

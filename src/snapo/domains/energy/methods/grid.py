@@ -231,7 +231,7 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
 
 
 def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
-    """[T + 1] of a level: start, and after each step, before settling; feasible and reachable."""
+    """The reachable feasible range [T + 1] of a level: today, then after each step, unsettled."""
     horizon = len(terms.low)
     low, high = np.empty(horizon + 1), np.empty(horizon + 1)
     low[0] = high[0] = first = last = start[i]

@@ -1,9 +1,9 @@
 """Functions of Gaussian factors and spikes: all products of one function of each.
 
-Those of spikes y are exponentials exp(k y), whose expectation is known: decaying spikes raise the
-prices of the next days by such factors. E[exp(k y(t + 1)) | y(t)] = E[exp(k J)] exp(k decay y(t)).
-As both are independent, so are the regressions, and a regression on the products is the Kronecker
-product of one in the factors and one in the spikes.
+The functions of spikes y are exponentials exp(k y), because decaying spikes raise the prices of the
+next days by such factors. Their expectation has a formula: E[exp(k y(t + 1)) | y(t)] = E[exp(k J)]
+exp(k decay y(t)). Factors and spikes are independent, so the regressions are too, and a regression
+on the products is the Kronecker product of one in the factors and one in the spikes.
 """
 
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ class SpikeBasis:
     """Products of the functions of `inner`, of the factors, and of exponentials of the spikes.
 
     It has the members of a `PolynomialBasis` that are needed to evaluate values. Coordinates are
-    the factors, then y; the index of the function of a pair is that of the first times the number
-    of second functions, plus that of the second.
+    the factors, then y; pair (i, j) is the function number i times the number of exponentials, plus
+    j.
     """
 
     inner: PolynomialBasis

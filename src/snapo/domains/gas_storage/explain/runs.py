@@ -47,7 +47,8 @@ class ValuedRun:
     def read(cls, folder: Path) -> "ValuedRun":
         """The run in a folder.
 
-        **Raises:** `CaseError` if its kind has no such parts, it has no value, or was changed.
+        **Raises:** `CaseError` if the run has no value, was changed, or is of a kind without such
+        parts.
         """
         record = run_folder.read(folder)
         domain = find(record["kind"], str(folder))

@@ -87,8 +87,8 @@ class ObservedMarket:
 
 @dataclass(frozen=True, eq=False)
 class StepCurves:
-    """The prices of a contract: on step t, [T + 1 - t] of the day, of later ones and of the
-    end date; of the valuation date before it, [T + 1], for -1.
+    """The prices of a contract: on step t, [T + 1 - t] for the day, later days and the end date.
+    Step -1 has the prices of the valuation date, [T + 1].
 
     - `days` [T], `end`: its dates; `end_price`: whether that of the end date counts.
     - `spots` [T + 1]: spot prices of the same dates.

@@ -29,7 +29,7 @@ ONE_FACTOR = ("one-factor", "one-factor-normal", "one-factor-shifted")  # kinds 
 
 class IndexRows(NamedTuple):
     """The index of each of T + 1 dates: `fixed`, plus the sum of `weight` times the forward prices
-    of its days, of `loading` g and this `variance`; leaves [T + 1, D], `fixed` [T + 1].
+    of its days, with `loading` on g and `variance`; leaves [T + 1, D], `fixed` [T + 1].
 
     `renewed` [T + 1]: whether g is set into this date, to f of the date before.
     """

@@ -74,7 +74,7 @@ class FrontierPoint:
 
 @dataclass(frozen=True)
 class FrontierSweep:
-    """Points of the sweep, none without `[frontier]`; and the policy of the run."""
+    """The points of the sweep (none without `[frontier]`) and the policy of the run."""
 
     level: Number = np.nan
     points: tuple[FrontierPoint, ...] = ()

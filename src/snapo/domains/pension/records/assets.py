@@ -144,6 +144,6 @@ class Overlay(TreeRecord):
 
     @property
     def at_par(self) -> np.ndarray:
-        """[b] whether each is a par swap of rates."""
+        """[b] whether each is an interest rate swap at par."""
         position = np.arange(len(self.maturity))
         return (position < len(position) - self.inflation) & ~np.isin(position, self.zero_coupon)

@@ -40,10 +40,10 @@ class Balance:
     Material that has not entered a unit counts as accumulation. It cannot be negative, so the
     balance of a unit that takes more than its feed does not close.
 
-    The balances of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by
-    reactions, below 0 if they use it (of mass: the error of rounded molar masses); "solvent": kg
-    with anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent
-    heat, `inflow` with the heat of reaction.
+    The balances of one batch. "mass" is in kg, a species in kmol: `inflow` includes seed, and
+    `made` is by reactions, negative if they use it (for mass, the error of rounded molar masses).
+    "solvent" is in kg, with anti-solvent and wash liquid. "energy" is in J, the sensible heat above
+    0 K plus the latent heat of vapour; `inflow` includes the heat of reaction.
     """
 
     unit: str

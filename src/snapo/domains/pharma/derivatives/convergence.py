@@ -69,10 +69,10 @@ VALUES, DERIVATIVES = 1e-6, 1e-5  # gaps that count as agreement
 class ConvergenceRow:
     """One number of the answer: a value ("value" as `parameter`) or a derivative.
 
-    `mesh`, `finer`, `adaptive`: by the case's method, by twice its steps or a tenth of its
-    tolerance, and error-controlled (if the case is, the tighter one again); gaps are relative
-    to the value, for a derivative to the largest in its attribute's row, or where these are
-    smaller to the attribute's margin and a margin in half the normal range.
+    `mesh`, `finer`, `adaptive`: by the case's method; with twice its steps or a tenth of its
+    tolerance; and error-controlled (the tighter one again if the case is). The gap of a value is
+    relative to it, the gap of a derivative to the largest of its attribute. The scale is at least
+    the attribute's margin, for a derivative per half the normal range.
     """
 
     attribute: str

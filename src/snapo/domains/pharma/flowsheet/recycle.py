@@ -45,7 +45,7 @@ class Closed(NamedTuple):
 
 
 def labels(streams: tuple[Stream, ...], names: tuple[str, ...], species: tuple[str, ...]):
-    """Words for every entry of the guess."""
+    """A description of every entry of the guess."""
     results = []
     for name, stream in zip(names, streams):
         for field in GUESSED:

@@ -13,7 +13,7 @@ from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 @dataclass(frozen=True)
 class Grid:
-    """`edges`: [N + 1] m, rising, of N cells; () of a stream that has no crystals."""
+    """`edges`: [N + 1] m, rising, of N cells; () for a stream without crystals."""
 
     edges: tuple[float, ...]
 

@@ -24,8 +24,8 @@ Changes = Mapping[Entry, float]  # of a set point, in the domain's unit
 
 
 class GradedPoints(NamedTuple):
-    """[n] whether points do; the number of the attribute that fails; whether they do even at the
-    lower, and even at the upper end of their interval."""
+    """[n] whether points are fine; the index of the worst attribute; whether points are fine even
+    at the lower end, or only at the upper end, of the interval of their probability."""
 
     fine: np.ndarray
     fails: np.ndarray

@@ -82,7 +82,7 @@ class AssetMixture(NamedTuple):
 
 
 class AssetClass(AssetRow, ABC):
-    """The behaviour of a kind of classes, which sets the attributes of `AssetRow` and
+    """The behaviour of one kind of asset classes, which sets the attributes of `AssetRow` and
 
     - `columns`: those of `SPECIAL` that it has; `without`: the reason why it has no others.
     """

@@ -87,7 +87,7 @@ def gains(
 
 
 def gain(of: Payments, price: Float[Array, " J"], growth: Float[Array, " J"]) -> Float[Array, " k"]:
-    """Gains of a unit of money in each holding whose payments at `price` rise by `growth`.
+    """The gain per unit of money in each holding, if the `price` of each payment rises by `growth`.
 
     It is computed by sums over the payments, without a matrix of amounts due.
     """
