@@ -13,8 +13,8 @@ Replaced = dict[ProgramValue, ProgramValue]
 
 
 def optimize(program: Program, equal: Replaced | None = None) -> Program:
-    """Rewrites, shares, fuses, simplifies and drops, in that order; `equal`: inputs that equal
-    other ones."""
+    """Applies the passes rewrite, share, fuse, simplify and drop in that order; `equal`: inputs
+    that equal other ones."""
     return drop(simplify(fuse(share(rewrite(program), equal))))
 
 

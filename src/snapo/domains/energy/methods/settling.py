@@ -19,9 +19,9 @@ class Settling(NamedTuple):
     - `arrive`: the number of the node of the next step for each node after; `lost`: the money lost
       there.
     - `corners`: the nodes and their weights, if balances lie between nodes.
-    - `held`: money of the nodes before and after a step, which earns the second minus the first:
-      money of the levels, and of the units made up so far; None without either.
-    - `missed` [modes, nodes after]: the charge for joint limits that are not kept; None without.
+    - `held`: the money of the levels, and of the units made up so far, at the nodes before and
+      after a step; the step earns the change. None if there is no such money.
+    - `missed` [modes, nodes after]: the charge for violated joint limits; None without limits.
     """
 
     arrive: np.ndarray
@@ -82,7 +82,7 @@ def settling(
 
 
 def _missed(terms: StepTerms, t: int, after) -> np.ndarray | None:
-    """[modes, nodes after] the charge for joint limits that are not kept after step t."""
+    """[modes, nodes after] the charge for joint limits that are violated after step t."""
     promises = terms.promises
     if promises is None or promises.missed is None:
         return None

@@ -1,8 +1,8 @@
 """The hedges of a back-test: traded on each day with a curve, from the prices until then.
 
-Exposures are fitted on paths of the model of the last solution. On a day they are those of its
-inventory, price factors and curve. Positions are marked to the curve of each day and deliver at
-the spot price; money is discounted to the valuation date.
+Exposures are fitted on paths of the model of the last solution. Each day uses the exposures at its
+inventory, price factors and curve. Positions are marked to the curve of each day and deliver at the
+spot price; money is discounted to the valuation date.
 """
 
 import datetime

@@ -86,7 +86,7 @@ def present(case: PensionModel, inputs: dict[str, Any], members: FundMembers, st
 
 
 def entrants(case: PensionModel, inputs: dict[str, Any], lives: Lives, steps: int) -> Lives:
-    """Who replaces actives that retire or die: one group per sex and year of entry.
+    """The lives that replace actives who retire or die: one group per sex and year of entry.
 
     At the start of each year entrants replace the pensionable salary that was lost since the last
     one, so that it has its level of time 0 at the start of every year.

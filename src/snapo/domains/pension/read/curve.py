@@ -179,7 +179,7 @@ def _quoted(
 
 
 def read_rates(section: TableReader, table: RatesTable | None, grid: TimeGrid) -> ShortRate:
-    """The model with its numbers; without the table, one at rest."""
+    """The model with its numbers; without the table, a model without any motion."""
     if table is None:
         table = parse(RatesTable, IDLE, str(section.file), section.name)
     if table.kind not in MODELS:

@@ -31,8 +31,8 @@ NEWTON = 12  # steps for the gas that reacts by an order that is neither 0 nor 1
 class Hydrogenation(Timed):
     """Batch of liquid under a gas.
 
-    `henry`: He = p / c* at `reference`; `enthalpy`: the enthalpy of dissolution, so that c* falls
-    with temperature if it is below 0.
+    `henry`: He = p / c* at `reference`; `enthalpy`: the enthalpy of dissolution, if it is negative,
+    c* falls with temperature.
     """
 
     duration: CaseInput = TIME("reaction time", example="3 h")
