@@ -1,4 +1,4 @@
-"""Where jobs are computed: processes of this machine, Dask, Ray, or any executor.
+"""Executors, which compute jobs: processes of this machine, Dask, Ray, or any executor.
 
 snapo starts no cluster: it joins one. Anyone who can reach the port of a scheduler can run code
 there: an address outside this machine needs TLS (Dask) or a token (Ray), or `--trust-network`.

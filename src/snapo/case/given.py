@@ -151,7 +151,7 @@ class CaseInput:
         return self.values[self.index]
 
     def use(self) -> Use:
-        """Where the numbers are used, for a simulator: see `snapo.problem.form`."""
+        """The use of the numbers by a simulator: see `snapo.problem.form`."""
         return Use.of(self.name, len(self.values), self.index)
 
     @property

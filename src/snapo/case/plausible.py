@@ -336,7 +336,7 @@ def _equal(value: float, written: tuple[float, ...]) -> bool:
 
 
 def _rows(cell: Cell, label: str) -> int:
-    """How many texts of the cell's row, or of its key, are in the label of a number."""
+    """The number of texts of the cell's row, or of its key, that a number's label contains."""
     inside = _terms(label)
     return sum(
         bool(text) and (label.startswith(text) or _terms(text) <= inside or f"{text}y" == label)

@@ -123,7 +123,7 @@ def _of_path(engine: Xla, call: XlaCall, draws, weights: dict[str, Array], memor
 
 
 def _places(state: PyTree, dtype) -> list[tuple[str, int, int]]:
-    """Where each leaf of real numbers lies in the packed state: its name, first and last place."""
+    """Each leaf of real numbers in the packed state: its name, first and last place."""
     rows, first = [], 0
     for path, leaf in jax.tree.leaves_with_path(state):
         if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating):

@@ -35,7 +35,7 @@ class Submits(Protocol):
 
 @dataclass(frozen=True)
 class WorkerPool:
-    """Where jobs are computed.
+    """The place where jobs are computed.
 
     - `make`: creates an executor, at the start and after a failure. - `waiting`: the maximum number
       of jobs in work or queued; `parallel`: in work.

@@ -43,7 +43,7 @@ class PreviousRun(NamedTuple):
 
 
 class RunOrigin(NamedTuple):
-    """Where a run comes from.
+    """The origin of a run.
 
     - `run`: its name; `began`, `began_utc`: when it did, ISO 8601.
     - `case`: folder and file; `sha256`: of the file; `assignments`: the assignments of `--set`.

@@ -173,7 +173,7 @@ class LimitFound(NamedTuple):
 
 
 def _alike(half: float, level: float) -> float:
-    """How far a measure with this half width may be from the level and yet be taken for it."""
+    """The largest distance from the level at which a measure is taken for it, by half width."""
     return max(half, ALIKE * abs(level))
 
 

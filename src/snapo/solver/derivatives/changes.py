@@ -59,7 +59,7 @@ class BlockPlan(NamedTuple):
 
 
 def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> BlockPlan:
-    """How the weights of these totals change without each block; blocks follow one another."""
+    """The change of the weights of these totals without each block; blocks are contiguous."""
     complete, endpoints = objective.weights(totals), np.cumsum(sizes)
     none = BlockPlan(complete, np.asarray(sizes), np.zeros(0, int), [], np.zeros((len(sizes), 0)))
     if objective.linear or len(sizes) < 2:

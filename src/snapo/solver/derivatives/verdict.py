@@ -187,7 +187,7 @@ def _through(
 
 
 def _weight(reaction: Reaction) -> float:
-    """How much of the reaction is added to the held derivative."""
+    """The share of the reaction that is added to the held derivative."""
     value, error = reaction.estimate
     shrunk = max(0.0, 1 - (error / value) ** 2) if value else 0.0
     if reaction.extra > error / 2:  # curvature, not noise

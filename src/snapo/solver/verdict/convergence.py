@@ -1,4 +1,4 @@
-"""How a training ended, as a keyword, and reasons to distrust its result.
+"""The end of a training, as a keyword, and reasons to distrust its result.
 
 "trained" only means that all steps were taken. Here the policy is compared with the untrained one,
 with the one at half of training and with constant decisions on the same paths, in kernels that are

@@ -126,7 +126,7 @@ def _pieces(day: FeasibleDay, interval: FlowInterval) -> Iterator[tuple[Corner, 
 
 
 def _moves(day: FeasibleDay, interval: FlowInterval, tolerance: float) -> Iterator[FlowInterval]:
-    """Where the inventory can be at the end of the day, from anywhere in `interval`."""
+    """The possible inventories at the end of the day, from anywhere in `interval`."""
     for piece in _pieces(day, interval):
         selected = _able(day, piece, tolerance)
         if selected is None:

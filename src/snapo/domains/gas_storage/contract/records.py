@@ -146,7 +146,7 @@ class ValueAtEnd(EndRule):
 
 
 class Ratchets(TreeRecord):
-    """How fast gas may move, by day and by inventory at the start of the day.
+    """The rates at which gas may move, by day and by inventory at the start of the day.
 
     Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
     "linear" the rates are interpolated between rows, with "step" those of the row at or below are

@@ -178,6 +178,6 @@ class DeskMethods:
 
     @cached_property
     def _end_price(self) -> np.ndarray:
-        """How the value of a unit left depends on the price of the end."""
+        """The change of the value of a unit left with the price of the end."""
         one = np.ones((1, 1))
         return self.contract.final(one, 2.0 * one[0]) - self.contract.final(one, one[0])

@@ -210,7 +210,7 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
 
 
 class ForwardPosition(NamedTuple):
-    """Where paths are: `level` [N], volumes bought forward by day `held` [T, N], money so far."""
+    """State of paths: `level` [N], volumes bought forward by day `held` [T, N], money so far."""
 
     level: np.ndarray
     held: np.ndarray

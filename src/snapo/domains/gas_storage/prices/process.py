@@ -251,7 +251,7 @@ class PriceProcess(Process):
         return float(np.mean(np.abs(prices)))
 
     def price_spread(self, prices: np.ndarray, values: Mapping[str, np.ndarray]) -> float | None:
-        """How far spot prices may be from the forward price, in money; None: in proportion."""
+        """Possible distance of spot prices from the forward price, in money; None: relative."""
         return None
 
     def second_price(self) -> "KnownPrices | None":

@@ -2,8 +2,8 @@
 
 The fast factor has a fine uniform grid and the trapezoidal rule against the exact transition
 density: for a smooth integrand its error falls faster than any power of the spacing (Trefethen and
-Weideman, SIAM Review 56, 2014), and the kinks of decisions cost order spacing squared. The slow
-factor has few nodes: Gauss-Hermite quadrature of a cubic spline through them.
+Weideman, SIAM Review 56, 2014), and the kinks of decisions add an error of the order of the spacing
+squared. The slow factor has few nodes: Gauss-Hermite quadrature of a cubic spline through them.
 
 A store that is filled and emptied by fixed daily volumes has values with corners at the multiples
 of these: the value of the next unit injected is the slope above, that of the last unit withdrawn

@@ -146,7 +146,7 @@ def _place(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def _inside(x: Array, low: Array, high: Array) -> Array:
-    """Where x lies in its range, off both ends."""
+    """The position of x in its range, away from both ends."""
     width = high - low
     return jnp.clip((x - low) / jnp.where(width > 0, width, 1.0), 1e-4, 1 - 1e-4)
 

@@ -1,4 +1,4 @@
-"""How a fund of pots shares its return, and the solidarity reserve at the end of a year.
+"""The shares of pots in the return of a fund, and the solidarity reserve at the end of a year.
 
     protection of a cohort = V (x R + (1 - x) Rc), V its pot and x its share of protection
     of the reserve         = S Rc: a pot with x = 0

@@ -173,7 +173,7 @@ def read_contribution(
 
 
 def read_liability(section: TableContext, table: LiabilityTable, annual: bool) -> Liability:
-    """How payments are valued; `annual`: the compounding of the case."""
+    """The valuation of payments; `annual`: the compounding of the case."""
     requested = table.basis != "risk-free"
     if requested and table.rate is None:
         raise section.error("rate", None, f'basis "{table.basis}" needs this key')

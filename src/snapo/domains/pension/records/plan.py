@@ -124,7 +124,7 @@ class PensionPlan(TreeRecord):
 
 
 class Liability(TreeRecord):
-    """How payments are valued at any time.
+    """The valuation of payments at any time.
 
     - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
       for all terms. `rate`: index [], `annual` or continuous; an annual spread is added to annual

@@ -242,7 +242,7 @@ def _agreement(result: Estimates) -> Chart:
 
 
 def _weighed(result: ParameterFit) -> str:
-    """How the covariance follows from the errors of the measurements."""
+    """A sentence on the covariance and the errors of the measurements."""
     scale = number(result.scale)
     if finite(result.tail) is None:
         return (
@@ -259,7 +259,7 @@ def _weighed(result: ParameterFit) -> str:
 
 
 def _use(reasons: Sequence[str]) -> str:
-    """How the fit is used from here on."""
+    """A sentence on the use of the fit from here on."""
     if reasons:
         return "Since not all numbers are identified, no fitted.csv is written."
     return (

@@ -117,7 +117,7 @@ class PharmaProcess:
         return {name: np.asarray(item, np.float64) for name, item in result.items()}
 
     def compiled(self, key: Any, make: Callable[[], Callable]) -> Callable:
-        """The function that `make` gives, compiled once for each `key`; float64, NumPy out."""
+        """The function that `make` returns, compiled once for each `key`; float64, NumPy out."""
         if key not in self._compiled:
             self._compiled[key] = jax.jit(make())
         function = self._compiled[key]

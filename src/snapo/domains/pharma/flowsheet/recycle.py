@@ -94,7 +94,7 @@ def close(
 
 
 def _search(gap: Callable[[Array], Array], start: Array, numerics: Numerics):
-    """Where `gap` is zero, from `start`, and its matrix there; the change that is left, its place,
+    """The zero of `gap`, from `start`, and its matrix there; the change that is left, its place,
     and the rounds of Newton's method."""
 
     def change(u, off):

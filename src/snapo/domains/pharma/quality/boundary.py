@@ -123,7 +123,7 @@ def _shares(rooms: np.ndarray, positions: np.ndarray):
 
 
 def _between(fine: np.ndarray, excess: np.ndarray, one: int, other: int) -> float:
-    """Where `excess` is zero between two neighbours on both sides of it."""
+    """The point with zero `excess` between two neighbours, one on each side of it."""
     share = excess[one] / (excess[one] - excess[other])
     return float(fine[one] + share * (fine[other] - fine[one]))
 

@@ -72,7 +72,7 @@ class Msmpr(Instant):
 
     - `nucleation`: at `reference_growth` and `reference_suspension`, with the powers i and j.
     - `edges`: [N + 1] m of cells on which the product's crystals are counted, or None.
-    - `basis`: the basis of concentrations, as of a batch crystalliser.
+    - `basis`: the basis of concentrations, as for a batch crystalliser.
     """
 
     solute: str = species_key("species that crystallises", "the name of a species")
@@ -264,7 +264,7 @@ class Msmpr(Instant):
 
 
 def _root(gap, low, high) -> Array:
-    """Where a rising function is zero, with its first and second derivatives."""
+    """The zero of a rising function, with its first and second derivatives."""
     still = jax.lax.stop_gradient
 
     def halve(_, endpoints):

@@ -82,7 +82,7 @@ def _flip(code: Code, z: Ref, sign: Ref, dtype: str) -> Ref:
 
 
 def ahead(size: int) -> int:
-    """How many steps' normals to draw at once: many chains of arithmetic then run side by side."""
+    """The number of steps whose normals are drawn together, in parallel chains of arithmetic."""
     steps = 1
     while steps * size < ENOUGH:
         steps *= 2

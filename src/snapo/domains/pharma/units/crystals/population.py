@@ -160,7 +160,8 @@ def quantiles(
 
 
 def _inverse(endpoints, requested: float) -> Float[Array, ""]:
-    """Where in 0 to 1 a rising cubic, of values and slopes at its `ends`, is as `requested`.
+    """The point in 0 to 1 at which a rising cubic has the value `requested`; `ends`: its values and
+    slopes.
 
     By bisection without derivatives, then two Newton steps, which carry them.
     """
