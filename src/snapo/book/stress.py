@@ -215,8 +215,8 @@ def _day(text: str, end: bool) -> datetime.date:
 def moved_numbers(
     case: Any, inputs: Mapping[str, Input], moves: Sequence[StressMove]
 ) -> dict[str, np.ndarray]:
-    """{input, or numbers from which one is made: its numbers under the moves}; `inputs`: the inputs
-    of the unstressed case.
+    """{input, or source of an input: its numbers under the moves}; `inputs`: those of the
+    unstressed case.
 
     **Raises:** `CaseError` if no number can take a move.
     """

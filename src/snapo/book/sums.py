@@ -103,7 +103,7 @@ LEVELS = (0.95, 0.99)
 
 
 def risks(total: BookTotal, stresses: Sequence[str]) -> list[Risk]:
-    """At every level of `LEVELS` that at least one stress exceeds."""
+    """The risk at every level of `LEVELS` that at least one stress exceeds."""
     changes = {stress: total.at(stress) for stress in stresses}
     stored = {stress: x for stress, x in changes.items() if x is not None}
     if len(stored) < len(changes):

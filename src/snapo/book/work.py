@@ -82,7 +82,7 @@ def compute(data: bytes) -> bytes:
 
 
 def _same_bits(job: BookJob) -> bool:
-    """Whether this processor gives the bits that the book asks for; its code is compiled for it."""
+    """Whether this processor returns the bits that the book requires; code is compiled for it."""
     if pipeline.unavailable() is not None:
         return True
     if job.processor:

@@ -49,7 +49,7 @@ class WorkerPool:
 
     @classmethod
     def of(cls, executor: Executor | Submits, waiting: int = 2) -> "WorkerPool":
-        """An executor that cannot be made again."""
+        """An executor that cannot be created again."""
         parallel = getattr(executor, "_max_workers", PARALLEL)
         return cls(lambda: executor, max(waiting, parallel), parallel=parallel)
 
@@ -61,7 +61,7 @@ class Lost(NamedTuple):
 
 
 class _Worker:
-    """An executor that is made again where it broke; `broken`: where it cannot be."""
+    """An executor that is created again if it breaks; `broken`: if that is impossible."""
 
     def __init__(self, pool: WorkerPool):
         self.pool, self.busy, self.broken = pool, 0, False

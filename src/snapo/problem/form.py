@@ -22,7 +22,7 @@ class Use(TreeRecord):
     - `name`: the name of the input; `size`: its number of entries.
     - `shape`: the shape of the numbers where they are used.
     - `index`: integers of that shape into the input's numbers; None if they are used one by one in
-      order, if one number is used everywhere, and if there is none.
+      order, if one number is used everywhere, and if there is no number.
     """
 
     name: str = field(static=True)

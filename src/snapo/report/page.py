@@ -152,8 +152,8 @@ class Section:
 @dataclass(frozen=True)
 class Page:
     """A whole report; `about` are (name, value) pairs under the title, `logo` the address of an
-    image that holds all of it, `menu` (anchor, text) of the links in its bar: by default one to
-    every section."""
+    image without references to other files, `menu` the links in its bar, (anchor, text): by default
+    one to every section."""
 
     title: str
     about: Sequence[tuple[str, str]]

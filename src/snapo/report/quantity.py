@@ -32,7 +32,7 @@ def finite(value: Any) -> float | None:
 
 
 def decimals(values: Iterable[Any], significant: int = 5) -> int:
-    """The number of decimals that gives the largest of `values` so many significant digits, at
+    """The number of decimals at which the largest of `values` has that many significant digits, at
     least 0.
 
     One count for a whole column, so that its decimal points are aligned.

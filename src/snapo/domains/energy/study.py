@@ -76,7 +76,7 @@ def _relaxation(prepared: "_Prepared", problem: Problem) -> Callable[[], EnergyR
 
 
 class _Prepared:
-    """The case made ready once, when the first part asks for it."""
+    """The prepared case; it is prepared once, when the first part needs it."""
 
     def __init__(self, case: EnergyCase, engine: Any):
         self.case, self.engine = case, engine

@@ -135,7 +135,7 @@ class NativeCall:
         return setup, self.shared.key(), self.steps.key(1), starts, kind
 
     def kernel(self, setup: FunctionSetup, like, stages: KernelStages | None = None) -> Kernel:
-        """The kernel as an earlier process stored it, or newly made; with `stages` always new."""
+        """The kernel as an earlier process stored it, or a new one; with `stages` always new."""
         missing = unavailable()
         if missing is not None:
             raise Unsupported(missing)

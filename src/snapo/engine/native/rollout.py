@@ -81,7 +81,7 @@ def cast(x, dtype) -> np.ndarray:
 
 
 def jax_type(x) -> np.dtype:
-    """The type that JAX gives this array under the present precision."""
+    """The type of this array in JAX under the present precision."""
     return np.dtype(jax.dtypes.canonicalize_dtype(x.dtype))
 
 
@@ -262,7 +262,7 @@ class Functions:
 
 
 def initial_state(segments: Callable, call, noise) -> PyTree:
-    """Shapes and types of the state that a simulator gives a path at its start."""
+    """Shapes and types of a path's state at its start, from the simulator."""
 
     def first(call, noise):
         _, constants, _, simulator = segments(call)

@@ -50,7 +50,7 @@ class Ways(NamedTuple):
 
 
 class StepWays:
-    """The ways of steps with the same passages, made when they are first needed."""
+    """The ways of steps with the same passages, computed when first needed."""
 
     def __init__(
         self, layout: ContractLayout, passages: Passages, before: list[int], after: list[int]

@@ -9,7 +9,7 @@ Then D A earns nothing on average under any policy, so
 for every y > 0 and p (Haugh, Kogan and Wang, Operations Research 54, 2006). The liability L is the
 minimum and the money received the maximum over all decisions: exact if indexation and contributions
 do not depend on decisions, wide if they do. Costs of trading are neglected. Assets must be above
-zero: with a debt, which leverage or payments can leave, D A could earn something.
+zero: with a debt, which leverage or payments can leave, D A could earn money on average.
 """
 
 from collections.abc import Callable

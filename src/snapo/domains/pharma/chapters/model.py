@@ -295,7 +295,7 @@ def show(run: RunFiles, result: Statement) -> list[Block]:
 
 
 def number_text(value: float, unit: str = "") -> str:
-    """A number that the case gives, with all its digits: 313.15 K, 4.46 × 10¹⁰ 1/m3/s."""
+    """A number of the case with all its digits: 313.15 K, 4.46 × 10¹⁰ 1/m3/s."""
     if value == 0 or 1e-3 <= abs(value) < 1e7:
         text = f"{value:,.10f}".rstrip("0").rstrip(".").replace("-", "−")
         if value != float(f"{value:.10f}"):

@@ -95,7 +95,7 @@ class Convergence:
 
 
 def _own(process: PharmaProcess, inputs) -> Jacobian:
-    """By the parameters, from the function that gives a run its matrix: it is compiled once."""
+    """The parameters' columns of the matrix of a run, whose function is compiled only once."""
     entries = batches.varied(process.case)
     result = matrix(process, inputs, entries=entries)
     columns = [entries.index(entry) for entry in process.entries]

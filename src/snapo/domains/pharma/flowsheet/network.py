@@ -103,7 +103,7 @@ def fastest_rate(network: FlowNetwork, temperature: np.ndarray, maximum: np.ndar
 
 
 def _power(c: Array, order: float) -> Array:
-    """c^order; a fractional power of a number that round-off made negative is 0."""
+    """c^order; a fractional power of a number that is negative by round-off is 0."""
     if order.is_integer():
         return c ** int(order)
     present = c > 0

@@ -85,7 +85,7 @@ def close(
     valid = result <= jnp.maximum(numerics.loop_tolerance, precise)
 
     def polished(u, _):
-        """One more Newton step, which gives the last digits and the derivatives."""
+        """One more Newton step, which supplies the last digits and the derivatives."""
         return u - jnp.linalg.solve(slope, gap(u, first, around)), None
 
     u, slope = still((jnp.where(valid, u, jnp.nan), slope))

@@ -134,7 +134,7 @@ def flat(stream: Stream) -> Float[Array, " K"]:
 
 
 def unflat(vector: Float[Array, " K"], like: Stream) -> Stream:
-    """The stream that `flat` made a vector of; `like` has its shapes."""
+    """The stream from the vector that `flat` returned; `like` has its shapes."""
     return jax.flatten_util.ravel_pytree(like)[1](vector)
 
 

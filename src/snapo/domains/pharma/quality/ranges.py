@@ -225,7 +225,7 @@ def _bracket(selected, scan, fine, fails, here: int, step: int) -> _Edge:
 
 
 def _zoom(edges: list[_Edge], valid: Good, count: int, observed: _Seen) -> list[_Edge]:
-    """Every bracket made smaller by `count` points within it."""
+    """Every bracket, narrowed by `count` points within it."""
     open_ones = [i for i, edge in enumerate(edges) if edge.fails >= 0 and edge.inner == edge.inner]
     if not open_ones:
         return edges

@@ -253,7 +253,7 @@ def _short_of(conditions: Conditions, tolerance: float, stopped: str) -> str:
 
 
 class _Scaled(NamedTuple):
-    """The problem as SciPy wants it: made small, in variables u of 0..1."""
+    """The problem in SciPy's form: a minimum, in variables u from 0 to 1."""
 
     traced: TracedRecipe
     arguments: tuple
@@ -271,7 +271,7 @@ class _Scaled(NamedTuple):
         return result
 
     def scaled(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers [K] and derivatives [K, n]; the goal's with the sign to make it small."""
+        """Numbers [K] and derivatives [K, n]; the goal with the sign for a minimum."""
         width = self.high - self.low
         values, slopes = self.traced(self.low + width * u, *self.arguments)
         sign = np.ones(len(values))
