@@ -77,7 +77,7 @@ class ConvertedNumber(NamedTuple):
 
 
 class NoPosition(NamedTuple):
-    """Why another number cannot be written."""
+    """The reason why another number cannot be written."""
 
     reason: str
 

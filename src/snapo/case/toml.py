@@ -48,7 +48,7 @@ def impossible_moment(text: str) -> tuple[str, str] | None:
 
 
 def _fault(match: re.Match) -> str:
-    """Why a date or time does not exist; "" if it is only written in another way."""
+    """The reason why a date or time does not exist; "" if it is only written in another way."""
     year, month, day = (int(part or 1) for part in match.group(1, 2, 3))
     if not year:
         return "there is no year 0000"

@@ -41,7 +41,7 @@ class Engines(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Why workers were not used in training, if there are some."""
+        """The reason why workers were not used in training, if there are some."""
         distributed = self.train.distributed if isinstance(self.train, Native) else None
         return (distributed.note,) if distributed is not None and distributed.note else ()
 

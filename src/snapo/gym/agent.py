@@ -28,7 +28,7 @@ class Agent:
       of an option of a `Choice`, a dictionary for a `Product`, else the numbers.
 
     An agent whose policy has a memory keeps the memory of every episode, [N, m] in `memory`; call
-    `reset` where episodes begin. If the number of observations changes, it must be reset.
+    `reset` when episodes begin. If the number of observations changes, it must be reset.
     """
 
     def __init__(

@@ -90,7 +90,7 @@ class Bound:
 
     @property
     def says_little(self) -> str:
-        """Why the bound is not informative about the policy; empty if it is."""
+        """The reason why the bound is not informative about the policy; empty if it is."""
         value = abs(self.lower.value)
         gap, error = self.gap.value, self.upper.standard_error
         if gap <= MAX_GAP * value and error <= MAX_ERROR * value:

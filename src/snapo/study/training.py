@@ -213,7 +213,7 @@ def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[s
 
 
 def no_policy(out: Path, record: Mapping[str, Any]) -> CaseError:
-    """Why the run in a folder, with its record, has no trained policy."""
+    """The reason why the run in a folder, with its record, has no trained policy."""
     message = "this run has no trained policy: solve its case again, or continue with --resume"
     if TRAINING.name in entries_of(RunRecord, record).about.get(LEFT_OUT, ()):
         message = "this run has no trained policy: its `[report] parts` leave out the training"

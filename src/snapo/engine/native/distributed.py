@@ -52,7 +52,7 @@ class Distributed:
 
     @property
     def note(self) -> str:
-        """Why workers computed nothing; empty if they did."""
+        """The reason why workers computed nothing; empty if they did."""
         if self.lost:
             return f"Workers were not used after one job returned no result: {self.lost}."
         if self.runs or not self.longest:

@@ -81,7 +81,7 @@ def explain(
 def unsupported(
     simulator: Simulator, schedule: Schedule, policy: Policy, smooth, precision: str = "float32"
 ) -> str | None:
-    """Why a simulator cannot be compiled: the primitive and the line of user code.
+    """The reason why a simulator cannot be compiled: the primitive and the line of user code.
 
     None if it can, including the gradient, every record, and clipping by `state_scale`.
     Nothing is compiled; tracing takes some tenths of a second, once for all simulators of one form.

@@ -240,7 +240,7 @@ class Known:
         return Known(real, np.random.default_rng((seed, 1)), nothing)
 
     def settled(self) -> "Known":
-        """The same with units from all transitions so far."""
+        """The same environment with units from all transitions so far."""
         observed = self.transitions
         every = np.concatenate([observed.before, observed.after]).astype(np.float64)
         return replace(self, units=Units(*scale_of(every)), circles=circles(every))
@@ -256,7 +256,7 @@ class Known:
         return np.stack([episode.start for episode in self.episodes])
 
     def play(self, act: Act, seed: int | None = None) -> Episode:
-        """The same with one more episode."""
+        """Plays one more episode, records it and returns it."""
         seed = int(self.rng.integers(2**31)) if seed is None else seed
         self.episodes.append(self.real.episode(act, seed))
         return self.episodes[-1]

@@ -381,7 +381,7 @@ def as_objective(objective: Objective | str) -> Objective:
 
 
 def as_constraints(limits: Sequence[Limit] | Limit) -> tuple[Limit, ...]:
-    """One or several, as a tuple."""
+    """One limit or several, as a tuple."""
     return (limits,) if isinstance(limits, Limit) else tuple(limits)
 
 

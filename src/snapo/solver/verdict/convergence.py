@@ -207,7 +207,7 @@ def _short(
     more: Further,
     gradient: tuple[float, float] | None,
 ) -> str:
-    """Why it is unknown whether a training has converged; empty if it has."""
+    """The reason why it is unknown whether a training has converged; empty if it has."""
     if too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
     if not more.is_small:

@@ -35,7 +35,7 @@ from .reference import measure as measure_reference
 
 
 def no_flat_volumes(layout: ContractLayout) -> str:
-    """Why a contract has no flat volumes over products; "" if it has."""
+    """The reason why a contract has no flat volumes over products; "" if it has."""
     if layout.indexed:
         return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()

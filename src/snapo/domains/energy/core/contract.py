@@ -88,7 +88,7 @@ class ContractLayout(NamedTuple):
     fixed_volumes: bool = False
 
     def plain(self) -> tuple:
-        """The same as plain tuples, for the file of a policy."""
+        """The layout as plain tuples, for the file of a policy."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
         flags = self.indexed, self.banks, self.reported
         more = (self.sums, True) if self.fixed_volumes else (self.sums,) if self.sums else ()

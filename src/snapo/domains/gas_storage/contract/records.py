@@ -278,7 +278,7 @@ def storage_inputs(case: StorageCase) -> dict[str, Input]:
 
 
 def numbers_by_name(case: StorageCase) -> dict[str, CaseInput]:
-    """The same, unchanged."""
+    """{name: CaseInput} of the same numbers, as they are in the case."""
     return by_name(numbers_of(case))
 
 

@@ -286,7 +286,7 @@ def use(inputs: dict[str, Any], series: CaseInput | Use):
 
 
 def in_numpy(values: Mapping[str, np.ndarray], series: CaseInput | Use) -> np.ndarray:
-    """The same in NumPy."""
+    """The same numbers in NumPy."""
     return (series if isinstance(series, Use) else series.use()).in_numpy(values)
 
 

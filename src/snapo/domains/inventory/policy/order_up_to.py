@@ -21,7 +21,7 @@ TRIGGER = 2.0  # scores of "order" by deviation of the gap
 
 
 class OrderUpTo(Policy):
-    """The head described above, with a network of `hidden` layers.
+    """The head described above, with its network.
 
     - `batch`, `wait`: initial values, in deviations: S above and s below the base-stock level.
     """

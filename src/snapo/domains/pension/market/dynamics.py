@@ -58,7 +58,7 @@ class AssetTerms(NamedTuple):
 
 
 class AssetSteps(NamedTuple):
-    """The same per step."""
+    """The terms of assets that differ by step."""
 
     kinds: tuple[Any, ...]
     swaps: Any

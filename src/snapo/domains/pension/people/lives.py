@@ -47,7 +47,7 @@ def share_before(until: Any, time: Any, step: float) -> Array:
 
 
 def working(case: PensionModel, lives: Lives, steps: int) -> Array:
-    """The share of each step that a group is at work: entered, and below the retirement age."""
+    """The share of each step in which a group works: after entry, below the retirement age."""
     time = np.arange(steps)
     age = lives.age[:, None] + time * case.step
     young = share_before(case.plan.retirement_age, age, case.step)

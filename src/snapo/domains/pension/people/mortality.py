@@ -70,8 +70,8 @@ def partner(plan: PensionPlan, sex: ArrayLike, age: Array) -> tuple[Array, Array
 
 
 class Yearly(NamedTuple):
-    """Death in a whole year: `level` is -ln(1 - q), to be multiplied by `base` on its q first, and
-    `trend` the improvement so far, a factor of the hazard."""
+    """Death in a whole year: `level` is -ln(1 - q), where `base` first multiplies q; `trend` is the
+    improvement so far, a factor of the hazard."""
 
     base: Array
     level: Array

@@ -105,7 +105,7 @@ def closed(
 
     **Arguments:**
 
-    - `missing`: function of pots [C] to the money missing for their pensions in payment [C].
+    - `missing`: a function from pots [C] to the money that their pensions in payment lack [C].
     """
     total = jnp.sum(pots) + reserve
     scale = ROUND * total

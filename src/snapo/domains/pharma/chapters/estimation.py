@@ -155,7 +155,7 @@ def estimates(process: PharmaProcess) -> Estimates:
 
 
 def not_handed_on(result: ParameterFit) -> list[str]:
-    """Why the numbers of a fit are not handed on with their covariance, in sentences."""
+    """The reason why the numbers of a fit are not handed on with their covariance, in sentences."""
     reasons = [] if result.converged else [f"The fit did not converge: {result.message}."]
     reasons += [f"{text[:1].upper()}{text[1:]}." for text in result.unidentified]
     for name, bound in zip(result.names, result.at_bound):

@@ -98,7 +98,7 @@ def status(run: StudyRun | RunFiles) -> str:
 
 
 def reservations(fit: ParameterFit) -> str:
-    """Why a fit is not reliable, or ""."""
+    """The reason why a fit is not reliable, or ""."""
     if not fit.converged:
         return f"the fit did not converge: {fit.message}"
     if not fit.tail < DOUBT:

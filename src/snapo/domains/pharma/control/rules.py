@@ -120,7 +120,7 @@ class Loops(Memory):
         return eqx.tree_at(lambda policy: policy.table, self, table)
 
     def tuned(self, number: int, gain: float, time: float) -> "Loops":
-        """The same with this gain and integral time in s in one loop."""
+        """The same loops, but one of them with this gain and this integral time in s."""
         signs = np.array(self.signs.array)
         signs[number] = np.sign(gain)
         return eqx.tree_at(
@@ -134,7 +134,7 @@ class Loops(Memory):
         )
 
     def with_setpoints(self, setpoints: np.ndarray) -> "Loops":
-        """The same with other setpoints, [L, T]."""
+        """The same loops with other setpoints, [L, T]."""
         frozen = Frozen(np.asarray(setpoints, np.float32))
         return eqx.tree_at(lambda policy: policy.setpoints, self, frozen)
 

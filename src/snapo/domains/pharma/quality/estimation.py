@@ -163,7 +163,7 @@ def numbers_of(variables, log: np.ndarray):
 
 
 def _numbers(variables: np.ndarray, log: np.ndarray) -> np.ndarray:
-    """The same of plain numbers."""
+    """The numbers of fitted variables in NumPy."""
     return np.where(log, np.exp(np.where(log, variables, 0.0)), variables)
 
 

@@ -244,7 +244,7 @@ def optimum(
 
 
 def _short_of(conditions: Conditions, tolerance: float, stopped: str) -> str:
-    """Why a point does not count as the best one."""
+    """The reason why a point does not count as the best one."""
     why = stopped or "the solver ended"
     return (
         f"{why} short of the tolerance {tolerance:.1g}: stationarity "
@@ -265,7 +265,7 @@ class _Scaled(NamedTuple):
     best_so_far: BestSoFar
 
     def at(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same, watched."""
+        """The scaled problem; the best point so far is recorded."""
         result = self.scaled(u)
         self.best_so_far.see(u, result[0], -self.sense * self.scale * result[0][0])
         return result
