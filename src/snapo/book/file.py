@@ -1,7 +1,7 @@
 """Reads the file of a book: contracts, the markets that they share, stresses, and tasks.
 
-A contract is a case: a template with other values in a row of a table, or a separate file. Where
-the book has markets, they replace the tables `[market]` and `[model]` of their contracts.
+A contract is a case: a template with other values in a row of a table, or a separate file. If the
+book has markets, they replace the tables `[market]` and `[model]` of their contracts.
 """
 
 import re

@@ -1,7 +1,7 @@
 """One trained policy for similar contracts, `policy = "shape"`, and the loss that this causes.
 
 The first of similar contracts trains its policy, and so do the next three, which are also valued on
-the same paths with the trained numbers of the first one. Where the first one's numbers lose at most
+the same paths with the trained numbers of the first one. If the first one's numbers lose at most
 0.5 % of the value of any of the three, all others take them, with their own value table, scales and
 limits; otherwise each trains its own.
 """

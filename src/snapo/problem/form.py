@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class Use(TreeRecord):
-    """Where the numbers of an input are used.
+    """The use of an input's numbers.
 
     - `name`: the name of the input; `size`: its number of entries.
     - `shape`: the shape of the numbers where they are used.

@@ -1,4 +1,4 @@
-"""Where an array lives: in registers, element by element (`Small`), or in memory (`ArrayPlace`).
+"""The place of an array: in registers, element by element (`Small`), or in memory (`ArrayPlace`).
 
 Rearranging a `Small` array rearranges Python objects; rearranging a `ArrayPlace` changes its
 strides. Neither costs an instruction.
@@ -155,7 +155,7 @@ class Shared:
         return leaf in self.call.fields
 
     def address(self, leaf: Leaf, invariant: bool = False) -> ArrayPlace:
-        """Where an array lies; `invariant` promises that nothing writes there meanwhile."""
+        """The place of an array; `invariant` promises that nothing writes there meanwhile."""
         if self.of_call(leaf):
             return self.call.address(leaf, self.call_row, invariant)
         assert self.step_row is not None

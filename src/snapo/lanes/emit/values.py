@@ -105,7 +105,7 @@ class EmittedValues:
         self._where[value] = available
 
     def held(self, value: ProgramValue) -> Small | ArrayPlace | None:
-        """Where a value lies; None if it does not exist yet."""
+        """The place of a value; None if it does not exist yet."""
         return self._where.get(value)
 
     def settle_all(self) -> None:

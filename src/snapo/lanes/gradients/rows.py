@@ -204,7 +204,7 @@ class Rows:
         return {value: self.layout.address(value, row) for value in self.fields}
 
     def address(self, value: ProgramValue, tape_row: str, chunk_row: str) -> tuple[ArrayPlace, str]:
-        """Where a value lies, and the distance to the next step's."""
+        """The place of a value, and the distance to the next step's."""
         if value in self.taped:
             return self.tape.address(value, tape_row), "%stride"
         return self.layout.address(value, chunk_row), str(self.layout.stride)

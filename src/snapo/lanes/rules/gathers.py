@@ -74,8 +74,8 @@ def _function(module: Module, dtype: np.dtype, count: int) -> str:
 
 
 def transposed(code: Code, rows: list[Ref]) -> list[Ref]:
-    """Vectors of blocks, each block with as many numbers as there are vectors, a power of two:
-    every block of them transposed.
+    """Blocks, transposed. A block has one row from each vector, and as many columns as there are
+    vectors, a power of two.
 
     Each round interleaves every vector with the vector half of them further on. This moves the
     first bit of the position of a number (row, then column) to the end.

@@ -1,7 +1,7 @@
 """Inputs whose derivative is lost: outputs depend on them only through operations with slope zero.
 
 Rounding and comparisons have a derivative of zero: the derivative of `floor(size * uniform)` with
-respect to `size` is 0 on every path, but the derivative of its mean is not. Where the input has
+respect to `size` is 0 on every path, but the derivative of its mean is not. If the input has
 another way to the output, as in `x - floor(x)`, nothing is reported here.
 """
 

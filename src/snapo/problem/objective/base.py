@@ -108,8 +108,8 @@ class Objective(abc.ABC):
 
     @property
     def as_cost(self) -> "Objective":
-        """The same measure of a cost, used where the weight is negative: for a risk measure that of
-        the tail of high values; otherwise the objective itself."""
+        """The same measure for a cost, used if the weight is negative: a risk measure takes the
+        tail of high values; every other objective is returned unchanged."""
         return self
 
     @property

@@ -156,8 +156,8 @@ def _plain(position: FilePosition, number: float) -> Iterator[tuple[PlainPositio
 
 
 def readable(entry: CaseInput, numbers: np.ndarray) -> np.ndarray:
-    """The numbers that are read after `with_numbers` has written these. Where a case converts a
-    number, it is the nearest one that a float in its files can represent."""
+    """The numbers that are read after `with_numbers` has written these. If a case converts a
+    number, the result is the nearest one that a float in its files can represent."""
     pairs = zip(entry.positions, numbers.ravel().tolist())
     return np.array(
         [at.read(at.inverse(x)) if isinstance(at, ConvertedNumber) else x for at, x in pairs]

@@ -40,7 +40,7 @@ class Bank(NamedTuple):
         return Bank(*(x[t] for x in self))
 
     def owed(self, balances: Sequence[Any], positive: Callable) -> Any:
-        """The minimum of a period itself."""
+        """The minimum of a period itself, less the units carried forward to it."""
         return self.minimum - positive(-balances[0])
 
     def made_up(self, counted: Any, balances: Sequence[Any], positive: Callable) -> Any:

@@ -68,14 +68,14 @@ class NetworkSimulator(Simulator):
 
     **Arguments:** `network`; `horizon`; `demands`: the demands of the case, `formed`; `first`: the
     numbers of demand from which a path starts, which no input changes; `weights`, `counted` [T] as
-    of the case; and its estimates `safety_factors` [n], `usual_costs` [n] and `memory` [m].
+    in the case; and its estimates `safety_factors` [n], `usual_costs` [n] and `memory` [m].
 
-    State: "stock" [n]; if a lead time is above zero "coming" [n, longest lead time], the next
-    arrival first; with fixed costs the "likelihood" [m] ratios of the draws of training: 1, with a
-    derivative. Action [n]: the amount that each place orders; with pools of stores further parts,
-    [m] each: "held", the amount that a store holds back after demand; "band" and "shift", the
-    distance of its stock from balance before demand that is allowed, and the shift of its balance;
-    and "order_NAME", whether a place with a fixed cost orders.
+    State: "stock" [n]; if a lead time is above zero, "coming" [n, longest lead time], the next
+    arrival first; with fixed costs "likelihood" [m], ratios for the draws of training that are 1
+    but have a derivative. Action [n]: the amount that each place orders; with pools of stores
+    further parts, [m] each: "held", the amount that a store holds back after demand; "band" and
+    "shift", the distance of its stock from balance before demand that is allowed, and the shift of
+    its balance; and "order_NAME", whether a place with a fixed cost orders.
 
     Outputs: "result", minus all costs; "holding", "shortage"; averages of a period that counts:
     "demand", "sold" (met at once), "stock" and "short" (1 if any place falls short), and

@@ -156,7 +156,7 @@ def regulation_of(case: PensionCase) -> Regulation:
 
 
 def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability: float) -> Losses:
-    """Losses by risk with all `assets`, money, in the present mix."""
+    """Losses by risk if all `assets` (money) are in the present mix."""
     regulation = regulation_of(case)
     rules, held = regulation.rules, assets * case.assets.weight.used()
     notional = np.zeros(0)

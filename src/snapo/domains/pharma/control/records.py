@@ -65,7 +65,7 @@ class Cascade:
 
 @dataclass(frozen=True)
 class ControlRule:
-    """A baseline for the policy: PI controllers about the recipe.
+    """A baseline for the policy: PI controllers around the recipe.
 
     `tuning`: for missing settings: "simc" (Skogestad 2003) or "ziegler-nichols" (1942).
     """

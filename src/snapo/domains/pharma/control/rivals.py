@@ -124,7 +124,7 @@ def first_settings(
     rule: ControlRule,
     recipe: np.ndarray,
 ) -> Tuned:
-    """A rule about a recipe, [T, size] actions; missing settings are tuned from step responses."""
+    """A rule around a recipe, [T, size] actions; missing settings are tuned from step responses."""
     connections, loops = connected(case, stages, rule)
     control = case.control
     assert control is not None

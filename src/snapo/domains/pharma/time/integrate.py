@@ -3,7 +3,7 @@ error-controlled by diffrax.
 
 The residual of the differential equation between fixed steps shows whether they were short enough.
 For every step the cubic Hermite interpolant is inserted into the equation at the midpoint (Enright,
-SIAM J. Numer. Anal. 1989). Where a step is too long for the fastest motion the residual is as large
+SIAM J. Numer. Anal. 1989). If a step is too long for the fastest motion, the residual is as large
 as the state itself, even if the ends look smooth; elsewhere it falls with the fourth power of the
 step.
 """

@@ -82,7 +82,7 @@ def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
 
 
 def times_of(selected: ChosenSteps) -> Float[np.ndarray, " n+1"]:
-    """The times of the steps, as shares of the duration. Where the steps did not reach the end, one
+    """The times of the steps, as shares of the duration. If the steps did not reach the end, one
     more does, which its error estimate refuses."""
     return np.unique(
         np.concatenate([[0.0], np.asarray(selected.end)[: int(selected.count)], [1.0]])
