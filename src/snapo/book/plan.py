@@ -96,8 +96,8 @@ class BookPlan:
 
     @cached_property
     def tested(self) -> dict[str, Sequence[BookContract]]:
-        """{similarity key: the contracts that are valued with the policy of the first one too}, of
-        those that share a policy."""
+        """{similarity key: the contracts that are also valued with the policy of the first one}, if
+        contracts share policies."""
         groups = self.similar.items() if self.book.tasks.policy == "shape" else ()
         return {kind: some for kind, group in groups if (some := tested(group))}
 

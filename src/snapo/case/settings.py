@@ -87,7 +87,7 @@ class FollowingTable(TrainingTable):
 class FittedTable(TrainingTable):
     """`[training]` of an energy contract, whose policy begins from a fitted value.
 
-    Where that value is fitted to all risks of the prices and the objective is a mean, a few small
+    If that value is fitted to all risks of the prices and the objective is a mean, a few small
     steps test whether training gains anything over it.
     """
 

@@ -49,7 +49,7 @@ class Chart:
 class Table:
     """Rows of text; the columns after the first `texts` are numbers and are aligned to the right.
 
-    Where texts and numbers alternate, `texts` is the set of the columns of texts.
+    If texts and numbers alternate, `texts` is the set of the columns of texts.
 
     **Attributes:**
 

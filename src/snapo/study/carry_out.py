@@ -289,9 +289,9 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
 
     The last entries of "notes" are those on the case itself, which were known before the run.
 
-    "seconds" has those of every part and of preparing the case, whose sum is the "total"; those of
-    writing reports, which the page itself cannot contain; and the stages of the training, which are
-    within its part.
+    "seconds" has the time of every part and of preparing the case, with the sum as "total"; the
+    time of writing reports, which the page itself cannot contain; and the stages of the training,
+    which are within its part.
     """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}

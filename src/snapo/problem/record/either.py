@@ -1,7 +1,7 @@
 """Equations for both libraries: `xp` is `jax.numpy`, and NumPy within a function `with_numpy`.
 
 A simulator is traced by JAX. A check evaluates the same equations once, for which NumPy avoids the
-import of JAX. Where the two libraries differ, the functions here are one name for both.
+import of JAX. If the two libraries differ, the functions here are one name for both.
 """
 
 from collections.abc import Callable, Iterator

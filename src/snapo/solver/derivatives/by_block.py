@@ -27,7 +27,7 @@ CHUNK = 8192  # paths in one call of an engine, where a block has no more
 class ScheduleDerivatives(NamedTuple):
     """Derivatives with respect to the schedule, of each block of paths.
 
-    Those with respect to any inputs from which the same schedule is prepared follow from them.
+    The derivatives with respect to all inputs of that schedule can be computed from them.
 
     - `passes`: the sums over the paths of each block, times `scale`; `further`: those of pieces of
       the weights (`BlockPlan.blocks`).

@@ -92,8 +92,8 @@ class Effort(NamedTuple):
     never from a clock, so that a repeated run has the same bits.
 
     - `work`: the paths that may be valued for one purpose; `maximum`: paths on which it is done.
-    - `fewest`: paths on which it is done in any case. Those of a path of more than three months by
-      the hour are fewer: it has as many days as several shorter ones.
+    - `fewest`: paths on which it is done in any case. If a path has more than three months by the
+      hour, they are fewer: it has as many days as several shorter paths.
     """
 
     work: float

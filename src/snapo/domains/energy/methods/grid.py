@@ -1,6 +1,6 @@
 """Nodes of the levels of a contract, and all moves from the nodes of a step to the next nodes.
 
-Values are linear between nodes. Where flows, limits and starts have a common measure, nodes are its
+Values are linear between nodes. If flows, limits and starts have a common measure, nodes are its
 multiples, and all volumes that a best decision can take lead from node to node: values there are
 exact, neither raised nor lowered. A single level without a practical measure has its breakpoints as
 nodes: all levels to which extreme flows lead from the start and from the limits, forwards and

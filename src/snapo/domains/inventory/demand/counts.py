@@ -14,7 +14,7 @@ demand d demand / d mean is k / mean.
 At whole numbers stock is differentiated upwards, and so demand downwards; the simulator does the
 same.
 
-Where demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
+If demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
 variance larger by 1/12, and with the derivative of that quantile.
 
 Kinds of `[demand]`: "poisson", "geometric" and "negative-binomial".

@@ -108,7 +108,7 @@ def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
 
 
 def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:
-    """Every basis side by side. Where payments follow prices, margins are over real rates."""
+    """Every basis side by side. If payments follow prices, margins are over real rates."""
     plain = replace(case, liability=replace(case.liability, basis="risk-free"))
     return side_by_side(case, due(plain, inputs))
 

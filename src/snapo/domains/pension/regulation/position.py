@@ -87,9 +87,9 @@ CLOSE = 1e-12  # of the liability
 
 @dataclass(frozen=True)
 class Stand:
-    """`losses` on the assets that are required; `required` own funds, money, `minimum` own funds;
-    `required_ratio`, `minimum_ratio`, and `policy_ratio`, over the liability; the date and the
-    source of the rules."""
+    """`losses` on the required assets; `required` and `minimum` own funds, money; the ratios
+    `required_ratio`, `minimum_ratio` and `policy_ratio` to the liability; the date and the source
+    of the rules."""
 
     losses: Losses
     required: float

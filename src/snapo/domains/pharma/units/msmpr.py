@@ -235,9 +235,9 @@ class Msmpr(Instant):
     def counted(self, result: Steady, moments, residence, fed, grid: Sizes) -> Float[Array, " N"]:
         """Crystals in each cell per m3, with the third moment of all of them.
 
-        The number of nuclei decreases as exp(-L / (G tau)). Those `fed`, per m3 on their `grid`,
-        are as many at all sizes of their cell; of them a share exp(-x) stays over x of L / (G tau),
-        in that cell and in those after it.
+        The number of nuclei decreases as exp(-L / (G tau)). Crystals `fed`, per m3 on their `grid`,
+        are spread evenly over the sizes of their cell; a share exp(-x) of them stays over x of L /
+        (G tau), in that cell and in later ones.
         """
         if self.edges is None:
             return jnp.zeros(0)
