@@ -181,7 +181,7 @@ ReadKey = Callable[[Any, KeyContext], Any]
 
 
 class Custom(NamedTuple):
-    """A field that is read by a function; `types`: those of the values, for a JSON schema."""
+    """A field that is read by a function; `types`: the types of its values, for a JSON schema."""
 
     read: ReadKey
     types: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""From derivatives with respect to the schedule to those with respect to the inputs."""
+"""Derivatives with respect to the inputs, from the derivatives with respect to the schedule."""
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager

@@ -109,8 +109,8 @@ class Deltas(NamedTuple):
         """The derivative along a direction of an input, with its 95 % interval; `by`: the bump of
         the input.
 
-        What the run knows of its policy's error, and of a reaction that held derivatives miss,
-        is that at the run's inputs.
+        The error of the policy, and a reaction that held derivatives miss, are taken from the run,
+        at its own inputs.
         """
         now, before = self.now[name], self.before.get(name)
         available = self.table is not None and name in self.table.inputs

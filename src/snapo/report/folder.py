@@ -86,7 +86,7 @@ class RunResult:
 
     @classmethod
     def of(cls, table: Mapping[str, Any]) -> "RunResult":
-        """From the object of result.json."""
+        """The record from the object of result.json."""
         names = [x.name for x in fields(cls) if table.get(x.name) is not None]
         entries: dict[str, Any] = {name: table[name] for name in names}
         entries |= {name: finite(entries.get(name)) for name in NUMBERS}

@@ -321,7 +321,7 @@ def _check_same(out: Path, decides: Mapping[str, Any]) -> None:
 
 
 def _adopt(best: Prepared, source: Path, resume: bool) -> None:
-    """The folder of the best seed as RUN; kept, but for the table, if it is the same already."""
+    """The folder of the best seed as RUN; kept, without its table, if it is already this run."""
     if resume and (best.out / run_folder.RUN).exists():
         record = run_folder.read(best.out)
         if run_folder.mark(record["decides"]) == run_folder.mark(best.decides):

@@ -229,7 +229,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
 
 
 def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[tuple[str, tuple]]:
-    """(name, positions of its numbers) of the inputs, but for a start that the case leaves out."""
+    """(name, positions of its numbers) of the inputs, except a start that the case omits."""
     for group, entries in inputs.items():
         for name, entry in flat(entries):
             first, *rest = name.split(".")

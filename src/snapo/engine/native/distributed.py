@@ -146,7 +146,7 @@ def _filled(runner: Runner, name: str, rows: np.ndarray) -> np.ndarray:
 
 
 def _rows(runner: Runner, inputs: KernelInputs, first: int, last: int) -> dict[str, np.ndarray]:
-    """The inputs of some blocks, but for the numbers of the steps."""
+    """The inputs of some blocks, except the numbers of the steps."""
     rows = {
         name: row if name in SHARED else _blocks(name, row, inputs, first, last)
         for name, row in inputs.memory.rows.items()

@@ -64,7 +64,7 @@ def at_once(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def slope(function: Callable[[Any], Any], x: Any) -> np.ndarray:
-    """d `function` / d `x` at a number, by NumPy: exact but for rounding, without differences.
+    """d `function` / d `x` at a number, by NumPy: exact except for rounding, without differences.
 
     `function` must be analytic at this number; its result may have any shape. A complex step:
     W. Squire, G. Trapp, SIAM Review 40, 1998.
@@ -197,7 +197,7 @@ def _absolute(x: Any) -> Any:
 
 
 class _Numpy(SimpleNamespace):
-    """NumPy, but for functions that differ; names that were asked for are kept."""
+    """NumPy, except for functions that differ; requested names are stored."""
 
     abs = staticmethod(_absolute)
     linalg = SimpleNamespace(solve=_or_nan(np.linalg.solve), cholesky=_or_nan(np.linalg.cholesky))

@@ -188,7 +188,7 @@ def bounded(problem: Problem) -> bool:
 def relaxation_of(problem: Problem) -> Relaxation:
     """The relaxation of a simulator that has one, or of a problem whose only action is a `Stop`.
 
-    **Raises:** `ValueError` if there is none, with the reason.
+    **Raises:** `ValueError` if the problem has no relaxation, with the reason.
     """
     if isinstance(problem.simulator, Relaxable):
         return problem.simulator.relaxation(problem)

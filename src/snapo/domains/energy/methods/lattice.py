@@ -52,7 +52,7 @@ class IndexTransition(NamedTuple):
 
 
 class FirstDate(NamedTuple):
-    """From the valuation date to the nodes of the first date."""
+    """The transition from the valuation date to the nodes of the first date."""
 
     weights: np.ndarray
 
@@ -98,14 +98,14 @@ class IndexGrid:
         return np.repeat(self.of.index.price(self.of, t, self.index_nodes(t)), len(self.fast.fast))
 
     def after(self, t: int) -> IndexTransition:
-        """From a date to the next."""
+        """The transition from a date to the next."""
         nodes, fast = self.index_nodes(t), self._fast(t + 1, self.fast.fast)
         if not self.of.index.carry[t + 1, 1, 0]:
             return IndexTransition(fast, None, len(nodes))
         return IndexTransition(fast, _read(self.index_nodes(t + 1), self.fast.fast), len(nodes))
 
     def start(self) -> FirstDate:
-        """From the valuation date, where all factors are 0, to the first date."""
+        """The transition from the valuation date, where all factors are 0, to the first date."""
         (deviation, _), (below, rest) = self.of.shock[0]
         variance = below**2 + rest**2
         shocks, probabilities = gauss_hermite(np.sqrt(variance), TODAY)
@@ -165,11 +165,11 @@ class PairGrid:
         return np.repeat(self.of.index.price(self.of, t, self.both.slow), len(self.both.fast))
 
     def after(self, t: int) -> PairTransition:
-        """From a date to the next."""
+        """The transition from a date to the next."""
         return PairTransition(self.both.after(t))
 
     def start(self) -> PairTransition:
-        """From the valuation date, if both factors are 0, to the first date."""
+        """The transition from the valuation date, if both factors are 0, to the first date."""
         return PairTransition(self.both.start())
 
 

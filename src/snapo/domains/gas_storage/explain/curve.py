@@ -114,7 +114,7 @@ def curve_effect(
 
 
 def _between(before: Setup, after: Setup, curves: Sequence[str]) -> list[Problem]:
-    """The problems with the first curves of `after`, one more each, but for the last."""
+    """The problems with the first curves of `after`, one more each, except the last one."""
     problem, result = before.problem, []
     for name in curves[:-1]:
         problem = problem.at({name: after.problem.inputs_by_name[name].value})

@@ -39,7 +39,8 @@ class LatticeResult:
       out.
     - `follow`: the sweep forward, which is done once, when one of the following is read.
     - `deltas`: [T] derivative of the value with respect to each day's forward price, in discounted
-      volume (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
+      volume (positive: gas sold), by the envelope theorem; `end_delta`, with respect to the price
+      of the end date.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
     """
 

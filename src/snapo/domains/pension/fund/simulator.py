@@ -218,7 +218,7 @@ class PensionSimulator(Simulator):
         }
 
     def _indexed(self, constants: FundTerms, now: Period, state: FundState, books, market, smooth):
-        """The state at the end of a step but for assets, and indexation granted and cut."""
+        """The state at the end of a step except assets, and the indexation granted and cut."""
         rule = self.model.plan.indexation
         granted = cut = jnp.zeros_like(state.theta)
         ratio_sum = state.ratio_sum + now.averaging * books.ratio

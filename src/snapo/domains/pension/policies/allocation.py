@@ -122,7 +122,7 @@ class Cover(eqx.Module):
 
 
 def present(case: PensionCase) -> np.ndarray:
-    """[n + b] the numbers from which `AllocationLimits` makes about the present weights and
+    """[n + b] the numbers that `AllocationLimits` maps close to the present weights and
     notionals."""
     assets, overlay = case.assets, case.overlay
     position = [_place(assets.weight.used(), assets.low, assets.high)]
@@ -201,7 +201,7 @@ def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> n
 
 
 def limit_unit(case: PensionCase) -> np.ndarray:
-    """[b] money that the limits of the swaps are shares of today: all assets, or the liability
+    """[b] money of today; the limits of the swaps are shares of it: all assets, or the liability
     payments nearest to each bucket."""
     if case.overlay is None or case.overlay.unit == "assets":
         return np.full(case.buckets, float(case.assets.amount.used()))

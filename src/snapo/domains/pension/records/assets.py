@@ -115,8 +115,8 @@ class Overlay(TreeRecord):
     """Receiver swaps by tenor bucket; b buckets.
 
     - `inflation`: the number of zero-coupon swaps of inflation, which are the last buckets (they
-      receive the growth of prices); the others are of rates, at par but for those at the positions
-      `zero_coupon`.
+      receive the growth of prices); the others are interest rate swaps, at par except at the
+      positions `zero_coupon`.
     - `maturities`: [b] whole steps, rising among swaps of rates and of inflation. `notional`:
       money, the value of the fixed leg when the swap is struck, index [b].
     - `low`, `high`: [b] limits as a share of `unit`: the unit of assets, or of the value of the

@@ -102,7 +102,7 @@ def _room(together: Together | None) -> float:
 
 
 class _Way(NamedTuple):
-    """From the set point to one corner of a pair's ranges."""
+    """The segment from the set point to one corner of a pair's ranges."""
 
     pair: int
     corner: tuple[int, int]
