@@ -197,13 +197,13 @@ def _first_outside(index: Array, ranges: list[tuple[int, int]]) -> tuple[Array, 
 
 
 def tainted_by(function: Callable[..., Any], *arguments) -> list[bool]:
-    """Which results of a function depend on its arguments."""
+    """Whether each result of a function depends on its arguments."""
     closed = jax.make_jaxpr(function)(*arguments)
     return tainted_results(closed.jaxpr, [True] * len(closed.jaxpr.invars))
 
 
 def tainted_results(jaxpr, tainted: Sequence[bool]) -> list[bool]:
-    """Which results of a program depend on its tainted arguments."""
+    """Whether each result of a program depends on its tainted arguments."""
     marks = dict(zip(jaxpr.invars, tainted))
 
     def marked(atom):

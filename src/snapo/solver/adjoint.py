@@ -167,10 +167,10 @@ def adjoint_of_good_weights(
 
 
 def _good(bound_engine: BoundEngine, policy, draws, smooth, names, options) -> np.ndarray:
-    """Which paths have a finite value and a finite adjoint.
+    """The paths with a finite value and a finite adjoint.
 
-    A forward sweep finds most of the others; only where the adjoint of the rest is non-finite
-    too, each path is looked at by itself.
+    A forward sweep finds most of the other paths. Each path is examined separately only if the
+    adjoint of the rest is non-finite as well.
     """
     values = {key: options[key] for key in ("window", "start", "actions") if key in options}
     valid = finite(float64(bound_engine.values(policy, draws, smooth, **values).totals), names)

@@ -1,4 +1,4 @@
-"""Which derivative is reported: the held one, unless a bump refutes it.
+"""The derivative that is reported: the held one, unless a bump refutes it.
 
 All inputs of a run are tested together: separate tests of twenty inputs at 5 % would falsely refute
 one per run. Holm's procedure (1979) falsely refutes any in at most 1 % of all runs. A refuted held

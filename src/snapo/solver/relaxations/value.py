@@ -48,7 +48,7 @@ class Decisions(NamedTuple):
 
     def step(self, schedule, t: Array, state: PyTree, noise: Array) -> tuple[PyTree, Array]:
         """One path: the next state, and the earnings [rights + 1, 2] with 0, 1, … rights left,
-        of waiting and of using one. The rights within both states mean nothing."""
+        of waiting and of using one. The rights in both states are ignored."""
         simulator, now = self.problem.simulator, at(schedule.steps, t)
 
         def decided(left, use):

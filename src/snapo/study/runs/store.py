@@ -260,7 +260,7 @@ def is_busy(folder: Path) -> bool:
 def working_in(folder: Path) -> Iterator[None]:
     """Only this process writes into a run folder.
 
-    **Raises:** `CaseError` if another one does.
+    **Raises:** `CaseError` if another process does.
     """
     missing = [item for item in (folder, *folder.parents) if not item.exists()]
     try:

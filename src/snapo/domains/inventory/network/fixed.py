@@ -28,7 +28,7 @@ def _name(network: SupplyNetwork, i: int) -> str:
 
 
 class Placed(NamedTuple):
-    """Which places order.
+    """The places that order.
 
     - `orders` [n]: 1 if a place orders, or may do so without a fixed cost.
     - `likelihood` [m]: ratios of the draws of `network.fixed`: 1, with a derivative.

@@ -38,8 +38,8 @@ Fan = dict[str, Floats]  # {"p05": [times], "mean": [times]}
 
 @dataclass(frozen=True)
 class YearlyFans:
-    """Quantiles by year. `funding` ratio, the share of paths with one below 1 (`underfunded`), and
-    the mean of min(F - 1, 0) over the worst 5 % (`shortfall`), at `years` from now.
+    """Quantiles by year. `funding` ratio, the share of paths with a ratio below 1 (`underfunded`),
+    and the mean of min(F - 1, 0) over the worst 5 % (`shortfall`), at `years` from now.
 
     Within each year: contributions, benefits, increases minus cuts; and these `cumulated`.
     """

@@ -306,7 +306,7 @@ def _boxes(axes: "Axes", result: SpaceMap) -> None:
 
 
 def _binding(axes: "Axes", result: SpaceMap, which: np.ndarray, attributes) -> None:
-    """Which attribute most often breaks its limits at each point; a dot where none does."""
+    """The attribute that most often violates its limits at each point; a dot if none does."""
     x, y = result.grid[:2]
     marks = "osD^vP"
     for i in np.unique(which):

@@ -1,4 +1,4 @@
-"""Which units of a case are stiff or need error control, and the steps that they take.
+"""The units of a case that are stiff or need error control, and the steps that they take.
 
 Explicit steps of h seconds are stable while h times the fastest rate at which a state answers stays
 below 2.78 (classical Runge-Kutta, on the negative axis). That rate is measured along the solution

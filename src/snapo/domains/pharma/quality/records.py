@@ -131,7 +131,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Estimation:
-    """Which numbers are fitted to which experiments.
+    """The numbers that are fitted, and the experiments to which they are fitted.
 
     - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
     - `low`, `high`: [P] bounds in the domain's unit.

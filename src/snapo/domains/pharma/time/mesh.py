@@ -47,7 +47,8 @@ class PiecewiseTime(NamedTuple):
 class Mesh(NamedTuple):
     """n steps over one unit's time, in shares of its duration.
 
-    `stages`: [n, 3] start, middle and end of each step. `piecewise`: the pieces that they divide.
+    `stages`: [n, 3] start, middle and end of each step. `piecewise`: the pieces that these steps
+    divide.
     """
 
     stages: Float[Array, "n 3"]

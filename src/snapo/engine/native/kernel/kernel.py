@@ -98,7 +98,7 @@ AHEAD = 2  # rows of tape that are fetched before they are needed
 
 
 def fetch_ahead(s: KernelSweep, ops: list[Op], tape: Layout, rows: int) -> None:
-    """Lets the dot products fetch the tape so many rows ahead, to be written or (behind) read.
+    """Lets dot products fetch the tape `rows` ahead, to write; negative: behind, to read.
 
     Processors do not predict rows that descend, and a long tape is not in the cache.
     """
