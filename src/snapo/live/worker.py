@@ -245,7 +245,7 @@ def _train(
 
 
 def in_words(error: CaseError) -> str:
-    """A refusal for the page: the case was written to a folder that its user does not know."""
+    """A refusal for the page: the case was written to a folder that is unknown to its user."""
     return " ".join(_short(item) for item in (error, *error.others))
 
 

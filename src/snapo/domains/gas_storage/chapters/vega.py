@@ -45,8 +45,8 @@ TEXT = (
 class MonthVega:
     """The vega of a delivery month.
 
-    - `parameter`: the input; `factor`: its number where there are several, else 0.
-    - `month`: "2021-04", or "" of all months; `volatility`: the mean over its days.
+    - `parameter`: the input; `factor`: its number if there are several, else 0.
+    - `month`: "2021-04", or "" for all months; `volatility`: the mean over its days.
     - `vega`, `standard_error`: with the decisions held fixed, per `unit` of the volatility.
     - `points`: volatility points, or other units of a report, in a `unit`; `point`: their name.
     """

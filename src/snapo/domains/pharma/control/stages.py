@@ -41,7 +41,7 @@ StageState = dict[str, Any]
 class Stage(Simulator):
     """One stage. It contains the form of a `LoopRecord` instead of a case.
 
-    - `name`: the name of its unit; "" of a stage that decides once, before all that is left runs.
+    - `name`: the name of its unit; "" for a stage with one decision, before all other units run.
     - `before`, `total`: decisions of the stages before it, and of all. `history`: the number of
       past true readings that its sensors use.
     """
@@ -67,7 +67,7 @@ class Stage(Simulator):
 
     @property
     def unit(self) -> Timed | None:
-        """The unit of the stage, formed."""
+        """The unit of the stage, in the form for simulators."""
         units = timed(self.flowsheet.units)
         return next((unit for unit in units if unit.name == self.name), None)
 

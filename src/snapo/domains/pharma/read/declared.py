@@ -57,7 +57,7 @@ class UnitQuantity(Quantity):
         return key(declared(changed, default), changed.alias)
 
     def field(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
-        """The same as a field of a `CaseTable`."""
+        """A field of a `CaseTable` with this meaning."""
         return declared(replace(self, meaning=meaning, **changes), default)
 
     def profile(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
