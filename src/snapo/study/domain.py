@@ -33,7 +33,7 @@ class Options(NamedTuple):
 
     - `engine`: "auto", "xla" or "native".
     - `reference`: compute the exact references as well, however long they take.
-    - `about`: that of an earlier run of the same case, which passed the checks; else None.
+    - `about`: the `about` of an earlier run of the same case, which passed the checks; else None.
     - `ladder`: value the contract by all methods, on common paths; `hedge`: simulate its hedges;
       `gamma`: measure the change of deltas with prices, by product.
     """

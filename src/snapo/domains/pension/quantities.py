@@ -37,8 +37,8 @@ FROM_YEAR, BY_AGE = "from_year", "sex,age"
 
 @dataclass(frozen=True)
 class FundQuantity(Quantity):
-    """A number of a fund; by "from_year" each row of its CSV holds from its time on, and by
-    "sex,age" from its age on, which its reader resolves.
+    """A number of a fund; each row of its CSV applies from its "from_year" on, or from its age on
+    (columns "sex,age"; its reader resolves these).
 
     - `blank`: the number of an empty cell, if a cell may be empty.
     - `by_factor`: whether a list has one for each factor of a model; then several are read.

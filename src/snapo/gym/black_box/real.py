@@ -157,7 +157,7 @@ class HeldAction(gymnasium.Wrapper):
 
 
 def opened(environment: Any):
-    """The environment of a name, of a function that makes it, or itself."""
+    """The environment, from its name, from a function that creates it, or from itself."""
     return environment if isinstance(environment, gymnasium.Env) else made(environment)
 
 

@@ -77,7 +77,7 @@ def transposed(code: Code, rows: list[Ref]) -> list[Ref]:
     """Blocks, transposed. A block has one row from each vector, and as many columns as there are
     vectors, a power of two.
 
-    Each round interleaves every vector with the vector half of them further on. This moves the
+    Each round interleaves vector i of n with vector i + n/2. This moves the
     first bit of the position of a number (row, then column) to the end.
     """
     width, lanes = len(rows), rows[0].lanes

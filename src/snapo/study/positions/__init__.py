@@ -68,7 +68,7 @@ class InputPositions:
 
     - `of`: returns the inputs of a case by name, if the domain defines it; else they are found
       among its records.
-    - `case`: the records, where they are read already.
+    - `case`: the records, if they were read already.
     """
 
     def __init__(

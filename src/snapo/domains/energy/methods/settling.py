@@ -110,7 +110,7 @@ def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarr
 
 
 def ranges_of_balances(terms: StepTerms, start: np.ndarray, low: np.ndarray, high: np.ndarray):
-    """For each balance the lowest and the highest number at the start of each step, [T + 1].
+    """For each balance, the lowest and the highest number at the start of each step, [T + 1].
 
     `start` [balances]; `low`, `high` [T + 1]: of the counted level, at the start and after each
     step.

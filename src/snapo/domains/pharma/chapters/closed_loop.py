@@ -88,7 +88,7 @@ class ControlCourse:
 
 @dataclass(frozen=True, eq=False)
 class RuleShares:
-    """A rule on the same batches, and the surplus of policy and recipe; its settings."""
+    """A rule on the same batches, its settings, and the surplus of policy and recipe over it."""
 
     name: str
     value: Number

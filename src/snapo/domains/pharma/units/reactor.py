@@ -31,7 +31,7 @@ from .reactors.length import ELEMENTS, POINTS, Along
 class Jacket(TableRecord):
     """Heat balance: rho cp V dT/dt = -sum(H_i r_i) V - UA (T - T_jacket) + inflow's sensible heat.
 
-    `conductance`: UA; for a plug-flow reactor of its whole length.
+    `conductance`: UA, for a plug-flow reactor over its whole length.
     """
 
     heat_capacity: CaseInput = UnitQuantity("J/m3/K", POSITIVE, example="1.9e6 J/m^3/K")(
