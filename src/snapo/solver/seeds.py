@@ -95,8 +95,8 @@ def solve_seeds(
         print(found)
 
     A seed determines the initial weights, and the scenarios of training and validation, except
-    `Supplied` ones; those of the evaluation are the same for all, of the problem or of the first
-    seed.
+    `Supplied` ones. The scenarios of the evaluation are the same for all seeds: those of the
+    problem or of the first seed.
 
     **Arguments:** `seeds`: the number of seeds, from `training.seed` on, or the seeds themselves;
     all others are those of `solve`. Ctrl-C during a training ends with its seed.

@@ -142,7 +142,7 @@ class Layout:
 class Shared:
     """Two rows of memory, the call's and the present step's, and the arrays in them by leaf.
 
-    `call_row` and `step_row` are the rows' addresses; without a step only the call's is there.
+    `call_row` and `step_row` are the rows' addresses; outside of a step only the first exists.
     """
 
     call: Layout

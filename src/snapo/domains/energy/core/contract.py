@@ -235,8 +235,8 @@ class FallingLimit(NamedTuple):
     by: Float[Array, " T"]
 
     def falls(self, counted: Any, near: Any, xp: Any) -> Any:
-        """How often the limit has fallen at a row, if the last level is `counted` up to a multiple
-        or `near` above it."""
+        """The number of falls of the limit at a row, if the last level is `counted` up to a
+        multiple or `near` above it."""
         return xp.maximum(xp.ceil((counted - near) / self.every) - 1, 0.0)
 
 

@@ -118,11 +118,11 @@ class Regression:
         return product(coefficients, self.day(t).ahead)
 
     def plain(self, t: int) -> np.ndarray:
-        """[K, n] see `RegressionDay`."""
+        """The array [K, n] of the day; see `RegressionDay`."""
         return self.day(t).plain
 
     def drift(self, t: int) -> np.ndarray:
-        """[K, n] see `RegressionDay`."""
+        """The array [K, n] of the day; see `RegressionDay`."""
         return self.day(t).drift
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
@@ -176,11 +176,11 @@ class SpikeRegression:
         return _both(coefficients, self.inner.day(t).ahead, self.basis.regression[1])
 
     def plain(self, t: int) -> np.ndarray:
-        """[K, n] see `RegressionDay`."""
+        """The array [K, n] of the day; see `RegressionDay`."""
         return np.kron(self.inner.plain(t), np.eye(COUNT))
 
     def drift(self, t: int) -> np.ndarray:
-        """[K, n] see `RegressionDay`."""
+        """The array [K, n] of the day; see `RegressionDay`."""
         return np.kron(self.inner.drift(t), self.basis.regression[2])
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:

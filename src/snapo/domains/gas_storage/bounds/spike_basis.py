@@ -62,7 +62,7 @@ class SpikeBasis:
 
     @property
     def parts(self) -> np.ndarray:
-        """[K] see `PolynomialBasis.parts`."""
+        """The array [K]; see `PolynomialBasis.parts`."""
         return np.repeat(self.inner.parts, COUNT)
 
     @property

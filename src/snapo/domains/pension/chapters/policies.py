@@ -64,8 +64,8 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
     standard error comes from the differences path by path. The classical policies are trained for
     as many steps as the network; those that depend on the funding ratio start from the trained
-    constant mix. Of each the best one is used. The present mix, rebalanced at every step and
-    yearly, is held unchanged: it may leave the bounds.
+    constant mix. The best version of each is used. The present mix, rebalanced at every step and
+    yearly, is never adjusted: it may leave the bounds.
     """
     return tuple(compare(run.setup, run.solution, run.progress))
 
