@@ -82,7 +82,7 @@ def sweep(
 ) -> dict[str, Any]:
     """Values a case at all points of some axes, as a book; see `run_book`.
 
-    - `assignments`: as of `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
+    - `assignments`: as in `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
       `sobol` points.
     - `train`: whether each point trains its policy; otherwise the policy of the case decides at all
       points.

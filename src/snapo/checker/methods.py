@@ -115,9 +115,9 @@ def line_of(eqn) -> CodeLine | None:
 
 
 def said_by_user(eqn) -> bool:
-    """Whether a read is `x.at[index].get(mode=…)`, which defines reads outside of `x`. With
+    """Whether a read is `x.at[index].get(mode=…)`, which defines reads outside of `x`.
 
-    mode="clip" JAX's program is that of x[index].
+    With mode="clip", JAX's program is that of x[index].
     """
     traceback = eqn.source_info.traceback
     codes = traceback.raw_frames()[0] if traceback else []

@@ -37,8 +37,8 @@ class Submits(Protocol):
 class WorkerPool:
     """The place where jobs are computed.
 
-    - `make`: creates an executor, at the start and after a failure. - `waiting`: the maximum number
-      of jobs in work or queued; `parallel`: in work.
+    - `make`: creates an executor, at the start and after a failure.
+    - `waiting`: the maximum number of jobs in work or queued; `parallel`: in work.
     - `close`: leaves the cluster.
     """
 

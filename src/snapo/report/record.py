@@ -61,7 +61,7 @@ class RunOrigin(NamedTuple):
 
 
 class StepTimes(NamedTuple):
-    """The times of the steps in `about`: `local_times` as of `local_times_of`, and the `step`,
+    """The times of the steps in `about`: `local_times` as in `local_times_of`, and the `step`,
     "day" or "hour"; empty if steps have only numbers."""
 
     local_times: Sequence[tuple[int, str]] = ()

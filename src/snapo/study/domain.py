@@ -103,7 +103,7 @@ class Domain(Protocol):
     def templates(self) -> "Mapping[str, Traversable]": ...
 
     def read(self, file: Path, data: Mapping[str, Any]) -> Case:
-        """From the tables of a case to its records; **raises** `CaseError` for every mistake."""
+        """The records from the tables of a case; **raises** `CaseError` for every mistake."""
         ...
 
     def check(self, case: Any) -> list[str]:

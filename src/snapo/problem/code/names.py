@@ -39,8 +39,8 @@ class Names(NamedTuple):
     - `written`: globals that it sets.
     - `members`: attributes, and every string that may be the name of one.
     - `modules`: the imported ones, with the level of a relative import.
-    - `made`: whether it reads attributes of other objects by names that are made at run time. -
-      `unseen`: whether it reads anything that no name in its code shows.
+    - `made`: whether it reads attributes of other objects by names that are made at run time.
+    - `unseen`: whether it reads anything that no name in its code shows.
     """
 
     read: frozenset[str]

@@ -170,8 +170,8 @@ def select(
     another on these is dropped. Without a candidate of a finite value the first one is kept,
     uncompared.
 
-    - `paths`: the maximum. - `top`: a further candidate, `TOP`, made where the others may be above
-      the start.
+    - `paths`: the maximum.
+    - `top`: a further candidate, `TOP`, if the others may be above the start.
     - `search`: whether its gain over the newest one is needed in any case.
     """
     source = fresh(problem.sources.validation)

@@ -74,8 +74,8 @@ class RegressionDay(NamedTuple):
 
     - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
     - `ahead` [K, Q]: the expected functions of the next date (zero on the end date).
-    - `plain` [K, n]: coefficients of the best approximations without hinges of the functions. -
-      `drift` [K, n]: of `ahead`.
+    - `plain` [K, n]: coefficients of the best approximations without hinges of the functions.
+    - `drift` [K, n]: of `ahead`.
     """
 
     fit: np.ndarray

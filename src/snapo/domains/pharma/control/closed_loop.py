@@ -161,7 +161,7 @@ def best_recipe(
     engines: Engines,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[Feedback, Feedback]:
-    """The best of several recipes, each trained; and it again, trained as long once more.
+    """The best of several recipes, each trained; and the same recipe after a second training.
 
     `feedback`: the case's recipe. A policy that is to be compared with the second starts from the
     first.
@@ -218,7 +218,7 @@ class ClosedLoop:
         return {}
 
     def setup(self) -> Setup:
-        """The policy starts from the first recipe, once that is there."""
+        """The policy starts from the first recipe, once that exists."""
         available = self.first is not None
         if available not in self._setups:
             policy = (self.first or self.loop.baseline).closed()
