@@ -26,7 +26,7 @@ FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
 
 
 def parquet_lines(reference: "FileReference", path: Path) -> list[tuple[int, list[str]]]:
-    """Line number and cells of a Parquet file, its column names first, as of a CSV.
+    """Line number and cells of a Parquet file, its column names first, as for a CSV.
 
     **Raises:** `CaseError` if pyarrow is missing, or the file is damaged or nested.
     """

@@ -39,7 +39,7 @@ class Quantity:
     - `unit`: a key of the same table in braces is replaced by its value.
     - `range`: the numbers allowed; `limits`: the possible numbers, any other is refused as a
       mistake; `plausible`: the usual numbers, for any other a note asks for the unit.
-    - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
+    - `group`, `move`, `display_unit`, `display_factor`, `bump`: as in an `Input`; `meaning`: its
       words.
     - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the
       numbers; `before`: the number that applies before the first row.

@@ -81,7 +81,7 @@ class GroupRunner:
 
     @cached_property
     def name(self) -> str:
-        """Equal for kernels that give the same bits."""
+        """A name that is equal for kernels with the same results, to the last bit."""
         return disk.key(self.code.text)
 
     def prepared(self, inputs: KernelInputs) -> np.ndarray:

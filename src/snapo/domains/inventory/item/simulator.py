@@ -48,7 +48,7 @@ class InventorySimulator(Simulator):
 
     It contains no case: items of the same form differ only in arrays and inputs.
 
-    **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as of an `Item`; `seasonal`: whether
+    **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as in an `Item`; `seasonal`: whether
     periods differ; `demand`: the demand of the case, `formed`; `weights`, `counted` [T] as of the
     case; and its estimates `safety_factor`, `usual_cost` and `memory`.
 

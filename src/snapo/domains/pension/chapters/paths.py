@@ -82,7 +82,7 @@ class MeanMix:
 
 @dataclass(frozen=True)
 class LimitBreaches:
-    """The share of the paths that break a limit: in each step [T], and `ever`."""
+    """The share of the paths that violate a limit: in each step [T], and `ever`."""
 
     share: Floats
     ever: Number
@@ -276,7 +276,7 @@ def mean_mix(record: RecordedPaths) -> MeanMix:
 
 
 def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBreaches]:
-    """Shares of the paths that break a limit.
+    """Shares of the paths that violate a limit.
 
     "weights": a weight or a group leaves its bounds; with swaps, "collateral": eligible assets do
     not cover the need under stress. Less than `round_off` is not a breach: the learned policy often

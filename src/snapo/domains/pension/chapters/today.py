@@ -220,7 +220,7 @@ LADDERS = TODAY.section(
 
 
 def show_limits(run: PensionRun, result: PathTables) -> Sequence[Block]:
-    """Collateral: headroom today; and by month, paths that break a limit."""
+    """Collateral: headroom today; and by month, paths that violate a limit."""
     today, facts = TODAY.of(run), []
     collateral = Collateral() if today is None else today.collateral
     if (now := collateral.now) is not None:

@@ -54,7 +54,8 @@ class Boundary:
       axis, -1 on that one; `side`: -1 if the space ends towards low values, +1 towards high.
     - `position`: the position of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside
       the space; in the unit of the grid. NaN if the end is outside of the line.
-    - `binding`: number of the attribute that most often breaks its limits just beyond it.
+    - `binding`: number of the attribute that most often violates its limits just beyond the
+      boundary.
     """
 
     axis: int

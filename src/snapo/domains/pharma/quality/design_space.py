@@ -25,7 +25,7 @@ class Point(NamedTuple):
 
     - `probability`: that all limits hold; `error`: its standard error.
     - `by_attribute`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
-    - `binding`: the attribute that most often breaks its limits, -1 if none does.
+    - `binding`: the attribute that most often violates its limits, -1 if none does.
     - `failed`: the share of runs without a finite result; they break every limit.
     - `low`, `high`: 95 % interval of the probability.
     """

@@ -134,7 +134,7 @@ def set_point(process: "PharmaProcess", parameter: Parameter) -> float:
 
 
 class _Edge(NamedTuple):
-    """An edge lies after `inner` and not after `outer`, where attribute `fails` breaks a limit."""
+    """An edge lies after `inner` and not after `outer`, where attribute `fails` violates one."""
 
     parameter: Parameter
     inner: float

@@ -113,8 +113,8 @@ class Experiment:
     """One measured batch: its settings, and its measurements with their times.
 
     - `settings`: ((`CaseInput` name, entry, value in the domain's unit), …) other than the case's.
-    - `units`: [n] those of the case for `value`, with (scale, offset) of each in `scales`, as of a
-      `Parameter`.
+    - `units`: [n] the units of `value` in the case, with (scale, offset) of each in `scales`, as
+      for a `Parameter`.
     - `time`: [n] s since the unit's start, `state`: [n] "unit.state" measured, `value`: [n] in the
       domain's unit, `error`: [n] standard deviation, above 0.
     """
