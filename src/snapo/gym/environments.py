@@ -278,8 +278,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
     """`num_envs` paths of the exact simulator in parallel (see `Environment`).
 
     A path that has ended restarts at its next step, whose action is not used and whose reward
-    is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` holds [N] of every output and, under its
-    name after an underscore, for which paths it counts.
+    is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` has the numbers [N] of every output and,
+    under its name with a leading underscore, the paths [N] for which they count.
     """
 
     def __init__(self, problem: Problem, num_envs: int, endless: bool = False):

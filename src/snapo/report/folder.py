@@ -164,7 +164,7 @@ class RunFiles:
         return entries_of(StepTimes, self.details)
 
     def get(self, path: str, default: Any = None) -> Any:
-        """The entry "today.spot" of the parts' tables, or `default` where it is missing or null."""
+        """The entry "today.spot" of the parts' tables, or `default` if it is missing or null."""
         return lookup(self.details, path, default)
 
     def numbers(self, path: str, column: str = "") -> np.ndarray | None:
@@ -204,7 +204,7 @@ class RunFiles:
 
 
 def lookup(table: Any, path: str, default: Any = None) -> Any:
-    """The entry "a.b" of nested tables, or `default` where it is missing or null."""
+    """The entry "a.b" of nested tables, or `default` if it is missing or null."""
     for key in path.split("."):
         table = table.get(key) if isinstance(table, dict) else None
     return default if table is None else table

@@ -139,7 +139,7 @@ def _keep(rollout: Rollout, block: np.ndarray, paths: int, totals: dict[str, np.
 
 
 def in_a_row(numbers: np.ndarray) -> slice | np.ndarray:
-    """Numbers that follow one another as a slice, which copies nothing."""
+    """Consecutive numbers as a slice, which copies nothing."""
     first, count = int(numbers[0]), len(numbers)
     follow = np.array_equal(numbers, np.arange(first, first + count))
     return slice(first, first + count) if follow else numbers

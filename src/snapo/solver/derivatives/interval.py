@@ -146,7 +146,7 @@ class Reported(NamedTuple):
         ]  # fmt: skip
 
     def capped(self, gap: float) -> "Reported":
-        """The same with this bound on the policy's gap, if it is less than the present one."""
+        """The number with this bound on the policy's gap, if it is below the present one."""
         minimum = min(gap, self.curvature.gap)
         return self._replace(curvature=self.curvature._replace(gap=minimum))
 

@@ -102,7 +102,8 @@ def fit_value(
 def fit_value_table(
     schedule, factors: GaussianFactors, interpolation: Interpolation
 ) -> FittedValue:
-    """The same on half as many nodes, with none at bends, if slopes over many nodes are sufficient.
+    """The grid with half as many nodes, none of them at bends, if slopes over many nodes are
+    sufficient.
 
     A policy that reads it loses almost nothing (for the flagship store less than 1e-5 of its
     value), but an upper bound would become wider: it uses `fit_value`.

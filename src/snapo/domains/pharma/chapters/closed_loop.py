@@ -142,7 +142,7 @@ def measure(run: StudyRun) -> ClosedLoopResult:
 def rates(
     ours: np.ndarray, theirs: np.ndarray, values: np.ndarray, groups: np.ndarray
 ) -> KeptShares:
-    """Shares of batches [N] that keep all limits, of policy, best and given recipe, with errors.
+    """Shares of batches [N] that meet all limits, by policy, best and initial recipe, with errors.
 
     `groups` [N]: batches of one group are not independent. Both batches of an antithetic pair often
     meet or violate a two-sided limit together, so that counting them as two would halve the

@@ -66,8 +66,8 @@ def rate_constants(
 def rates(network: FlowNetwork, constants: Array, concentration: Sequence[Array]) -> list[Array]:
     """[R] rates in kmol/m3/s from `constants` [..., R] and kmol/m3 of each species.
 
-    Written out reaction by reaction: species of order 0 appear only in the factor that stops the
-    reaction, so 0^0 never occurs.
+    The formula is written out reaction by reaction: species of order 0 appear only in the factor
+    that stops the reaction, so 0^0 never occurs.
     """
     results = []
     for i in range(len(network.reactions)):
