@@ -1,6 +1,6 @@
 """Objectives: the value of all paths' totals together, to be maximised.
 
-An objective gives a value and the weight of every path and output, its derivative; engines
+An objective returns a value and its derivative, the weight of every path and output; engines
 take weights, never objectives, so that risk measures need no other adjoint. `influence`
 is each path's share of the value to first order: its spread gives the standard error.
 

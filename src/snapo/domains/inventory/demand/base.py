@@ -66,7 +66,7 @@ class Demand(TreeRecord):
 
     @abc.abstractmethod
     def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
-        """Demand of the period `now`; `spread`: whole demand spread evenly half a unit around."""
+        """Demand of the period `now`; `spread`: whole demand, spread by half a unit."""
 
     @abc.abstractmethod
     def deviation(self, parameters: Parameters, factors: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The correlation matrix of all Brownian motions of a case, and the repair of a given one.
+"""The correlation matrix of all Brownian motions of a case, and the repair of an invalid one.
 
 Brownian motions in order: factors of the short rate, expected inflation, price index, wage,
 mortality, ratings, currencies, asset classes with a separate shock.

@@ -1,4 +1,4 @@
-"""A pharmaceutical process as resolved data: its flowsheet, and the questions to it.
+"""A pharmaceutical process as resolved data: its flowsheet, and the requested studies.
 
 Conventions for every record. Numbers are in the domain's units, to which reading converts:
 K, s, m, m3, kg, kmol/m3 (the same number as mol/L), kg/m3, Pa, J/mol, W, and "1" for a pure
