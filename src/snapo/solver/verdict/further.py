@@ -109,7 +109,7 @@ class Further(NamedTuple):
 
     @property
     def is_small(self) -> bool:
-        """Whether it is significantly small, in either direction."""
+        """Whether the gain is significantly small, in either direction."""
         wide = SIGNIFICANT * self.times * self.late_error
         return bool(abs(self.more) <= SHARE * self.size and wide <= UNSURE * self.size)
 

@@ -24,7 +24,8 @@ ROUNDED = 9  # decimals of a planned inventory: a limit is not passed by roundin
 class DayFlow(NamedTuple):
     """A day between the two valuation dates.
 
-    - `price`: forward price on the first date; `spot`: that of the flow, by default the same.
+    - `price`: forward price on the first date; `spot`: the spot price of the flow, by default
+      `price`.
     - `planned`, `taken`: net volume into the store.
     - `planned_cash`: the cash of the plan at the forward price; `forward_cash`, `cash`: of the flow
       taken at the forward price and at the spot price. All are net of costs, discounted to the
