@@ -48,7 +48,7 @@ class AxisValue(NamedTuple):
 
     @classmethod
     def of(cls, value: Any, unit: str = "") -> "AxisValue":
-        """`unit`: that was written behind the numbers of the axis."""
+        """`unit`: the unit that was written after the numbers of the axis."""
         if isinstance(value, str):
             return cls(value, value)
         text = one_value(value) if isinstance(value, bool | datetime.date) else f"{value:.12g}"
@@ -66,7 +66,7 @@ AxisPoint = tuple[AxisValue, ...]  # a value of every axis
 
 
 class Design(NamedTuple):
-    """The axes of a book, and all points at which its contracts are valued; one without axes."""
+    """The axes of a book, and the points at which its contracts are valued (one without axes)."""
 
     axes: tuple[Axis, ...] = ()
     points: tuple[AxisPoint, ...] = ((),)
@@ -81,7 +81,7 @@ class Design(NamedTuple):
 
 
 def number_of(text: str) -> float | None:
-    """The number of a value's text, also with a unit; None for any other."""
+    """The number in the text of a value, also with a unit; None if there is none."""
     match = re.match(NUMBER + r"(?=\s|$)", text, re.ASCII)
     return float(match[0]) if match else None
 
@@ -97,8 +97,8 @@ def _toml(tables: Mapping[str, Any], key: str, value: AxisValue) -> str:
 def read_design(
     file: Path, entries: Sequence[Mapping[str, Any]], seed: int, columns: Collection[str] = ()
 ) -> Design:
-    """The design of the tables `[[axis]]`: the product of its axes, where those with Sobol points
-    are one axis, scrambled with `seed`. `columns`: labels that the contracts have already.
+    """The design of the tables `[[axis]]`: the product of its axes. Axes with Sobol points together
+    count as one axis, scrambled with `seed`. `columns`: the labels of the contracts.
 
     **Raises:** `CaseError` for every mistake in them.
     """
@@ -213,7 +213,7 @@ def _values(file: str, where: str, values: str | list[Any]) -> list[AxisValue]:
 def spaced(file: str, where: str, text: str) -> Iterator[AxisValue]:
     """The numbers of "5:35:7".
 
-    **Raises:** `CaseError` if the text is not like this.
+    **Raises:** `CaseError` if the text does not have this form.
     """
     allowed = 'first, last and how many values, 2 or more: "5:35:7"'
     match = RANGE.fullmatch(text)

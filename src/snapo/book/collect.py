@@ -30,7 +30,7 @@ class BookPosition:
 
     - `points`: {stress: its point, with the cost and the shape of its result}.
     - `labels`: {stress: {label of an axis: the text of its value}}.
-    - `world`: equal for contracts whose path p is the same world.
+    - `world`: equal for contracts whose path p is the same scenario.
     """
 
     contract: BookContract
@@ -58,7 +58,7 @@ def _read(
 
 
 def reader(folder: BookFolder, lost: Mapping[str, str]) -> ResultReader:
-    """Reads the result of the job of a name; `lost`: {job: the reason}."""
+    """Reads the result of the job with this name; `lost`: {job: the reason}."""
 
     def read(name: str) -> JobResult | None:
         entry = _read(folder, lost, name)

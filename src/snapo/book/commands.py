@@ -59,7 +59,7 @@ def solve(
     shard: tuple[int, int] | None = None,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """Values a book; see `run_book`. `on`: where, see `executors.worker_pools`.
+    """Values a book; see `run_book`. `on`: where its jobs run, see `executors.worker_pools`.
 
     **Raises:** `CaseError` for a mistake in the book, or if its workers cannot be reached.
     """
@@ -82,12 +82,12 @@ def sweep(
 ) -> dict[str, Any]:
     """Values a case at all points of some axes, as a book; see `run_book`.
 
-    - `assignments`: as of `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
+    - `assignments`: as in `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
       `sobol` points.
-    - `train`: whether each point trains its policy; else the policy of the case decides at all
+    - `train`: whether each point trains its policy; otherwise the policy of the case decides at all
       points.
 
-    **Raises:** `CaseError` for a mistake in the case, its axes, or a point of them.
+    **Raises:** `CaseError` for a mistake in the case, its axes, or one of their points.
     """
     book = sweep_book(path, assignments, sobol=sobol, train=train)
     folder = book.file.parent / "sweep" if out is None else out

@@ -1,7 +1,7 @@
-"""Where jobs are computed: processes of this machine, Dask, Ray, or any executor.
+"""Executors, which compute jobs: processes of this machine, Dask, Ray, or any executor.
 
-snapo starts no cluster: it joins one. Whoever reaches the port of a scheduler can run code there,
-so that an address beyond this machine needs TLS (Dask) or a token (Ray), or `--trust-network`.
+snapo starts no cluster: it joins one. Anyone who can reach the port of a scheduler can run code
+there: an address outside this machine needs TLS (Dask) or a token (Ray), or `--trust-network`.
 """
 
 import importlib
@@ -122,7 +122,7 @@ def _ray(address: str, trust_network: bool) -> WorkerPool:
 
 
 class RayExecutor:
-    """Ray as an executor: it has none of its own (ray issue 29456)."""
+    """Ray as an executor: Ray does not provide one itself (ray issue 29456)."""
 
     def __init__(self):
         import ray  # pyright: ignore[reportMissingImports]
@@ -133,7 +133,7 @@ class RayExecutor:
         return self.remote.remote(fn, job).future()
 
     def shutdown(self, wait: bool = True) -> None:
-        """The cluster is not ours to end."""
+        """Does nothing: the cluster was not started by snapo."""
 
 
 def _called(work: Work, job: bytes) -> bytes:

@@ -1,7 +1,7 @@
 """Reads the file of a book: contracts, the markets that they share, stresses, and tasks.
 
-A contract is a case: a template with other values in a row of a table, or a file of its own. Where
-the book has markets, they replace the tables `[market]` and `[model]` of their contracts.
+A contract is a case: a template with other values in a row of a table, or a separate file. If the
+book has markets, they replace the tables `[market]` and `[model]` of their contracts.
 """
 
 import re
@@ -136,8 +136,8 @@ class Origin(NamedTuple):
 class BookContract:
     """A case of the book.
 
-    - `quantity`: how many of it the book has; negative: sold.
-    - `tables`: the tables of the case as they count; `files`: {name: content} of the files that
+    - `quantity`: the number of these contracts in the book; negative: sold.
+    - `tables`: the tables of the case after all changes; `files`: {name: content} of the files that
       they name.
     - `labels`: {column: text} of its row.
     - `origin`: its files; None for a case without a book.
@@ -167,7 +167,7 @@ class Book:
 
 
 def read_book(path: Path) -> Book:
-    """Reads a book; the cases themselves are checked where they are used.
+    """Reads a book; the cases themselves are checked when they are used.
 
     **Raises:** `CaseError` for every mistake in the file, its tables and its markets.
     """

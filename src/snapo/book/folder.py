@@ -200,9 +200,9 @@ class BookFolder:
         self.path = path
 
     def prepare(self, record: Mapping[str, Any], keep: bool) -> None:
-        """Makes the folder ready; `keep`: with the results that it has.
+        """Prepares the folder; `keep`: its results remain.
 
-        **Raises:** `CaseError` if it cannot be written, or holds something else.
+        **Raises:** `CaseError` if it cannot be written, or contains something else.
         """
         if self.path.exists() and not (self.path / BOOK).exists() and any(self.path.iterdir()):
             message = "this folder has other files; it must be empty, or the folder of a book"

@@ -39,7 +39,7 @@ class BookJob:
     - `stresses`: the moves of each.
     - `tasks`: the tasks of the book; `seed`: the seed of training and paths.
     - `base`: whether the unstressed point is computed too, before the stresses.
-    - `judged`: whether the derivatives are tested by bumps.
+    - `judged`: whether bumps test the derivatives.
     - `policy`: the file of a trained one; None: the job trains its policy, for the base or, if
       a policy is trained for each stress, for its only stress.
     - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
@@ -62,7 +62,7 @@ class BookJob:
 
     @classmethod
     def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookJob":
-        """The job of a contract, without stresses where `more`, the other fields, has none."""
+        """The job of a contract; `more`: its other fields, by default without stresses."""
         fields = {"stresses": (), **more}
         report = contract.tables.get("report", {})
         numbers = {key: value for key, value in report.items() if key not in TEXTS}
@@ -186,7 +186,7 @@ class OutputFigures(NamedTuple):
         nominal: float | None = None,
         within: float | None = None,
     ) -> "OutputFigures":
-        """Over the paths [N] that are finite."""
+        """The statistics over the paths [N] that are finite."""
         finite = np.isfinite(values)
         values, groups = values[finite], None if groups is None else groups[finite]
         if len(values) < 2:
@@ -279,7 +279,7 @@ class JobResult(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> "JobResult":
-        """The result of these bytes. **Raises:** `ValueError` if they are not one."""
+        """The result of these bytes. **Raises:** `ValueError` if they are not a result."""
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = dict(file)
@@ -310,8 +310,8 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
 class Cost(NamedTuple):
     """The cost of a result, which is not part of it.
 
-    - `cpu_seconds`: the processor seconds of all threads of the worker; `peak_mb`: its memory so
-      far at most.
+    - `cpu_seconds`: the processor seconds of all threads of the worker; `peak_mb`: its peak memory
+      so far.
     - `worker`: its process and machine.
     """
 
@@ -321,7 +321,7 @@ class Cost(NamedTuple):
 
 
 def enclosed(result: bytes, cost: Cost) -> bytes:
-    """A result with its cost, and a checksum that shows whether it is complete."""
+    """A result with its cost, and a checksum that shows that it is complete."""
     head = {"checksum": name_of(result), "cost": cost._asdict()}
     return json.dumps(head).encode() + b"\n" + result
 

@@ -17,7 +17,7 @@ NUMBERS = (
 class TableWriter:
     """Writes the rows of contracts, those of `together` contracts into one file.
 
-    A context manager; it writes files whole.
+    A context manager; each file is written completely or not at all.
     """
 
     def __init__(self, path: Path, together: int):

@@ -1,7 +1,7 @@
 """The plan of a book: which jobs its contracts need, and in which sequence.
 
-The base of a contract is ordered first; its policy travels with its further stresses. Similar
-contracts come one after the other, so that a worker has their code.
+The base of a contract is ordered first; its policy is part of the jobs of its other stresses.
+Similar contracts come one after the other, so that a worker already has their compiled code.
 """
 
 import json
@@ -20,7 +20,7 @@ MIN_JUDGED = 3  # of similar contracts
 
 
 def similarity_key(contract: BookContract) -> str:
-    """Equal for contracts that most probably share compiled code: all but their numbers is equal.
+    """Equal for contracts that probably share compiled code: they differ only in numbers.
 
     It only affects the sequence; the shape of a result is that of its compiled code.
     """
@@ -96,14 +96,14 @@ class BookPlan:
 
     @cached_property
     def tested(self) -> dict[str, Sequence[BookContract]]:
-        """{similarity key: the contracts that are valued with the policy of the first one too}, of
-        those that share a policy."""
+        """{similarity key: the contracts that are also valued with the policy of the first one}, if
+        contracts share policies."""
         groups = self.similar.items() if self.book.tasks.policy == "shape" else ()
         return {kind: some for kind, group in groups if (some := tested(group))}
 
     @cached_property
     def awaited(self) -> set[str]:
-        """The names of the contracts for whose results similar ones wait."""
+        """The names of the contracts whose results similar contracts need."""
         names = {
             x.name for kind, some in self.tested.items() for x in (self.similar[kind][0], *some)
         }

@@ -110,8 +110,8 @@ def run_book(
     - `worker_pools`: where its jobs are computed; `shard`: only a part of its contracts.
     - `resume`: results that the folder has are not computed again.
 
-    Returns the content of result.json. Where interrupted, or on a full disk, results that have been
-    written are kept. **Raises:** `CaseError` if the folder cannot be written.
+    Returns the content of result.json. If it is interrupted, or the disk is full, results that have
+    been written are kept. **Raises:** `CaseError` if the folder cannot be written.
     """
     began = time.perf_counter()
     folder = BookFolder(book.file.parent / "run" if out is None else out)

@@ -1,7 +1,7 @@
 """One trained policy for similar contracts, `policy = "shape"`, and the loss that this causes.
 
-The first of similar contracts trains its policy, and so do the next three, which are valued on the
-same paths with the trained numbers of the first one too. Where the first one's numbers lose at most
+The first of similar contracts trains its policy, and so do the next three, which are also valued on
+the same paths with the trained numbers of the first one. If the first one's numbers lose at most
 0.5 % of the value of any of the three, all others take them, with their own value table, scales and
 limits; otherwise each trains its own.
 """
@@ -38,7 +38,7 @@ class PolicyLoss(NamedTuple):
 
     @property
     def share(self) -> float:
-        """The loss as a share of the value; not a number without one."""
+        """The loss as a share of the value; NaN without a value."""
         return self.loss / abs(self.value) if self.value else math.nan
 
 

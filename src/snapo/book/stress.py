@@ -1,4 +1,4 @@
-"""Stresses: how the file of a book gives them, and the numbers of a case under one, which are
+"""Stresses: their tables in the file of a book, and the numbers of a case under a stress, which are
 inputs, or the quotes from which a curve is made."""
 
 import datetime
@@ -54,7 +54,7 @@ class StressMove:
 
     - `key`: of the case, "market.forward_curve".
     - `when`: first and last day; None: everywhere.
-    - `value`: as TOML writes it; "": that of the case.
+    - `value`: as TOML writes it; "": the value in the case.
     """
 
     key: str
@@ -215,10 +215,10 @@ def _day(text: str, end: bool) -> datetime.date:
 def moved_numbers(
     case: Any, inputs: Mapping[str, Input], moves: Sequence[StressMove]
 ) -> dict[str, np.ndarray]:
-    """{input, or numbers from which one is made: its numbers under the moves}; `inputs`: the inputs
-    of the unstressed case.
+    """{input, or source of an input: its numbers under the moves}; `inputs`: those of the
+    unstressed case.
 
-    **Raises:** `CaseError` if a move fits no number.
+    **Raises:** `CaseError` if no number can take a move.
     """
     values, sources = dict[str, np.ndarray](), sources_of(case)
     for move in moves:
@@ -234,7 +234,7 @@ def moved_numbers(
 
 
 def check_tables(moves: Sequence[StressMove], tables: Mapping[str, Any]) -> None:
-    """**Raises:** `CaseError` for a key whose table is almost called like one of the case."""
+    """**Raises:** `CaseError` for a key whose table resembles a table of the case."""
     for move in moves:
         first, dot, _ = move.key.casefold().partition(".")
         names = [name.casefold() for name in tables]

@@ -1,4 +1,4 @@
-"""Sums of contracts, with errors from shares: the same batch of paths is the same world in each.
+"""Sums of contracts, with errors from shares: a batch of paths has the same scenarios in each.
 
 A sum's share of a batch is the sum of the shares of its contracts. Contracts of one market share
 their paths; markets are independent, so that their errors add in squares.
@@ -32,7 +32,7 @@ class BookTotal:
 
     - `shares`: {market: {stress: [B] of its positions together}}.
     - `missing`: {stress: positions without a value there}.
-    - `worlds`: {market: those of its positions}.
+    - `worlds`: {market: the worlds of its positions}.
     """
 
     base: str
@@ -86,7 +86,7 @@ def _sum(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 class Risk(NamedTuple):
-    """Loss over the stresses, as scenarios of equal weight.
+    """The loss over the stresses, which are scenarios of equal weight.
 
     - `level`: 0.95; `var`: the loss that this share of them does not exceed; `shortfall`: the
       mean loss of the others; with the standard errors of their Monte Carlo values.
@@ -103,7 +103,7 @@ LEVELS = (0.95, 0.99)
 
 
 def risks(total: BookTotal, stresses: Sequence[str]) -> list[Risk]:
-    """At every level of `LEVELS` that has at least one stress beyond it."""
+    """The risk at every level of `LEVELS` that at least one stress exceeds."""
     changes = {stress: total.at(stress) for stress in stresses}
     stored = {stress: x for stress, x in changes.items() if x is not None}
     if len(stored) < len(changes):
@@ -132,7 +132,7 @@ class DeltaTotal:
         self.blocks[key] = _sum(self.blocks[key], blocks) if key in self.blocks else blocks
 
     def by_month(self) -> "DeltaTotal":
-        """The sums of those whose labels are dates of one month."""
+        """The sums of the derivatives whose labels are dates of the same month."""
         months = DeltaTotal()
         for (market, name, label), blocks in self.blocks.items():
             months.add((market, name, label[:7] if _is_date(label) else label), blocks)

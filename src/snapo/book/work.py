@@ -1,7 +1,7 @@
 """The result of a job: a contract trained and valued, then valued under stresses.
 
 It depends on nothing but the job's bytes: the same on every machine with the same versions and
-processors of one kind. Code compiled for one contract serves all of the same form in a process.
+processors of one kind. In one process, contracts of the same form share compiled code.
 """
 
 import gc
@@ -65,7 +65,7 @@ LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
 
 
 def compute(data: bytes) -> bytes:
-    """The result of a job, with its cost. A mistake in a case is a result too."""
+    """The result of a job, with its cost. A mistake in a case is also a result."""
     job, started = BookJob.unpack(data), time.process_time()
     if not _same_bits(job):
         return OTHER
@@ -82,7 +82,7 @@ def compute(data: bytes) -> bytes:
 
 
 def _same_bits(job: BookJob) -> bool:
-    """Whether this processor gives the bits that the book asks for; its code is compiled for it."""
+    """Whether this processor returns the bits that the book requires; code is compiled for it."""
     if pipeline.unavailable() is not None:
         return True
     if job.processor:
@@ -115,7 +115,7 @@ def _sentence(error: Exception, folder: str) -> str:
 
 
 class JobContract:
-    """The contract of a job: its case, and that under a stress; `folder`: for its files.
+    """The contract of a job: its case, and its case under a stress; `folder`: for its files.
 
     **Raises:** `CaseError` for a case that cannot be read.
     """

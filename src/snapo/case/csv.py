@@ -1,7 +1,7 @@
 """CSV files and arrays of a case, read so that every mistake has a line and a remedy.
 
 A CSV is UTF-8 (with or without a byte-order mark), with a header row that names the columns in any
-order; blank lines, lines that start with `#`, and further columns are passed over. Commas separate,
+order; blank lines, lines that start with `#`, and further columns are ignored. Commas separate,
 numbers have a decimal point, days are YYYY-MM-DD and months YYYY-MM; see `dialect` for others.
 """
 
@@ -26,7 +26,7 @@ FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
 
 
 def parquet_lines(reference: "FileReference", path: Path) -> list[tuple[int, list[str]]]:
-    """Line number and cells of a Parquet file, its column names first, as of a CSV.
+    """Line number and cells of a Parquet file, its column names first, as for a CSV.
 
     **Raises:** `CaseError` if pyarrow is missing, or the file is damaged or nested.
     """
@@ -50,7 +50,7 @@ def _lines(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterable[list
 
 
 def cell(value: Any) -> str:
-    """A value as a CSV of a case has it; "" for nothing."""
+    """The text of a value in a CSV of a case; "" for no value."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if isinstance(value, datetime.datetime):
@@ -185,7 +185,7 @@ class Row:
         return int(match[1]), int(match[2])
 
     def label(self, column: str) -> str:
-        """The text of a cell; a day or a month as YYYY-MM-DD or YYYY-MM, where that is certain."""
+        """The text of a cell; a day or a month as YYYY-MM-DD or YYYY-MM, if that is certain."""
         try:
             return self.dialect.period(self.cells[column])
         except AmbiguousFormat:
@@ -240,11 +240,11 @@ def read_rows(
 ) -> list[Row]:
     """Reads the CSV that a case names; every row has all `columns`, with blanks stripped.
 
-    A Parquet file in its place is read as the CSV of the same table.
+    A Parquet file instead of it is read like the CSV of the same table.
 
-    Other columns are those of `optional`: a misspelt one must not count as left out. None allows
-    any. Names of columns are in lower case; `with_keys`: but those with a point, which are keys of
-    a case.
+    Other columns are those of `optional`: a misspelt column must not be taken for an omitted one.
+    None allows any. Names of columns are in lower case; with `with_keys`, except names with a
+    point, which are keys of a case.
     """
     path = file_in_folder(reference, (".csv", ".parquet"))
     name = reference.name

@@ -1,8 +1,8 @@
 """The dialect of a CSV: separator, decimal mark, and order of day and month.
 
-Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Each is read
-if the file is unambiguous, and the case gets a note; a file that could mean two things is refused.
-`1.234` next to `1,5` is a thousand and more; `1,234` by itself could be either.
+Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Such a file
+is read if it is unambiguous, and the case gets a note; a file with two possible meanings is
+refused. `1.234` next to `1,5` is above a thousand; `1,234` by itself could be either.
 """
 
 import re
@@ -38,7 +38,7 @@ class Dialect:
     first: Order | None = None
 
     def number(self, cell: str) -> str:
-        """A cell's text with a decimal point, where it is a number with a decimal comma."""
+        """A cell's text with a decimal point, if it is a number with a decimal comma."""
         if not self.comma:
             return cell
         if COMMA.fullmatch(cell) or THOUSANDS.fullmatch(cell):
@@ -46,8 +46,7 @@ class Dialect:
         return cell
 
     def period(self, cell: str) -> str:
-        """A day as YYYY-MM-DD or a month as YYYY-MM, where it is written another way; else the
-        cell itself.
+        """A day as YYYY-MM-DD or a month as YYYY-MM, if it has another form; else the cell.
 
         **Raises:** `AmbiguousFormat` for 01/02/2024 in a file that does not distinguish day from
         month.

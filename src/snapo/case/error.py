@@ -12,9 +12,9 @@ class CaseError(ValueError):
 
     **Arguments:**
 
-    - `file`: the file with the mistake, as the user knows it.
+    - `file`: the file with the mistake, by its name for the user.
     - `where`: the key ("contract.max_injection"), the line ("line 7") or the date.
-    - `value`: the value found; `None` where one is missing.
+    - `value`: the value found; `None` if one is missing.
     - `allowed`: a correct value, described in a clause.
     - `others`: further mistakes found in the same reading.
     """

@@ -28,7 +28,7 @@ class SheetCell(NamedTuple):
 
 
 class Copies(NamedTuple):
-    """The positions of a number that is in several: the two entries of a correlation."""
+    """The positions of a number that has several: the two entries of a correlation."""
 
     positions: tuple["FilePosition", ...]
 
@@ -59,7 +59,7 @@ class ConvertedNumber(NamedTuple):
     """The position of a number that a case reads as another one: an annual rate as a continuous
     one.
 
-    - `read`: of the number in the file; `written`: its inverse, up to rounding.
+    - `read`: the function of the number in the file; `written`: its inverse, up to rounding.
     """
 
     position: "FilePosition"
@@ -77,7 +77,7 @@ class ConvertedNumber(NamedTuple):
 
 
 class NoPosition(NamedTuple):
-    """Why another number cannot be written."""
+    """The reason why another number cannot be written."""
 
     reason: str
 
@@ -96,7 +96,7 @@ FilePosition = (
 
 
 def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[FilePosition, ...]:
-    """The positions of the entries of an array under a key, in C order; of one number, the key."""
+    """The positions of the entries of an array under a key, in C order; for one number, the key."""
     return tuple((*path, *index) for index in np.ndindex(shape))
 
 
@@ -151,7 +151,7 @@ class CaseInput:
         return self.values[self.index]
 
     def use(self) -> Use:
-        """Where the numbers are used, for a simulator: see `snapo.problem.form`."""
+        """The use of the numbers by a simulator: see `snapo.problem.form`."""
         return Use.of(self.name, len(self.values), self.index)
 
     @property
@@ -200,8 +200,8 @@ class CaseInput:
 
 @dataclass(frozen=True, eq=False)
 class SourceNumbers:
-    """Numbers of a case that are no input of its simulator, but from which one is made: the quotes
-    of a forward curve.
+    """Numbers of a case that are not an input of its simulator, but from which an input is made:
+    the quotes of a forward curve.
 
     - `numbers` [n]: with their positions; `input`: the name of the input, which is `matrix` [N, n]
       times them.

@@ -20,11 +20,10 @@ Tables = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Only:
-    """A key with a meaning only where something holds.
+    """A key that has an effect only under a condition.
 
-    - `applies`: of the tables of a case by name, "" the whole file; a missing one is left out.
-    - `when`: the same in a clause that follows "only". `instead`: the alternative that the case
-      has.
+    - `applies`: the condition, from the tables of a case by name ("" is the whole file).
+    - `when`: the same as a clause after "only". `instead`: the alternative that the case has.
     """
 
     applies: Callable[[Tables], bool]
@@ -45,7 +44,7 @@ def conditions(field: FieldInfo) -> Iterator[Only]:
 
 
 def check_meanings(file: str, tables: Tables) -> None:
-    """Refuses the keys that a case states without a meaning.
+    """Refuses the keys of a case that have no effect.
 
     **Raises:** `CaseError` with all of them.
     """

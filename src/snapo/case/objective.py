@@ -1,4 +1,4 @@
-"""From the `[objective]` table of a case to the objective that training maximises."""
+"""Makes the objective that training maximises from the `[objective]` table of a case."""
 
 from snapo.problem import objective as core
 

@@ -1,4 +1,4 @@
-"""`[report] parts`: cases whose runs can be made only of some parts."""
+"""`[report] parts`: restricts the runs of a case to some of their parts."""
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -26,10 +26,10 @@ def known_parts(
 ) -> tuple[str, ...]:
     """The requested parts of a run, by name; () if none is named, which means all.
 
-    - `available`: all parts of the domain; `missing`: {one of them: why a run of this case has it
-      not, in a clause}.
+    - `available`: all parts of the domain; `missing`: {part: why a run of this case does not have
+      it, as a clause}.
 
-    **Raises:** `CaseError` for an unknown name, or that of a missing part.
+    **Raises:** `CaseError` for an unknown name, or the name of a missing part.
     """
     for i, name in enumerate(requested):
         message = ""

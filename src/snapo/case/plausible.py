@@ -7,7 +7,7 @@ far from its neighbours.
     RATE = Plausible(-0.02, 0.2, "a fraction is expected, 0.02 is 2 %", group="interest rate")
     notes = implausible(inputs, [RATE], CaseFiles(file, data)).values()
 
-A zero is the same number in every unit and is never noted. Its position is the cell of the
+Zero is the same number in every unit, and gets no note. Its position is the cell of the
 case's files that contains it and resembles the name and label of its input.
 """
 
@@ -45,10 +45,9 @@ class CheckedNumbers(NamedTuple):
     """The numbers of an input, as all checks of this module read them.
 
     - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] as in the case's files.
-    - `display_unit`, `display_factor`: the unit of the trade, and how many of it make one `unit`.
-    - `source`: the input that they are made from; they are not noted where that one is.
-    - `range`: the plausible one of its declaration; `positions`: [n] their positions, where
-      recorded.
+    - `display_unit`: the unit of the trade; one `unit` is `display_factor` of these.
+    - `source`: the input that they are made from; if there is a note on it, they have none.
+    - `range`: the plausible range in the declaration; `positions`: [n] of the numbers, if recorded.
     """
 
     name: str
@@ -65,7 +64,7 @@ class CheckedNumbers(NamedTuple):
 
 
 def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
-    """The numbers of an input of a case or of a simulator; `name` where it has none."""
+    """The numbers of an input of a case or of a simulator; `name` if it has none."""
     if isinstance(entry, CheckedNumbers):
         return entry
     values = entry.values if hasattr(entry, "values") else entry.value
@@ -90,12 +89,12 @@ def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
 class Plausible:
     """The range of a kind of numbers, in the unit of the input.
 
-    It is of the inputs among `names`, of its `group` and `unit`, and with a name that ends in one
-    of `endings`, as far as these are set.
+    It applies to inputs among `names`, with its `group` and `unit`, and whose name has one of
+    `endings`, as far as these are set.
 
     - `hint`: a clause on the unit that is expected.
     - `ratio`: the largest ratio between a number and its neighbours along the curve.
-    - `by_size`: the range is of absolute values: the sign means something else.
+    - `by_size`: the range is that of absolute values, because the sign has another meaning.
     """
 
     low: float
@@ -109,7 +108,7 @@ class Plausible:
     by_size: bool = False
 
     def fits(self, entry: CheckedNumbers) -> bool:
-        """Whether the range is of this input."""
+        """Whether the range applies to this input."""
         return (
             (not self.names or entry.name in self.names)
             and self.group in ("", entry.group)
@@ -178,7 +177,7 @@ def _apart(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
 def around(values: np.ndarray) -> np.ndarray:
     """[n] the median of the neighbours along a curve; equal numbers in a row count once.
 
-    Where there are no more than three numbers it is the median of all the others.
+    If there are no more than three numbers it is the median of all the others.
     """
     if not values.size:
         return values
@@ -268,11 +267,11 @@ class CaseFiles:
     data: Mapping[str, Any]
 
     def position(self, name: str, label: str, value: float) -> str:
-        """The position of a number of the input `name`; the name where no file has it.
+        """The position of a number of the input `name`; the name if no file has it.
 
         Of the cells that contain the number, or have the key's name, it is the one whose key,
-        column and row share the largest number of terms with the input's name and label. Annual
-        rates of a file are continuous in the records of some cases.
+        column and row share the largest number of terms with the input's name and label. Some cases
+        convert the annual rates of a file to continuous ones.
         """
         terms, last = _terms(name), _terms(name.rpartition(".")[2])
         written = (value, math.expm1(value) if abs(value) < 100 else value)
@@ -337,7 +336,7 @@ def _equal(value: float, written: tuple[float, ...]) -> bool:
 
 
 def _rows(cell: Cell, label: str) -> int:
-    """How many texts of the cell's row, or of its key, are in the label of a number."""
+    """The number of texts of the cell's row, or of its key, that a number's label contains."""
     inside = _terms(label)
     return sum(
         bool(text) and (label.startswith(text) or _terms(text) <= inside or f"{text}y" == label)

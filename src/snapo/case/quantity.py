@@ -39,7 +39,7 @@ class Quantity:
     - `unit`: a key of the same table in braces is replaced by its value.
     - `range`: the numbers allowed; `limits`: the possible numbers, any other is refused as a
       mistake; `plausible`: the usual numbers, for any other a note asks for the unit.
-    - `group`, `move`, `display_unit`, `display_factor`, `bump`: as of an `Input`; `meaning`: its
+    - `group`, `move`, `display_unit`, `display_factor`, `bump`: as in an `Input`; `meaning`: its
       words.
     - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the
       numbers; `before`: the number that applies before the first row.
@@ -64,7 +64,7 @@ class Quantity:
     name: str = ""
 
     def __call__(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
-        """A field of a `Table` with this meaning, required where there is no default."""
+        """A field of a `Table` with this meaning, required if there is no default."""
         return declared(replace(self, meaning=meaning, **changes), default)
 
     @property
@@ -75,7 +75,7 @@ class Quantity:
 
     @property
     def title(self) -> str:
-        """The meaning with the unit, in which names of other keys replace their values."""
+        """The meaning with the unit, in which the names of other keys stand for their values."""
         return self.meaning + f", in {self.unit.format_map(_Values())}" * (self.unit != "1")
 
     def read(self, raw: Any, key: "KeyContext") -> CaseInput | None:
@@ -105,7 +105,7 @@ class Quantity:
     def input(
         self, name: str, values: Any, labels: Sequence[str] = ("",), **more: Any
     ) -> CaseInput:
-        """Numbers with everything that is known of them."""
+        """Numbers with all their metadata."""
         values = np.asarray(values, np.float64)
         more.setdefault("index", np.array(0) if tuple(labels) == ("",) else np.arange(len(values)))
         about = {
@@ -181,7 +181,7 @@ ReadKey = Callable[[Any, KeyContext], Any]
 
 
 class Custom(NamedTuple):
-    """A field that is read by a function; `types`: those of the values, for a JSON schema."""
+    """A field that is read by a function; `types`: the types of its values, for a JSON schema."""
 
     read: ReadKey
     types: tuple[str, ...]
@@ -236,7 +236,7 @@ def on_dates(table: CaseTable, days: Sequence[date], notes: list[str]) -> dict[s
 
 
 def stacked(name: str, parts: Sequence[CaseInput]) -> CaseInput:
-    """Several of the same quantity as one, index [..., len(parts)]; several are numbered from 1."""
+    """Several of one quantity as one input, index [..., len(parts)]; they are numbered from 1."""
     starts = np.cumsum([0, *(len(part.values) for part in parts)])
     prefixes = [f"{i} " if len(parts) > 1 else "" for i in range(1, len(parts) + 1)]
     return replace(
@@ -251,7 +251,7 @@ def stacked(name: str, parts: Sequence[CaseInput]) -> CaseInput:
 
 
 def numbers_in(record: Any) -> Iterator[CaseInput]:
-    """All numbers in a record, in the records within it and in their tuples; no empty ones."""
+    """All numbers in a record, in the records within it and in their tuples, without empty ones."""
     if isinstance(record, CaseInput):
         if record.values.size:
             yield record

@@ -54,10 +54,9 @@ class ReportTable(CaseTable):
 
 
 def logo(folder: Path, name: str) -> str:
-    """A picture next to a case as the address of an image, which holds all of it.
+    """A picture next to a case as the address of an image, which contains the whole picture.
 
-    **Raises:** `OSError`, and `ValueError` if it is no picture, too large, or not only a
-    picture.
+    **Raises:** `OSError`, and `ValueError` if it is not only a picture, or too large.
     """
     if not name or Path(name).name != name or "\\" in name:
         raise ValueError("a path is not a file next to the case")

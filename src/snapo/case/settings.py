@@ -75,7 +75,7 @@ class TrainingTable(CaseTable):
 class FollowingTable(TrainingTable):
     """`[training]` of a plant or of a user-defined simulator: six keys are chosen from the problem.
 
-    They do so where they are left out, as in `snapo.Training`.
+    This applies to omitted keys, as in `snapo.Training`.
     """
 
 
@@ -87,7 +87,7 @@ class FollowingTable(TrainingTable):
 class FittedTable(TrainingTable):
     """`[training]` of an energy contract, whose policy begins from a fitted value.
 
-    Where that value is fitted to all risks of the prices and the objective is a mean, a few small
+    If that value is fitted to all risks of the prices and the objective is a mean, a few small
     steps test whether training gains anything over it.
     """
 
@@ -150,7 +150,7 @@ def read_objective(
 ) -> ObjectiveTable:
     """Reads the table `name`, and checks that the keys are those of its kind.
 
-    Keys in `optional` may be left out where other domains need them.
+    Keys in `optional` may be omitted, although other domains require them.
     """
     objective = parse(ObjectiveTable, data, file, name)
     kind = objective.kind

@@ -29,11 +29,11 @@ TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 
 class Range(NamedTuple):
-    """The numbers from `low` to `high`; its text is in messages and in the documentation.
+    """The numbers from `low` to `high`; messages and documentation show its text.
 
-    - `endpoints`: "[)" where the upper end is not part of it, "(]" the lower, "()" neither.
+    - `endpoints`: "[)" if the upper endpoint is excluded, "(]" the lower one, "()" both.
     - `note`: text that follows, such as ": the mean of ln S".
-    - `noun`: of one of its numbers; "" is "a number", of integers "a whole number".
+    - `noun`: for one of its numbers; "" is "a number", for integers "a whole number".
     """
 
     low: float = -math.inf
@@ -43,7 +43,7 @@ class Range(NamedTuple):
     noun: str = ""
 
     def contains(self, number: float) -> bool:
-        """Whether a number is in the range; NaN is not."""
+        """Whether a number is in the range (NaN is not)."""
         above = self.low < number if self.endpoints[0] == "(" else self.low <= number
         return above and (number < self.high if self.endpoints[1] == ")" else number <= self.high)
 
@@ -115,7 +115,7 @@ class TableContext:
         return CaseError(str(self.file), f"{self.name}.{key}", value, allowed)
 
     def nested(self, table: "type[AnyTable]", data: Any, key: str) -> "AnyTable":
-        """The table in this one that `key` names, checked as by `parse`."""
+        """The table `key` within this one, checked as by `parse`."""
         return parse(table, data, str(self.file), f"{self.name}.{key}", self.notes)
 
 
@@ -127,7 +127,7 @@ def keys_of(name: str) -> tuple[str | int, ...]:
 
 def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
     """The values of a type as text: a number of a `Range`, one of a few texts, or one of several
-    such types; None for any other."""
+    such types; None for another type."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return allowed_text(parts[0], parts[1:])
@@ -148,9 +148,9 @@ def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
 
 
 def doc(meaning: str, default: Any = ..., allowed: str = "", **more: Any) -> Any:
-    """A field of a `CaseTable` with its meaning, required where there is no default.
+    """A field of a `CaseTable` with its meaning, required if it has no default.
 
-    `allowed`: its values as text, where its type does not state them; `more`: as of a
+    `allowed`: its values as text, if its type does not state them; `more`: as for
     `pydantic.Field`.
     """
     return Field(default, title=meaning, **({"description": allowed} if allowed else {}), **more)
@@ -261,7 +261,7 @@ _tables_read: ContextVar[list[TableRead] | None] = ContextVar("tables read", def
 
 @contextmanager
 def recorded_tables() -> Iterator[list[TableRead]]:
-    """Collects every table that is checked inside of it."""
+    """Collects every table that is checked within the context."""
     tables: list[TableRead] = []
     before = _tables_read.set(tables)
     try:
@@ -298,7 +298,7 @@ def parse(
 ) -> AnyTable:
     """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes.
 
-    `notes`, `path`: as of a `TableContext`, for the readers of its keys.
+    `notes`, `path`: as for a `TableContext`, for the readers of its keys.
     """
     if (tables := _tables_read.get()) is not None:
         fields = {field.alias or key: field for key, field in table.model_fields.items()}

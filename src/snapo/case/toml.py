@@ -1,5 +1,5 @@
-"""Writes the tables of a case as TOML, a format that Python reads and does not write; and explains
-dates and times in it that do not exist, which Python's reader refuses without a reason.
+"""Writes the tables of a case as TOML, which Python can read but not write. It also explains dates
+and times that do not exist, which Python's reader refuses without a reason.
 """
 
 import calendar
@@ -29,12 +29,12 @@ def to_toml(data: Mapping[str, Any]) -> str:
 
 
 def one_value(value: Any) -> str:
-    """One value as TOML writes it behind a key; a table is an inline one."""
+    """One value as TOML writes it after a key; a table is written inline."""
     return _value(value)
 
 
 def impossible_moment(text: str) -> tuple[str, str] | None:
-    """The first date or time in values of TOML that is not one, and why; None if all are."""
+    """The first impossible date or time in values of TOML, and the reason; None if all exist."""
     bare = NO_VALUE.sub(lambda match: " " * len(match[0]), text)
     for match in MOMENT.finditer(bare):
         try:
@@ -48,7 +48,7 @@ def impossible_moment(text: str) -> tuple[str, str] | None:
 
 
 def _fault(match: re.Match) -> str:
-    """Why a date or time does not exist; "" if it is only written in another way."""
+    """The reason why a date or time does not exist; "" if it is only written in another way."""
     year, month, day = (int(part or 1) for part in match.group(1, 2, 3))
     if not year:
         return "there is no year 0000"

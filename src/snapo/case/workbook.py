@@ -1,4 +1,4 @@
-"""A workbook as the case that it holds: its sheets as TOML and CSV files in a folder next to it.
+"""A workbook as the case that it contains: its sheets as TOML and CSV files in a folder next to it.
 
 Formulas are read as the values that the spreadsheet program stored, and never evaluated.
 """
@@ -31,7 +31,7 @@ class Unreadable(ValueError):
 
 
 def lines(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-    """(key, value, "" or "TOML") of all plain values; a list or an odd value is TOML text."""
+    """(key, value, "" or "TOML") of all plain values; a list or any other value is TOML text."""
     for key, value in data.items():
         yield from _lines(_quoted(key), value)
 
@@ -54,7 +54,7 @@ def _quoted(key: str) -> str:
 
 
 def is_kept(number: float) -> bool:
-    """Whether a number is exact with sixteen digits, which is what openpyxl writes."""
+    """Whether a number is exact with sixteen digits, the number of digits that openpyxl writes."""
     return float(f"{number:.16g}") == number
 
 
@@ -135,8 +135,8 @@ NOTE = re.compile(r"(?:# )?([\w-]+) = [^#]*# (.+)")
 def write_workbook(folder: Path, data: Mapping[str, Any], file: Path) -> None:
     """Writes the tables `data` of a case, and the CSV files in its folder, to a workbook.
 
-    Keys at the top are on the sheet "case", each table has a sheet with its name, and each CSV
-    one of its file's name. Comments of case.toml are notes next to the keys.
+    Keys at the top are on the sheet "case", each table has a sheet with its name, and each CSV a
+    sheet with the name of its file. Comments of case.toml are notes next to the keys.
 
     **Raises:** `CaseError` if openpyxl is missing.
     """
@@ -236,7 +236,7 @@ BESIDE = (".npy", ".parquet", ".py")  # files of a case that no sheet can hold
 def unpacked(file: Path) -> Path:
     """The folder with case.toml and the CSVs of a workbook, written next to it with its name.
 
-    **Raises:** `CaseError` if openpyxl is missing, the file is no workbook, or a sheet cannot be
+    **Raises:** `CaseError` if openpyxl is missing, the file is not a workbook, or a sheet cannot be
     read; it names sheet and line.
     """
     book = _book(file)

@@ -1,9 +1,9 @@
 """Every input's adjoint against central differences, on the same few paths, with decisions held
 fixed.
 
-In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
-a few of them separately. An input without effect under the random policy is tested at low, middle
-or high actions. Inputs that move no path (`in_mean`) are not tested here.
+It is done in float64 with smooth limits. All numbers of an input are bumped together with random
+signs, and a few of them separately. An input without effect under the random policy is tested at
+low, middle or high actions. Inputs that change no single path (`in_mean`) are not tested here.
 """
 
 from dataclasses import replace
@@ -32,7 +32,7 @@ NOT_DIFFERENTIABLE = (
 def locate(notes: Notes, simulator: Simulator, run: CheckedRollout) -> NoReturn:
     """Names the method and step at which a derivative is non-finite, and stops.
 
-    The reverse sweep starts at the end, so the last bad step is the one met first.
+    The reverse sweep starts at the end, so it meets the last bad step first.
     """
     constants, T, N = run.schedule.constants, simulator.horizon, run.draws.size
 
@@ -99,7 +99,7 @@ ENTRIES = 3  # numbers of one input that are bumped separately, besides all of t
 def bumped(
     notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[CheckedRollout], seed: int
 ) -> None:
-    """Every input: the adjoint against central differences, decisions and paths held."""
+    """Compares the adjoint of every input with central differences, decisions held fixed."""
     gradients: list[dict[str, np.ndarray]] = []
 
     def gradient(k: int, name: str) -> np.ndarray:

@@ -46,8 +46,8 @@ _faultless: OrderedDict[Hashable, Shapes] = OrderedDict()  # by form, of snapo's
 
 def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
     """Mistakes of a simulator and its inputs: declarations, shapes, slices, indices, tables, loops
-    and numbers drawn in Python. It never raises, and takes tenths of a second; `snapo.check` looks
-    at much more.
+    and numbers drawn in Python. It never raises, and takes tenths of a second; `snapo.check`
+    examines much more.
     """
 
     def look(notes: Notes) -> None:
@@ -125,8 +125,8 @@ def _decides(notes: Notes, problem: Problem, policy: Policy, features: int) -> N
 
 
 def both_precisions(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
-    """Rolls two of the paths in float32, as training does, then all in float64, as evaluation does,
-    whose program `reached` takes again."""
+    """Simulates two paths in float32, as training does, then all in float64, as evaluation does;
+    `reached` uses the latter program again."""
     two = Stored(run.draws.initial_noise[:2], run.draws.step_noise[:, :2])  # pyright: ignore
     halves = {name: np.full(2, 0.5) for name in run.totals}
     calls = (Xla(precision="float32"), two, halves), (ENGINE, run.draws, run.each_output())
@@ -160,7 +160,7 @@ def check(
     - `problem`: a `Problem`, or a simulator followed by its `inputs`, with `objective`, `scenarios`
       and `constraints` as keywords.
     - `scenarios`: by default standard normals; `Supplied` for any other noise.
-    - `paths`, `temperature`: of the rollouts, whose limits are smooth.
+    - `paths`, `temperature`: those of the rollouts, whose limits are smooth.
     """
     simulator: Any = problem
     if isinstance(problem, Problem):

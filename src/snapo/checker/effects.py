@@ -20,7 +20,7 @@ RIGHTS = 3  # of a `Stop`, at most: every right takes a rollout
 def used(notes: Notes, simulator: Simulator, runs: list[CheckedRollout], seed: int) -> list[int]:
     """The components of the action that change an output in any of the runs.
 
-    Components of the action or of the noise without effect in any run are findings.
+    Components of the action or the noise that have no effect in any run are findings.
     """
     moving = []
     fresh = _fresh_actions(simulator, runs[0], seed)
@@ -109,8 +109,8 @@ def reached(
 
 
 def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
-    """Whether a `Stop` is used up: if all steps stop, only as many count as there are rights, so
-    that at least one of one more group of steps has no effect."""
+    """Whether a `Stop` is used up: if all steps stop, only as many of them count as there are
+    rights, so that of a group with one step more at least one has no effect."""
     action = simulator.action
     if not isinstance(action, Stop) or action.rights > min(RIGHTS, len(run.actions) - 1):
         return

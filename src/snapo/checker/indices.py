@@ -1,5 +1,5 @@
-"""Indices out of range, those of every path and those that depend on the path; slices and tables
-that are shorter than the horizon needs.
+"""Indices out of range, whether they are the same on all paths or depend on the path; slices and
+tables that are shorter than the horizon needs.
 """
 
 import sys
@@ -37,7 +37,7 @@ class Beyond(NamedTuple):
 
 
 def within(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
-    """Every known index of every method is within its array; stops at errors."""
+    """Checks that every constant index of every method is within its array; stops at errors."""
     with jax.enable_x64(True):
         for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
             with notes.during(method.name):
@@ -172,7 +172,7 @@ FEW = 32  # points outside at which the entry that is read is looked at
 
 
 def moving_indices(notes: Notes, points: SamplePoints) -> None:
-    """Reads past an end that move a result, and writes past it, which JAX drops."""
+    """Reads outside an array that affect a result, and writes outside it, which JAX drops."""
     recorder, reported = points.recorder, set()
     if not recorder.reads:
         return
@@ -234,7 +234,7 @@ def _write(notes: Notes, method: str, site: CodeSite, message: str) -> None:
 
 
 class Short(NamedTuple):
-    """A slice, the length of the axis that it is taken of, and its line."""
+    """A slice, the length of the axis that it is taken from, and its line."""
 
     requested: str
     length: int
@@ -242,7 +242,7 @@ class Short(NamedTuple):
 
 
 def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
-    """Every slice of every method is within its array."""
+    """Checks that every slice of every method is within its array."""
     with jax.enable_x64(True):
         for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
             with notes.during(method.name), _asked() as result:
@@ -326,7 +326,7 @@ class TraceTable(NamedTuple):
 
 
 def tables(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
-    """Every method as training traces it, and then as evaluation does; stops at errors."""
+    """Checks every method as training traces it, then as evaluation does; stops at errors."""
     # JAX keeps a table's conversion as long as a program holds it, as compiled ones do.
     selected: list[Any] = []
     for precision in ("float32", "float64", "float32"):

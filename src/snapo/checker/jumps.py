@@ -19,14 +19,14 @@ FLAG = 3  # a state with at most this number of values, all whole, is a flag, wh
 
 
 class Jump(NamedTuple):
-    """The result that jumps, and by how much."""
+    """The result that jumps, and the size of the jump."""
 
     name: str
     size: float
 
 
 def jumps(notes: Notes, points: SamplePoints) -> None:
-    """Comparisons of a step or an end that make an output or the state jump, as warnings."""
+    """Comparisons in `step` or `terminal` that make an output or the state jump, as warnings."""
     recorder, reported = points.recorder, set()
     candidates = [
         k

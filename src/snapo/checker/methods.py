@@ -1,4 +1,4 @@
-"""The methods of a simulator with numbers to call them by, and the lines that they consist of."""
+"""The methods of a simulator with arguments to call them with, and their lines of code."""
 
 import linecache
 import os
@@ -24,7 +24,7 @@ _LIBRARIES = f"{os.sep}site-packages{os.sep}"
 
 
 class Method(NamedTuple):
-    """A method as a function of `arguments`, by name in its order."""
+    """A method as a function of `arguments`, by name, in the order of the method."""
 
     name: str
     function: Callable[..., Any]
@@ -115,9 +115,9 @@ def line_of(eqn) -> CodeLine | None:
 
 
 def said_by_user(eqn) -> bool:
-    """Whether a read is `x.at[index].get(mode=…)`, which defines reads outside of `x`. With
+    """Whether a read is `x.at[index].get(mode=…)`, which defines reads outside of `x`.
 
-    mode="clip" JAX's program is that of x[index].
+    With mode="clip", JAX's program is that of x[index].
     """
     traceback = eqn.source_info.traceback
     codes = traceback.raw_frames()[0] if traceback else []

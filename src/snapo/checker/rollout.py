@@ -58,8 +58,7 @@ class CheckedRollout(eqx.Module):
         }
 
     def values(self, simulator, held: bool = True, **changes) -> dict[str, Any]:
-        """Totals with something changed, the decisions held fixed or those of the policy on the
-        way."""
+        """Totals after a change, with the decisions held fixed or those of the policy."""
         values = {"schedule": self.schedule, "draws": self.draws, "actions": self.actions} | changes
         return ENGINE.values(
             simulator,
@@ -78,7 +77,7 @@ class CheckedRollout(eqx.Module):
         return EPSILONS * float(max((np.abs(leaf).max(initial=0.0) for leaf in finite), default=0))
 
     def same(self, one: dict[str, Any], other: dict[str, Any]) -> bool:
-        """Whether totals are equal but for rounding: they come from two compiled programs."""
+        """Whether totals of two compiled programs are equal up to rounding."""
         rounding = self.rounding()
 
         def equal(mine: np.ndarray, theirs: np.ndarray) -> bool:
@@ -97,7 +96,7 @@ def rollouts(
 ) -> list[CheckedRollout]:
     """The random policy's rollout, then those near low, middle and high actions that are finite.
 
-    The first non-finite number of the random one is an error.
+    The first non-finite number of the random policy is an error.
     """
     rng = np.random.default_rng(seed)
     T, K, size = simulator.horizon, simulator.noise_size, simulator.action.size

@@ -219,7 +219,7 @@ def unknown_outputs(
 ) -> Iterator[Unknown]:
     """Every named output that does not exist, and every object that is not an objective or limit.
 
-    None is an objective that is not known yet.
+    None is an objective that is not known yet, and is accepted.
     """
     if objective is None:
         pass

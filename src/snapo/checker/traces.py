@@ -84,7 +84,7 @@ def _filled(function: Callable, argument: PyTree) -> tuple[Callable, PyTree]:
 def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
     """`jax.lax.while_loop`, and `fori_loop` between numbers that JAX traces, as errors.
 
-    One without derivatives, such as a loop over whole numbers, is allowed.
+    A loop without derivatives, such as one over whole numbers, is allowed.
     """
     with jax.enable_x64(True):
         made = preparation(simulator, inputs)
@@ -144,7 +144,7 @@ def _differentiable(method: Method) -> bool:
 
 
 def lost_derivatives(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
-    """Inputs that are rounded or compared on their only way to the outputs, as warnings."""
+    """Inputs that affect the outputs only through rounding or comparisons, as warnings."""
     right = in_mean(simulator, inputs)
     for name, equations in lost(simulator, inputs).items():
         if name in right:

@@ -29,8 +29,8 @@ KNOWN, GIVEN, TAINTED = range(3)
 
 
 class CodeSite(NamedTuple):
-    """An equation that is watched: its primitive, its line, and of every axis that it indexes the
-    length and the size of a part."""
+    """An equation that is watched: its primitive, its line, and the length and the slice size of
+    every axis that it indexes."""
 
     kind: str
     line: CodeLine | None
@@ -43,7 +43,7 @@ class CodeSite(NamedTuple):
 
 class Observed(NamedTuple):
     """Numbers of one call: its results, the truth of every comparison, and for every read the first
-    index that is out of range (0 if none is), its axis and whether there is one."""
+    index that is out of range (0 if none is), its axis, and whether there is such an index."""
 
     results: list[Any]
     truths: list[Any]
@@ -51,8 +51,8 @@ class Observed(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A change of one site: a comparison has `truths`, a read outside is moved by `shift` times
-    its size and one more. `comparison` and `read` are the sites' numbers, or `NONE`."""
+    """A change of one site: a comparison has `truths`, a read out of range is moved by `shift`
+    times its size plus one. `comparison` and `read` are the sites' numbers, or `NONE`."""
 
     comparison: Any
     truths: Any
@@ -61,10 +61,10 @@ class Change(NamedTuple):
 
 
 class Watched:
-    """A program whose floating comparisons and reads by index are seen, and can be changed.
+    """A program whose floating-point comparisons and indexed reads are recorded and can be changed.
 
-    `tainted`: for each argument, whether decisions or inputs move it: only comparisons of such
-    numbers are sites.
+    `tainted`: for each argument, whether it depends on decisions or inputs: only comparisons of
+    such numbers are sites.
     """
 
     def __init__(self, closed, tainted: Sequence[bool]):
@@ -77,7 +77,7 @@ class Watched:
         return self(arguments, None)
 
     def nothing(self, many: int) -> Change:
-        """No change, at this number of points."""
+        """A change of no site, for this number of points."""
         truths = [np.zeros((many, *x.shape), bool) for x in self.shapes.truths]
         return Change(np.int32(NONE), truths, np.int32(NONE), np.float64(0))
 
@@ -197,13 +197,13 @@ def _first_outside(index: Array, ranges: list[tuple[int, int]]) -> tuple[Array, 
 
 
 def tainted_by(function: Callable[..., Any], *arguments) -> list[bool]:
-    """Which results of a function depend on its arguments."""
+    """Whether each result of a function depends on its arguments."""
     closed = jax.make_jaxpr(function)(*arguments)
     return tainted_results(closed.jaxpr, [True] * len(closed.jaxpr.invars))
 
 
 def tainted_results(jaxpr, tainted: Sequence[bool]) -> list[bool]:
-    """Which results of a program depend on its tainted arguments."""
+    """Whether each result of a program depends on its tainted arguments."""
     marks = dict(zip(jaxpr.invars, tainted))
 
     def marked(atom):

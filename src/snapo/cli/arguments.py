@@ -1,6 +1,6 @@
-"""Texts of the command line as the values of options; a wrong one is refused.
+"""Converts texts of the command line to the values of options, and refuses invalid ones.
 
-Then the arguments of commands on past prices and on runs, and of `schema`, `cache`, `completion`.
+Also the arguments of commands on past prices and on runs, and of `schema`, `cache`, `completion`.
 """
 
 import argparse

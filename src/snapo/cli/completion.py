@@ -1,4 +1,4 @@
-"""Completion outside of snapo: commands in a shell, the keys of a case in an editor.
+"""Completion in other programs: commands in a shell, the keys of a case in an editor.
 
 `snapo completion SHELL` prints a script for the shell, made from the arguments of the command, and
 `snapo schema KIND` the JSON schema of a kind of case, made from the tables of its reader. Ranges,

@@ -37,10 +37,10 @@ def export(
 ) -> dict[str, Path]:
     """Writes the policy of a run into its folder; returns the files by form.
 
-    - `onnx`: policy.onnx; `python`: policy.py, for NumPy alone; `table`: policy.csv, the decisions
-      at observations of the first paths of the value.
+    - `onnx`: policy.onnx; `python`: policy.py, which needs only NumPy; `table`: policy.csv, the
+      decisions at observations of the first paths of the value.
 
-    **Raises:** `CaseError` if there is no run or it has no policy, no form is named, a package
+    **Raises:** `CaseError` if there is no run or it has no policy, no form is specified, a package
     is missing, or the policy cannot be exported.
     """
     run = folder_of(run)
@@ -95,8 +95,8 @@ def _setup(run: Path, record: dict, simulator: tuple[str, str] | None) -> Setup:
 def decisions_on_paths(problem: Problem, policy: Policy) -> tuple[list[str], list[tuple]]:
     """Names and rows of a table: path, step, numbers of the state, observation, decision.
 
-    On all steps of the first paths of the evaluation. The observation of a policy with a memory
-    ends with the memory, and its decision with the next one.
+    The rows are all steps of the first paths of the evaluation. The observation of a policy with a
+    memory ends with the memory, and its decision with the next one.
     """
     size, problem = problem.action.size, remembering(problem, policy)
     simulator, source = problem.simulator, problem.sources.evaluation

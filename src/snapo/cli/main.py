@@ -1,4 +1,4 @@
-"""`snapo`: reads the arguments; imports neither NumPy nor JAX before there is work to do."""
+"""`snapo`: reads the arguments; imports NumPy and JAX only when they are needed."""
 
 import argparse
 import json

@@ -82,7 +82,7 @@ def with_memory(
 
 
 def values_without(simulator: Simulator, used: Simulator, rollout: Rollout) -> Rollout:
-    """The result of a sweep without the memory that `used` has and `simulator` has not."""
+    """The result of a sweep without the memory that `used` has and `simulator` does not have."""
     if used is simulator or not isinstance(used, Remembering):
         return rollout
     record = dict(rollout.record)

@@ -22,7 +22,7 @@ from snapo.problem.simulator import Around, Schedule, Simulator
 
 
 class Uncontrolled(Around):
-    """A simulator without the outputs `left_out`, which serve only as control variates."""
+    """A simulator without the outputs `left_out`, which are used only as control variates."""
 
     left_out: tuple[str, ...] = eqx.field(static=True)
 
@@ -49,7 +49,7 @@ def uncontrolled(simulator: Simulator, outputs: tuple[str, ...]) -> Simulator:
 class Window(NamedTuple):
     """Steps `first` … `first + length - 1`.
 
-    `terminal`: whether the simulator's `terminal` counts; None: where the window reaches the end.
+    `terminal`: whether the simulator's `terminal` counts; None: if the window reaches the end.
     """
 
     first: int
@@ -98,7 +98,7 @@ class Clip:
     """Limits and shrinks the adjoint of each path at every backward step, in training only.
 
     - `norm`: the adjoint of the state, times the simulator's `state_scale`, may have a norm of at
-      most this times the path's weight: it has the same meaning for any number of paths.
+      most this times the path's weight: so that it has the same meaning for any number of paths.
     - `keep`: the share of the adjoint that is passed from one step to the previous one, 0 to 1. An
       outcome k steps after a decision then counts keep^k in its derivative, like a discount factor;
       outputs of `terminal` count as part of the last step.
@@ -130,7 +130,7 @@ class Clip:
 
 
 def factor_of(norm, limit: Float[Array, " 2"]):
-    """The factor for an adjoint of this norm: the share kept, or less where the bound applies."""
+    """The factor for an adjoint of this norm: the share kept, or less if the bound applies."""
     return jnp.minimum(limit[1], limit[0] / norm)
 
 
@@ -190,7 +190,7 @@ class Engine(abc.ABC):
         """This engine bound to the simulator and the schedule of a problem.
 
         `controls`: whether outputs that are only control variates are computed too; `simplest`:
-        whether policies are valued as their `simplest` ones: in training all have one form.
+        whether policies are valued as their `simplest` ones (not in training).
         """
         simulator, outputs = problem.simulator.on_paths(), problem.objective.outputs
         simulator = simulator if controls else uncontrolled(simulator, outputs)
@@ -340,7 +340,7 @@ def checked(
 
 
 def check_actions(simulator: Simulator, policy, actions) -> None:
-    """Either a policy or recorded actions decide."""
+    """Checks that either a policy or recorded actions decide."""
     if policy is None and actions is None:
         raise ValueError(
             "engine: neither a policy nor actions were specified; one of them is needed."

@@ -1,4 +1,4 @@
-"""Which engine runs a problem, and why."""
+"""Chooses the engine that runs a problem, with the reason."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,7 +27,7 @@ class Engines(NamedTuple):
     reason: str
 
     def over(self, workers: Workers) -> "Engines":
-        """These engines, with workers that compute groups of paths where that saves time.
+        """These engines, with workers that compute groups of paths if that saves time.
 
         **Raises:** `ValueError` for other engines than the native one.
         """
@@ -41,7 +41,7 @@ class Engines(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Why workers were not used in training, if there are some."""
+        """The reason why workers were not used in training, if there are some."""
         distributed = self.train.distributed if isinstance(self.train, Native) else None
         return (distributed.note,) if distributed is not None and distributed.note else ()
 
@@ -52,13 +52,13 @@ EngineName = str | Engine | Engines
 def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The requested engines: by name, as one engine, or as a pair that was chosen before.
 
-    "auto" takes the native engine where it can run this problem, even if there is a GPU: its
+    "auto" takes the native engine if it can run this problem, even if there is a GPU: its
     gradient of 512 paths takes a tenth of the time, and a GPU is faster only from about 20,000
     paths (`python -m benchmarks.gpu`). One engine trains in float32 and evaluates in float64,
     independently of its precision.
 
-    **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem, or
-    nothing at all if llvmlite is not installed.
+    **Raises:** `ValueError` for an unknown name, or if "native" cannot run this problem, or cannot
+    run at all because llvmlite is missing.
     """
     if isinstance(requested, Engines):
         return requested

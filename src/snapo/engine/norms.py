@@ -41,9 +41,9 @@ def adjoint_norms(
 ) -> Norms:
     """Norm of each path's adjoint at every step, of the whole state and of its leaves.
 
-    The adjoint of sum(weights x totals), times the simulator's `state_scale`, by the path's largest
-    weight: the number that `Clip` bounds. By XLA. With a memory the horizon is divided into parts
-    of this number of steps, and no adjoint passes from one to the part before it.
+    The adjoint of sum(weights x totals), times the simulator's `state_scale`, divided by the path's
+    largest weight: the number that `Clip` bounds. By XLA. With a memory the horizon is divided into
+    parts of this number of steps, and no adjoint passes from one part to the part before it.
     """
     engine = Xla("float32")
     # A step may take a minute to compile: multiples of a block share one kernel.
@@ -123,7 +123,7 @@ def _of_path(engine: Xla, call: XlaCall, draws, weights: dict[str, Array], memor
 
 
 def _places(state: PyTree, dtype) -> list[tuple[str, int, int]]:
-    """Where each leaf of real numbers lies in the packed state: its name, first and last place."""
+    """Each leaf of real numbers in the packed state: its name, first and last place."""
     rows, first = [], 0
     for path, leaf in jax.tree.leaves_with_path(state):
         if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating):

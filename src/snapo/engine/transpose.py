@@ -1,4 +1,4 @@
-"""From derivatives with respect to the schedule to those with respect to the inputs."""
+"""Derivatives with respect to the inputs, from the derivatives with respect to the schedule."""
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -22,7 +22,7 @@ LARGE = 2**20  # numbers of a leaf, whose zeros as a cotangent are made where th
 def pull_back(
     simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
 ) -> dict[str, np.ndarray]:
-    """Carries derivatives at the schedule on to the inputs: {name: [len(schedules), *shape]}.
+    """Transforms derivatives from the schedule to the inputs: {name: [len(schedules), *shape]}.
 
     The transpose of `prepare`.
     """

@@ -1,8 +1,8 @@
 """Sends jobs to executors and collects their results; a job that is lost is sent again.
 
-Anything with `submit` serves: `concurrent.futures`, Dask's `Client.get_executor(pure=False)`,
-Parsl, mpi4py. On one machine every worker is a pool of one process, so that a process that dies
-loses one job only, and the job that killed it is known.
+Any object with `submit` can be used: `concurrent.futures`, Dask's
+`Client.get_executor(pure=False)`, Parsl, mpi4py. On one machine every worker is a pool of one
+process, so that a process that dies loses one job only, and the job that killed it is known.
 """
 
 from collections import Counter, deque
@@ -35,10 +35,10 @@ class Submits(Protocol):
 
 @dataclass(frozen=True)
 class WorkerPool:
-    """Where jobs are computed.
+    """The place where jobs are computed.
 
-    - `make`: a new executor, at the beginning and where one broke.
-    - `waiting`: how many jobs it has in work or before it at most; `parallel`: in work.
+    - `make`: creates an executor, at the start and after a failure.
+    - `waiting`: the maximum number of jobs in work or queued; `parallel`: in work.
     - `close`: leaves the cluster.
     """
 
@@ -49,7 +49,7 @@ class WorkerPool:
 
     @classmethod
     def of(cls, executor: Executor | Submits, waiting: int = 2) -> "WorkerPool":
-        """An executor that cannot be made again."""
+        """An executor that cannot be created again."""
         parallel = getattr(executor, "_max_workers", PARALLEL)
         return cls(lambda: executor, max(waiting, parallel), parallel=parallel)
 
@@ -61,7 +61,7 @@ class Lost(NamedTuple):
 
 
 class _Worker:
-    """An executor that is made again where it broke; `broken`: where it cannot be."""
+    """An executor that is created again if it breaks; `broken`: if that is impossible."""
 
     def __init__(self, pool: WorkerPool):
         self.pool, self.busy, self.broken = pool, 0, False
@@ -94,7 +94,7 @@ Flight = dict["Future[bytes]", tuple[_Worker, bytes]]
 class Workers:
     """The executors of some pools, for one series of jobs after another.
 
-    - `parallel`: how many jobs they compute at once.
+    - `parallel`: the number of jobs that they compute at once.
     """
 
     def __init__(self, pools: Sequence[WorkerPool]):
@@ -116,8 +116,8 @@ class Workers:
 
         - `next_job`: the next job, None if there is none until another result has come.
 
-        The result of a job that is lost three times is `Lost`; one that was in the queue of a
-        process when another one broke it has lost nothing.
+        The result of a job that is lost three times is `Lost`; a job that was queued in a process
+        when another job broke it does not count as lost.
         """
         repeated: deque[bytes] = deque()
         losses, refusals = Counter[bytes](), Counter[bytes]()

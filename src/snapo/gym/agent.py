@@ -27,8 +27,8 @@ class Agent:
       `action_space`, or the action set of the problem. By default the set of the policy: the number
       of an option of a `Choice`, a dictionary for a `Product`, else the numbers.
 
-    An agent whose policy remembers keeps the memory of every episode, [N, m] in `memory`; call
-    `reset` where episodes begin. If the number of observations changes, it must be reset.
+    An agent whose policy has a memory keeps the memory of every episode, [N, m] in `memory`; call
+    `reset` when episodes begin. If the number of observations changes, it must be reset.
     """
 
     def __init__(

@@ -58,9 +58,8 @@ class GymDynamics:
     """The exact simulator of a problem in single precision, step by step.
 
     The rewards of a path add up to its share of the objective; those of the terminal state come
-    with the step that ends the problem. With `endless` the horizon is a time limit, after which
-    the problem would continue: a state at which only the horizon ends the path has no terminal
-    rewards.
+    with the step that ends the problem. With `endless` the horizon is a time limit, after which the
+    problem would continue: a state at which only the horizon ends the path has no terminal rewards.
 
     **Raises:** `ValueError` if the objective is not a mean of sums, and so has no reward of a step.
     """
@@ -167,7 +166,7 @@ class Environment(gymnasium.Env):
     - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem
       (`terminated`), and outputs of the terminal state are not paid there. An end by the simulator
       (`over`) terminates in both cases, also at the last step.
-    - `decisions`: the set that its actions are elements of.
+    - `decisions`: the set of its actions.
     """
 
     metadata: ClassVar = {"render_modes": []}
@@ -279,8 +278,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
     """`num_envs` paths of the exact simulator in parallel (see `Environment`).
 
     A path that has ended restarts at its next step, whose action is not used and whose reward
-    is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` holds [N] of every output and, under its
-    name after an underscore, for which paths it counts.
+    is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` has the numbers [N] of every output and,
+    under its name with a leading underscore, the paths [N] for which they count.
     """
 
     def __init__(self, problem: Problem, num_envs: int, endless: bool = False):
@@ -329,8 +328,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         return np.asarray(moved.observation), rewards, ended, late, info | counts
 
     def _moved(self, t, state, actions, noise, repeated):
-        """All paths moved; those to start `repeated` at their initial state, if nothing
-        counts."""
+        """All paths moved; those to start `repeated` at their initial state, if nothing counts."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])
 

@@ -1,7 +1,7 @@
 """Sets of actions as Gymnasium's spaces, and the conversions between both.
 
-Elements of a space come N at a time, as vectorised environments have them: an array [N, …], or of a
-`Dict` one for each name.
+Elements of a space are in groups of N, as in vectorised environments: an array [N, …], or for a
+`Dict` one array for each name.
 """
 
 from collections.abc import Callable

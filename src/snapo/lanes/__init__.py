@@ -12,12 +12,12 @@ in which a function passes through them (imports go from the later to the earlie
     gradients   sums over paths and steps, for arrays that all paths share
     machine     this processor, machine code and its cache on disk, aligned memory, threads
 
-Without llvmlite all rooms but `machine` can be imported and used as far as they need no processor.
+Without llvmlite all packages except `machine` can be imported, and used if they need no processor.
 """
 
 
 class Unsupported(Exception):
-    """A thing that cannot be compiled, with the primitive and the line of user code."""
+    """An operation that cannot be compiled, with the primitive and the line of user code."""
 
 
 # An error while an operation is emitted is a reason to take another engine, no accident.

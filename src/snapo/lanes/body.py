@@ -94,7 +94,7 @@ def regions(ops: list[Op], values: set[ProgramValue]) -> list[Region]:
 
 
 def sink(order: list[Region], readers, values: set[ProgramValue]) -> None:
-    """Moves an operation that only a later loop reads into that loop, past memory."""
+    """Moves an operation that only a later loop reads into that loop, to avoid memory."""
     home = {op: region for region in order for op in region.ops}
     for region in reversed(order):
         if region.shape is None:
@@ -138,7 +138,7 @@ def write(
     requested: list[ProgramValue],
     loose: Container[ProgramValue] = (),
 ) -> None:
-    """Writes all operations, then brings values to their homes.
+    """Writes all operations, then copies values to their homes.
 
     The bits of `loose` values may depend on those around them (see `Code`).
     """
@@ -162,7 +162,7 @@ def write(
 
 
 def single(values: EmittedValues, op: Op) -> None:
-    """One operation, without a loop that it would share."""
+    """Writes one operation that shares no loop."""
     if elementwise.supported(op.name):
         _by_element(values, op)
         return
@@ -190,7 +190,7 @@ def _by_element(values: EmittedValues, op: Op) -> None:
 def loop(values: EmittedValues, region: Region, shape: tuple[int, ...]) -> None:
     """One pass over the elements of equally shaped arrays.
 
-    A dot product that the loop begins with hands over each sum as it leaves its registers,
+    A dot product that the loop begins with passes each sum on in its register,
     unless an array of the loop is stored in another order.
     """
     code = values.code
@@ -233,7 +233,7 @@ def loop(values: EmittedValues, region: Region, shape: tuple[int, ...]) -> None:
 
 
 def interleaved(code: Code, region: Region) -> int:
-    """Elements worked on side by side: one chain of steps would idle the processor."""
+    """The number of elements treated together: one chain of steps would idle the processor."""
     widths = [np.dtype(v.dtype).itemsize for op in region.ops for v in op.outputs]
     value = region.ops[0].outputs[0]
     if not value.path or any(v.dtype == np.bool_ for v in region.stored):

@@ -1,7 +1,7 @@
 """All private names of JAX that the compiler uses, and the releases they were tested with.
 
-JAX promises nothing about them: each release may rename or change one. Outside of the tested
-releases, or where a name is missing, `unavailable` gives the reason and nothing is compiled.
+JAX promises nothing about them: each release may rename or change one. With other releases than
+those tested, or if a name is missing, `unavailable` gives the reason and nothing is compiled.
 """
 
 import re
@@ -69,13 +69,13 @@ def line_of(eqn) -> str:
 
 
 def traceback_of(eqn, caller=None) -> Any:
-    """An equation's traceback, or the caller's where it holds no line of user code."""
+    """An equation's traceback, or the caller's if it contains no line of user code."""
     traceback = eqn.source_info.traceback
     return caller if _found["user_frame"](traceback) is None else traceback
 
 
 def called(eqn) -> Any:
-    """The jaxpr of an equation that only calls it; None of every other equation."""
+    """The jaxpr of an equation that only calls it; None for every other equation."""
     name, params = eqn.primitive.name, eqn.params
     if searched_side(eqn) is not None:
         return None
@@ -88,7 +88,7 @@ def called(eqn) -> Any:
 
 
 def searched_side(eqn) -> str | None:
-    """ "left" or "right" of a `jnp.searchsorted` in one table; None of every other equation."""
+    """ "left" or "right" for a `jnp.searchsorted` in one table; None for every other equation."""
     local = eqn.params.get("_prim")
     name = eqn.params.get("name") if local is None else type(local).__name__
     if name not in _SEARCHES or eqn.invars[0].aval.ndim != 1:
@@ -100,7 +100,7 @@ def searched_side(eqn) -> str | None:
 
 
 def arguments_of_scan(params) -> tuple[int, int]:
-    """How many of a `scan`'s arguments are the same in all rounds, and how many are carried."""
+    """The number of a `scan`'s arguments that are the same in all rounds, and of those carried."""
     if "ft_in" in params:
         fixed, carried, _ = params["ft_in"].unpack()
         return len(list(fixed)), len(list(carried))

@@ -1,4 +1,4 @@
-"""The value as its domain shows it: a fund's certainty equivalent and not its utility."""
+"""The value as its domain shows it, such as a fund's certainty equivalent, not its utility."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

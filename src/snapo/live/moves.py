@@ -1,7 +1,7 @@
 """Moved inputs and choices of a run on the page, with a policy or without, and their files.
 
 Choices are keys of a case with a list of allowed texts, or switches; the table of a key declares
-the list. Every option is tested; one that the case cannot have with its other keys is not offered.
+the list. Every option is tested; an option that contradicts other keys of the case is not offered.
 """
 
 from abc import abstractmethod
@@ -75,7 +75,7 @@ MAX_KEYS, MAX_WORDS = 60, 12
 
 
 def tables(table: Mapping[str, Any], path: Key) -> Iterator[tuple[Key, Mapping[str, Any]]]:
-    """Every table, those in tables and those in rows of tables."""
+    """Every table, including tables in tables and in rows of tables."""
     yield path, table
     for key, value in table.items():
         if isinstance(value, Mapping):
@@ -89,7 +89,7 @@ def tables(table: Mapping[str, Any], path: Key) -> Iterator[tuple[Key, Mapping[s
 class MenuChoice(NamedTuple):
     """A key, its value in the run (or its default), and all allowed values.
 
-    `title`: the key for people, "Granule size: distribution".
+    `title`: the key as text, "Granule size: distribution".
     """
 
     name: str
@@ -175,7 +175,7 @@ NONE: SelectedChoices = {}
 class WhatIf:
     """A run whose inputs can be moved.
 
-    - `study`: the study of the run; `rebuild`: makes that of another case.
+    - `study`: the study of the run; `rebuild`: makes the study of another case.
     - `slopes`: {input: d value / d number, flat}; empty if none are known.
     """
 
@@ -196,7 +196,7 @@ class WhatIf:
         """
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
-        """(name, table) of the tables that can wait until the hand rests, after all of `stages`."""
+        """(name, table) of the tables that can wait until the user stops, after all of `stages`."""
         yield from ()
 
     @cached_property
@@ -245,11 +245,11 @@ class WhatIf:
         """Keys of `[evaluation]` with which `snapo solve` reproduces the page."""
 
     def headline(self, value: float) -> DisplayedValue | None:
-        """A value as the domain shows it, at the inputs that were valued last; None: as it is."""
+        """A value as the domain shows it, at the inputs that were valued last; None: unchanged."""
         return None
 
     def source(self, name: str) -> str:
-        """Where the run's reported derivative comes from; "" if it does not say."""
+        """The source of the run's reported derivative; "" if it is unknown."""
         return ""
 
     def inputs(self) -> list[dict[str, Any]]:

@@ -44,7 +44,7 @@ class AboutRun(NamedTuple):
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
-    """The contents of a run's files: nothing is computed.
+    """Reads the contents of a run's files; nothing is computed.
 
     **Raises:** `CaseError` if there is no run, or one without a policy.
     """

@@ -58,7 +58,7 @@ class WorkerProcess:
             )
 
     def forget(self, page: str) -> None:
-        """A page is gone."""
+        """Records that a page has been closed."""
         self._waiting.pop(page, None)
 
     def _write(self, order: dict[str, Any]) -> None:

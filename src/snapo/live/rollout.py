@@ -33,15 +33,15 @@ class PathCounts(NamedTuple):
 
     @classmethod
     def of(cls, paths: int, deltas: int | None = None) -> "PathCounts":
-        """So many paths for the value, and no more for anything else."""
+        """This number of paths for the value, and at most this number for everything else."""
         return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
 
     @classmethod
     def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
         """As many paths as the value needs, by the error of the run, and at most those of the run.
 
-        `numbers`: the numbers of the trajectory of one path; a wide one has fewer paths, so that an
-        answer comes in time.
+        `numbers`: the size of the trajectory of one path; if it is large there are fewer paths, so
+        that an answer comes in time.
         """
         share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
         needed = min(MAXIMUM, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
@@ -67,7 +67,7 @@ class Simulated(NamedTuple):
 
 
 def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
-    """Every path once, if the bits of totals do not depend on the record; else separately.
+    """Simulates every path once if recording keeps the bits of totals; else totals separately.
 
     The complete trajectory is always recorded: another record would be compiled again.
     """

@@ -136,7 +136,7 @@ KEPT = ("chosen", "policy", "value", "sections", "deltas", "today", "fans")
 
 
 class Refused(ValueError):
-    """Something that the page asked for and does not get; the message has the reason."""
+    """A request of the page that is refused; the message has the reason."""
 
 
 class PageOrder(NamedTuple):
@@ -235,7 +235,7 @@ class SavedScenarios:
     def folder_of(self, result: str) -> Path:
         """The folder of a scenario that exists.
 
-        **Raises:** `Refused` for an invalid id: no path is outside the run.
+        **Raises:** `Refused` for an invalid id, so that no path lies outside the run.
         """
         if result != slug(result) or not (self.folder / result / FILE).is_file():
             raise Refused("there is no such scenario")

@@ -151,7 +151,7 @@ def new_token() -> str:
 
 
 def guard(token: str, port: Callable[[], int]):
-    """The middleware that refuses everybody else, and sends the browser the page's permissions."""
+    """The middleware that refuses other clients, and sends the browser the page's permissions."""
 
     @web.middleware
     async def checked(request: web.Request, handler: Handler) -> web.StreamResponse:

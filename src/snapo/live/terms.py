@@ -47,8 +47,7 @@ def _days(labels: tuple[str, ...]) -> bool:
 
 
 def described(name: str, entry: Input, slope: np.ndarray | None, source: str) -> dict[str, Any]:
-    """An input for the page: its metadata, its numbers, and d value / d number, where
-    that is known."""
+    """An input for the page: its metadata, its numbers, and d value / d number, if known."""
     factor, trade_unit = own_unit(entry)
     return {
         "name": name,
@@ -78,7 +77,7 @@ def own_unit(entry: Input) -> tuple[float, str]:
 def slopes(table: Sensitivities | None, inputs: Mapping[str, Input]) -> dict[str, np.ndarray]:
     """d value / d number of every input, flat: the derivative that the run reports.
 
-    If only the change along a bump of all numbers of an input is known, each has its share.
+    If only the change along a bump of all numbers of an input is known, it is shared among them.
     """
     if table is None:
         return {name: np.zeros(entry.value.size) for name, entry in inputs.items()}
@@ -107,10 +106,11 @@ class Deltas(NamedTuple):
     now: Mapping[str, Estimate]
 
     def along(self, name: str, direction: np.ndarray, by: np.ndarray) -> Interval:
-        """The derivative along a direction of an input, with its 95 % interval; `by`: a bump.
+        """The derivative along a direction of an input, with its 95 % interval; `by`: the bump of
+        the input.
 
-        What the run knows of its policy's error, and of a reaction that held derivatives miss,
-        is that at the run's inputs.
+        The error of the policy, and a reaction that held derivatives miss, are taken from the run,
+        at its own inputs.
         """
         now, before = self.now[name], self.before.get(name)
         available = self.table is not None and name in self.table.inputs

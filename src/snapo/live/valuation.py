@@ -69,10 +69,10 @@ class Valuation(WhatIf):
         self._last = self.setup
 
     def use(self, policy: int | str) -> None:
-        """From here on values one of the policies trained here, 0 is the run's; or that in a file.
+        """From now on values a policy trained here, by number (0: the run's), or the one in a file.
 
-        **Raises:** `CaseError` for one that ended with the calculation that trained it, or a file
-        of another policy.
+        **Raises:** `CaseError` for a policy that was lost with the process that trained it, or a
+        file of another policy.
         """
         if isinstance(policy, str):
             try:
@@ -96,7 +96,7 @@ class Valuation(WhatIf):
     def save_policy(self, folder: Path) -> None:
         """Saves a policy trained here next to a case; that of the run is in the run.
 
-        **Raises:** `CaseError` for one of a class of the user's that no file can hold.
+        **Raises:** `CaseError` for a policy of a user-defined class that no file can contain.
         """
         if self.is_adopted:
             try:
@@ -154,8 +154,8 @@ class Valuation(WhatIf):
         """The policy trained on at these inputs, and its gain on the same paths.
 
         It starts from the policy in use, which the page continues to value until it asks for
-        the new one by its number, "policy". `summary` hears of the steps done and of all; an
-        exception in it ends the training.
+        the new one by its number, "policy". `summary` is called with the number of steps done and
+        of all; an exception in it stops training.
         """
         setup, policy = self._at(values, selected)[1], self.policy
         steps = setup.training.steps
@@ -182,7 +182,7 @@ class Valuation(WhatIf):
 
     @property
     def bounded(self) -> bool:
-        """Whether the domain bounds the best policy's value from above."""
+        """Whether the domain has an upper bound on the value of the best policy."""
         return not isinstance(self.study.relaxation, str)
 
     def bound_here(self, values: InputValues, selected: SelectedChoices = NONE) -> dict[str, Any]:
@@ -205,7 +205,7 @@ class Valuation(WhatIf):
     def explained(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> list[dict[str, Any]]:
-        """With the run's policy; one that was trained here comes last."""
+        """The parts with the run's policy; a policy that was trained here comes last."""
         adopted, self.policy = self.policy, self._policies[0]
         try:
             rows = super().explained(values, selected)
@@ -337,8 +337,8 @@ def _alike(one: Policy, other: Policy) -> bool:
 
 
 def fans(displayed: Mapping[str, Any], names: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Bands over time of every number of state and outputs, and of the actions, but of those that
-    have an empty name."""
+    """Bands over time of every number of the state, the outputs and the actions, except those with
+    an empty name."""
     results = []
     for kind in KINDS:
         for name, values in leaves(displayed[kind]).items():

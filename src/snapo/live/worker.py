@@ -1,7 +1,7 @@
 """The process that computes: moves are read as lines of JSON, tables are written as lines of JSON.
 
 It is separate from the server, so that a page answers while it works, and survives its end. Of the
-moves of one page only the newest is answered: a newer one ends the work on the one before.
+moves of one page only the newest is answered: a newer move stops the work on the previous one.
 """
 
 import argparse
@@ -44,9 +44,9 @@ def open_run(
     counts: PathCounts | None = None,
     domain: Domain | None = None,
 ) -> WhatIf:
-    """The run in a folder; `domain`: that of a problem in Python, by default that of its kind.
+    """The run in a folder; `domain`: for a problem in Python; by default that of its kind.
 
-    **Raises:** `CaseError` if there is no such run, or nothing to move.
+    **Raises:** `CaseError` if there is no such run, or it has no inputs to move.
     """
     record = read(run)
     domain = domain or domain_of_run(run, record, simulator)
@@ -117,7 +117,7 @@ class WorkerOrder(NamedTuple):
 class Desk:
     """Requests as they come: moves by page, the newest only, and everything else in order.
 
-    A newer move ends a page's training too, and so does "cancel", with a number of no move.
+    A newer move also stops a page's training, and so does "cancel", which has no move.
     """
 
     def __init__(self, lines: TextIO):
@@ -137,7 +137,7 @@ class Desk:
         self.orders.put(None)
 
     def rests(self, seconds: float) -> bool:
-        """Waits this long for an order; returns whether there was none."""
+        """Waits this long for an order; returns True if there was none."""
         until = time.monotonic() + seconds
         while self.orders.empty() and time.monotonic() < until:
             time.sleep(0.02)
@@ -223,7 +223,7 @@ def _write(valuation: WhatIf, order: WorkerOrder) -> None:
 
 
 class Cancelled(Exception):
-    """The page no longer needs it."""
+    """Cancels work that a page no longer needs."""
 
 
 def _train(
@@ -245,7 +245,7 @@ def _train(
 
 
 def in_words(error: CaseError) -> str:
-    """A refusal for the page: the case was written to a folder that its user does not know."""
+    """A refusal for the page: the case was written to a folder that is unknown to its user."""
     return " ".join(_short(item) for item in (error, *error.others))
 
 
@@ -262,7 +262,7 @@ def _unpickled(data: bytes) -> Domain:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """`python -m snapo.live.worker RUN`: the way the server starts it."""
+    """`python -m snapo.live.worker RUN`, as the server starts it."""
     parser = argparse.ArgumentParser(prog="snapo.live.worker")
     parser.add_argument("run", type=Path)
     parser.add_argument("--simulator")

@@ -16,8 +16,8 @@ def wrap_angle(angle: ArrayLike) -> Float[Array, " *shape"]:
     """The angle [...] in radians without full turns, from -pi to below pi, up to rounding.
 
     For a difference of two angles it is the shorter rotation: `wrap_angle(angle - target) ** 2` is
-    a cost. Its first derivative is 1, its second 0, even where it jumps from pi to -pi; the square
-    is continuous there. Angles between -pi and pi are unchanged to the last digit.
+    a cost. Its first derivative is 1 and its second is 0, even where it jumps from pi to -pi; the
+    square is continuous there. Angles between -pi and pi are unchanged to the last digit.
 
     >>> [round(float(snapo.wrap_angle(np.pi * x)), 4) for x in (0.5, 1.5, -6.25)]
     [1.5708, -1.5708, -0.7854]
@@ -27,7 +27,7 @@ def wrap_angle(angle: ArrayLike) -> Float[Array, " *shape"]:
 
 
 def angle_features(angle: ArrayLike) -> Float[Array, " *shape 2"]:
-    """(cosine, sine) [..., 2] of an angle [...] in radians: how a policy sees it, without a jump.
+    """(cosine, sine) [..., 2] of an angle [...] in radians: features for a policy, without a jump.
 
     >>> snapo.angle_features(np.float32(0.0)).tolist()
     [1.0, 0.0]

@@ -154,7 +154,7 @@ class ObservedMember(Around):
         return Schedule((schedule.constants, 2 * (values - low) / (high - low) - 1), schedule.steps)
 
     def with_values(self, inputs: PyTree, values) -> PyTree:
-        """The inputs with others instead of those seen."""
+        """The inputs with other values of those that the policy observes."""
         leaves, structure = jax.tree.flatten(inputs)
         first = 0
         for i in self.where:

@@ -1,6 +1,6 @@
 """The form of a case: all on which compiled code depends. Its numbers are arguments of that code.
 
-A simulator of a domain holds no case, but modules with fields of two sorts: static ones (kinds,
+A simulator of a domain contains no case, but modules with fields of two kinds: static ones (kinds,
 rules, names, sizes, flags), which JAX compares, and arrays. Traced code cannot read anything else:
 two cases with equal `form_of` are the same program, and the second one compiles nothing.
 """
@@ -17,12 +17,12 @@ T = TypeVar("T")
 
 
 class Use(TreeRecord):
-    """Where the numbers of an input are used.
+    """The use of an input's numbers.
 
-    - `name`: the name of the input; `size`: how many numbers it has.
+    - `name`: the name of the input; `size`: its number of entries.
     - `shape`: the shape of the numbers where they are used.
     - `index`: integers of that shape into the input's numbers; None if they are used one by one in
-      order, if one number is used everywhere, and if there is none.
+      order, if one number is used everywhere, and if there is no number.
     """
 
     name: str = field(static=True)
@@ -61,7 +61,7 @@ def is_array(x: Any) -> bool:
 
 
 def formed(record: T) -> T:
-    """A module of a case as a simulator holds it: of the inputs only their `Use`, and arrays.
+    """A module of a case as a simulator stores it: arrays, and the `Use` of each input.
 
     A leaf with a method `use` is replaced by its result.
 

@@ -1,7 +1,7 @@
 """Weights and sampling errors of an objective that is one JAX function of the path totals.
 
-Everything is float64, inside JAX's thread-local switch, and leaves as NumPy. Functions are
-compiled once per objective and number of paths.
+Everything is computed in float64, within JAX's thread-local switch, and returned as NumPy.
+Functions are compiled once per objective and number of paths.
 """
 
 from collections.abc import Callable, Mapping
@@ -51,12 +51,12 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
     The infinitesimal jackknife (Jaeckel 1972; Efron 1982, ch. 6): a path has the mass q_i / N in
     every sum over paths, and the influence is N dV/dq_i - sum_j dV/dq_j at q = 1.
 
-    Where the formula is not made of sums over paths (a sort): N times a path's weight is the
-    slope of the influence function at that path (von Mises 1947), so that for one output it is
-    integrated along the sorted totals; for several, Tukey's sensitivity curve is taken,
-    n (V(x_1 … x_{n-1}, x) - V(x_1 … x_{n-1})), on n = 512 paths of the sample (Hampel et al. 1986,
-    section 2.1e), with the sampling error of so many. A single quantile has no smooth slope, and
-    neither is reliable for it. The mean is moved to the value in every case.
+    If the formula is not made of sums over paths (but of a sort, say), N times a path's weight is
+    the slope of the influence function at that path (von Mises 1947). For one output this slope is
+    integrated along the sorted totals; for several, Tukey's sensitivity curve is used, n (V(x_1 …
+    x_{n-1}, x) - V(x_1 … x_{n-1})), on n = 512 paths of the sample (Hampel et al. 1986, section
+    2.1e), with the sampling error of so many. A single quantile has no smooth slope, and neither is
+    reliable for it. In all cases the mean of the result is shifted to the value.
     """
     totals, size = dict(totals), len(next(iter(totals.values())))
     centre = value(objective, totals)

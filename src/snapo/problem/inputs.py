@@ -35,8 +35,8 @@ def plain(inputs: PyTree) -> PyTree:
 
 
 def unnamed(inputs: PyTree) -> PyTree:
-    """The same module with inputs of numbers without labels and units, so that code compiled for it
-    serves other ones too."""
+    """The same module, its inputs without labels and units, so that compiled code can be reused for
+    inputs with others."""
     return jax.tree.map(lambda x: Input(x.value) if is_input(x) else x, inputs, is_leaf=is_input)
 
 

@@ -1,4 +1,4 @@
-"""The problem of a call: a `Problem`, or a simulator with its inputs and the rest.
+"""The problem of a call: a `Problem`, or a simulator with its inputs and other arguments.
 
 Every public function of a problem takes either, in one order of arguments::
 

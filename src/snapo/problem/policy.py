@@ -108,7 +108,7 @@ def with_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
 
 
 def without_idle_network(policy: NetworkPolicy) -> NetworkPolicy:
-    """The policy with None instead of a `network` whose last layer is zero, as its outputs are."""
+    """The policy with None instead of a `network` whose last layer, and so its output, is zero."""
     network = getattr(policy, "network")  # noqa: B009, of kinds of policies that have one
     if network is None:
         return policy
@@ -297,7 +297,7 @@ def parameters(policy: Policy) -> np.ndarray:
 
 def load_policy(file: Path | str) -> Policy:
     """The policy saved by `policy.save(file)`, or policy.npz of a solution or a run; its shape need
-    not be known, nothing is executed.
+    not be known, and nothing is executed.
 
     **Raises:** `PolicyFileError` if the file is missing or damaged, contains something else, or
     weights of inconsistent sizes.
@@ -306,7 +306,7 @@ def load_policy(file: Path | str) -> Policy:
 
 
 def features(policy: Policy) -> int | None:
-    """The number of features that a policy observes, as its weights have it; None if unknown."""
+    """The number of features that a policy observes, from its weights; None if unknown."""
     gain = getattr(policy, "gain", None)
     if gain is not None:
         return int(gain.shape[1])

@@ -35,7 +35,7 @@ def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
 
 
 def all_versions(simulator: Simulator, inputs: PyTree) -> Hashable:
-    """The versions of all of a simulator's code; a unique one where it cannot be run."""
+    """The versions of all of a simulator's code; a unique one if it cannot be run."""
     try:
         schedule = prepare(simulator, inputs)
         versions = of_preparation(simulator, inputs), of_rollout(simulator, None, schedule)

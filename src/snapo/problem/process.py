@@ -1,4 +1,4 @@
-"""Exogenous dynamics: prices, weather, demand, which no decision of a simulator moves.
+"""Exogenous dynamics: prices, weather, demand, which no decision of a simulator affects.
 
 A `Process` describes ONE path in plain `jax.numpy`, like a simulator, but without decisions. A
 simulator holds one, so that the same price serves a gas store, a battery and a swing contract:
@@ -128,14 +128,14 @@ class Gaps(TreeRecord):
 
     @classmethod
     def of(cls, times: Sequence[float] | Array) -> "Gaps":
-        """Between times that rise; those before today are today."""
+        """The intervals between rising times; times before today count as today."""
         gaps = np.diff(np.maximum(times, 0.0), prepend=0.0)
         _, first, which = np.unique(np.round(gaps, 12), return_index=True, return_inverse=True)
         length = gaps[first]
         return cls(length, which, tuple(item <= 0 for item in length.tolist()))
 
     def shocks(self, correlation, pair) -> list[Float[Array, "F F"]]:
-        """The lower Cholesky factor of the covariance added by each; 0 for an empty one."""
+        """The lower Cholesky factor of the covariance of each interval; 0 for an empty one."""
         return [
             jnp.zeros_like(pair) if none else jnp.linalg.cholesky(correlation * integral(pair, gap))
             for none, gap in zip(self.none, jnp.asarray(self.length))
@@ -148,7 +148,7 @@ class FactorPrice(Process):
     S(t) = F(t) exp(sum_i s_i(t) f_i(t) - variance(t) / 2), df_i = -a_i f_i dt + dW_i, f_i = 0
     today, dW_i dW_j = rho_ij dt, so that E[S(t)] = F(t). Transitions are exact over any interval:
     Cov(f_i, f_j) = rho_ij (1 - exp(-(a_i + a_j) t)) / (a_i + a_j). The state is f [F].
-    A subclass states which numbers of the inputs these are.
+    A subclass defines which numbers of the inputs these are.
 
     **Arguments:**
 

@@ -1,5 +1,4 @@
-"""Programs that run a few times only: compiled in less time than XLA takes with its own
-settings."""
+"""Compiles programs that run only a few times faster than XLA's own settings do."""
 
 from collections.abc import Callable
 from functools import cache, wraps
@@ -17,10 +16,10 @@ OPTIONS = {"xla_backend_optimization_level": 1, "xla_cpu_use_fusion_emitters": F
 
 
 def compiled_sooner(function: Callable[P, R]) -> Callable[P, R]:
-    """`eqx.filter_jit` in two thirds of the time, for schedules and the figures of reports.
+    """`eqx.filter_jit` that compiles in two thirds of the time, for schedules and reports.
 
-    Nothing differs but time and the last bits. On other devices than processors, and with an XLA
-    that knows no such options, it is `eqx.filter_jit`.
+    Only the time and the last bits of results differ. On GPUs, and with versions of XLA without
+    these options, it is `eqx.filter_jit`.
     """
 
     @cache

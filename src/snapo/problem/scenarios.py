@@ -3,11 +3,11 @@
 Path p is therefore the same whatever the number of paths, chunks, devices or windows, and
 nothing is stored: an engine draws the numbers where it uses them. `Pseudo` counts with
 threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian bridge, and
-`Supplied` holds numbers of one's own.
+`Supplied` contains user-supplied numbers.
 
-Steps are counted in a calendar that simulators share: one whose `first_step` is 30 draws for its
-step t the noise of the calendar's step 30 + t, and path p is the same world in all of them. Where
-the state at the start is no function of the noise of the steps before, a simulator counts from its
+Steps are counted in a calendar that simulators share: a simulator whose `first_step` is 30 uses for
+its step t the noise of the calendar's step 30 + t, and path p is the same scenario in all of them.
+If the initial state is not a function of the noise of earlier steps, a simulator counts from its
 own start. `Scenarios.world` is equal for those that share their paths.
 """
 
@@ -30,7 +30,7 @@ SOBOL_DIMENSIONS = 21201  # of the direction numbers that scipy holds (Joe and K
 
 @dataclass(frozen=True)
 class Scenarios(abc.ABC):
-    """A source of noise. `draws` returns that of selected paths, `groups` the independent units."""
+    """A source of noise: `draws` returns it for selected paths, `groups` the independent units."""
 
     @abc.abstractmethod
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
@@ -121,7 +121,7 @@ class Sobol(Scenarios):
     Path p is point p // 32 of scramble p % 32, so standard errors come from 32 independent
     scrambles. The bridge is built per component over equal steps: its leading coefficients take
     the leading Sobol dimensions, the rest (beyond Sobol's dimensions) is pseudo-random. It
-    spans the calendar up to the simulator's last step, so that paths depend on that.
+    spans the calendar up to the simulator's last step, so that paths depend on this step.
     """
 
     seed: int = 0
@@ -253,7 +253,7 @@ class Supplied(Scenarios):
 class EqualPaths(Scenarios):
     """Scenarios of a problem without randomness: all paths are equal.
 
-    At least two are used, since a single one has no standard error: theirs is zero.
+    At least two are used, since a single one has no standard error: here it is zero.
     """
 
     inner: Scenarios
@@ -278,7 +278,7 @@ TRAIN, VALIDATE, EVALUATE = 1, 2, 3  # uses of a stream of `Pseudo`, in its uppe
 
 
 def stream(use: int, number: int = 0) -> int:
-    """The number of a stream: streams of different uses never meet."""
+    """The number of a stream: streams of different uses never overlap."""
     return (use << 32) + number
 
 
@@ -370,8 +370,8 @@ def _key(seed: int, stream: int, use: int) -> np.ndarray:
 def bridge(levels: Float[np.ndarray, "paths steps k"]) -> Float[np.ndarray, "paths steps k"]:
     """Unit normals per step from normals in order of importance, by a Brownian bridge.
 
-    The first number is the whole displacement, the next the midpoint given both ends, and so
-    on (Caflisch, Morokoff and Owen 1997). The map is orthogonal: normals in, normals out.
+    The first number is the whole displacement, the next the midpoint conditional on both endpoints,
+    and so on (Caflisch, Morokoff and Owen 1997). The map is orthogonal: normals in, normals out.
     """
     steps = levels.shape[1]
     walk = np.zeros((levels.shape[0], steps + 1, levels.shape[2]))

@@ -1,7 +1,7 @@
 """The simulator, written by the user: ONE path of a decision problem, in plain ``jax.numpy``.
 
 No batch dimension, no random keys and no loop over time: the engines add those. A simulator defines
-the way from the inputs to a schedule (`prepare`), the start of a path (`initial`), the policy's
+how the inputs become a schedule (`prepare`), the start of a path (`initial`), the policy's
 observation (`observe`) and the effect of one decision (`step`).
 """
 
@@ -89,7 +89,7 @@ class Simulator(eqx.Module):
         """This simulator with only the fields that the methods for one path read.
 
         Without the fields that depend on the number of steps or on their dates, such as `horizon`,
-        the native engine has one code for all horizons. By default each horizon has its own.
+        the native engine has one code for all horizons. By default each horizon has separate code.
         """
         return self
 

@@ -6,15 +6,15 @@ A simulator and a policy receive `smooth` and write their limits with it::
     fraction = smooth.indicator(value - price, scale=1.0)
 
 With `Smooth(temperature)` every corner is rounded over a width of temperature times scale,
-`scale` being in the units of the argument; with `Exact()` the same code is the contract as
-written. The temperature is an array, so annealing it never recompiles.
+`scale` being in the units of the argument; with `Exact()` the same code gives the exact rules. The
+temperature is an array, so annealing it never recompiles.
 
 Corners (`positive_part`, `minimum`, `maximum`, `clip`, `absolute`) are rounded by a quartic of
-compact support: outside the width they ARE the exact function, and a smooth minimum never
+compact support: outside the width they equal the exact function, and a smooth minimum never
 exceeds the exact one, so that feasible volumes stay feasible. Jumps (`indicator`, `choose`,
 `share`) become logistic curves, whose tails have a slope towards the better side.
 All are finite in value and first and second derivative at the kink, at equal arguments, at
-infinities and at temperature zero: the branch not taken is evaluated at a harmless point.
+infinities and at temperature zero: the unused branch is evaluated at a safe point.
 """
 
 import abc
@@ -35,36 +35,35 @@ class Constraints(TreeRecord):
 
     @abc.abstractmethod
     def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """1 if x > 0, else 0. Smooth: 1 / (1 + exp(-x / w)), within exp(-|x| / w) of exact."""
+        """1 if x > 0, else 0. Smooth: 1 / (1 + exp(-x / w)), wrong by at most exp(-|x| / w)."""
 
     @abc.abstractmethod
     def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         """The share, 0 to 1, of a segment on which a line from `first` to `last` is positive.
 
-        Smooth: the mean of the logistic `indicator` along the segment,
-        w (log(1 + e^(first / w)) - log(1 + e^(last / w))) / (first - last); within
-        2 w log(2) / |first - last| of exact.
+        Smooth: the mean of the logistic `indicator` along the segment, w (log(1 + e^(first / w)) -
+        log(1 + e^(last / w))) / (first - last); wrong by at most 2 w log(2) / |first - last|.
         """
 
     @abc.abstractmethod
     def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
-        """Weights that sum to one on the largest score; smooth: softmax(scores / w)."""
+        """Weights with the sum 1, all of it on the largest score; smooth: softmax(scores / w)."""
 
     @abc.abstractmethod
     def round(self, x: ArrayLike) -> Array:
         """The whole number nearest to x, a half to the even one. Smooth: x itself."""
 
     def absolute(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """|x| = 2 max(x, 0) - x. Smooth: above the exact by at most 3 w / 8, at x = 0."""
+        """|x| = 2 max(x, 0) - x. Smooth: above |x| by at most 3 w / 8, at x = 0."""
         return 2 * self.positive_part(x, scale) - x
 
     def minimum(self, a: ArrayLike, b: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """min(a, b) = a - max(a - b, 0). Smooth: below the exact by at most 3 w / 16, at a = b."""
+        """min(a, b) = a - max(a - b, 0). Smooth: too low by at most 3 w / 16, at a = b."""
         gap, finite = _finite_difference(a, b)
         return xp.where(finite, a - self.positive_part(gap, scale), xp.minimum(a, b))
 
     def maximum(self, a: ArrayLike, b: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """max(a, b) = b + max(a - b, 0). Smooth: above the exact by at most 3 w / 16, at a = b."""
+        """max(a, b) = b + max(a - b, 0). Smooth: too high by at most 3 w / 16, at a = b."""
         gap, finite = _finite_difference(a, b)
         return xp.where(finite, b + self.positive_part(gap, scale), xp.maximum(a, b))
 
@@ -219,7 +218,7 @@ def _step(x: ArrayLike) -> Array:
 
 
 def _finite_difference(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
-    """a - b where that is finite, else 0, and whether it was."""
+    """a - b if that is finite, else 0, and whether it was."""
     finite = xp.isfinite(xp.asarray(a) - xp.asarray(b))
     return xp.where(finite, a, 0.0) - xp.where(finite, b, 0.0), finite
 

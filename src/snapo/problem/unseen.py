@@ -4,10 +4,11 @@ Paths are simulated with random decisions, which are the same on all paths up to
 A number of the state is named if
 
 - with decisions held fixed, noise can move it while the observation stays the same to first order:
-  it then differs between paths that look the same. Functions of observations and time do not;
+  it then differs between paths with the same observation. Functions of observations and time do
+  not;
 - later payments depend on it, by an amount, and by a factor, that depends on the decisions. For a
   number that only accumulates payments the amount is the same for all decisions, and for wealth
-  that is invested in shares the factor is: observing it would change no decision.
+  that is invested in shares the factor is the same: observing it would change no decision.
 
 A discrete number, such as the state of a chain, has no derivative: it is named if the observation
 does not read it and it differs between the paths with the most similar observations.

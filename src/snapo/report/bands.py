@@ -27,7 +27,7 @@ def quantile_fan(
     """Bands of quantiles over years: 1-99, 5-95 and 25-75 %, the median and the mean.
 
     `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value to draw a line at; `across`: the name of
-    the horizontal axis where it does not count years; `dates`: the steps of a date axis.
+    the horizontal axis if it does not count years; `dates`: the steps of a date axis.
     """
     for low, high, alpha, name in (
         ("p01", "p99", 0.14, "1–99 %"),

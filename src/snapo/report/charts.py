@@ -360,7 +360,7 @@ def swept_points(
 
 
 def _depth(values: Iterable[float | None]) -> Callable[[float], float]:
-    """How deep the colour of a value is, from 0.08 to that of `DARKEST` for the largest one."""
+    """The depth of a value's colour, from 0.08 to that of `DARKEST` for the largest value."""
     finite = [value for value in values if value is not None]
     low, high = min(finite), max(finite)
     return lambda value: 0.08 + (DARKEST - 0.08) * (value - low) / ((high - low) or 1.0)

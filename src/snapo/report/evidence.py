@@ -1,4 +1,4 @@
-"""The evidence of a run: its training, its checks, its making, and the spread between its seeds."""
+"""The evidence of a run: its training, its checks, its origin, and the spread between its seeds."""
 
 import re
 from collections.abc import Sequence
@@ -131,7 +131,7 @@ def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
 
 
 def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried") -> Mark | str:
-    """A mark with its text; `undecided` for a check that was not made."""
+    """A mark with its text; `undecided` for a check that was not run."""
     return undecided if passed is None else Mark(bool(passed), valid if passed else invalid)
 
 

@@ -86,7 +86,7 @@ class RunResult:
 
     @classmethod
     def of(cls, table: Mapping[str, Any]) -> "RunResult":
-        """From the object of result.json."""
+        """The record from the object of result.json."""
         names = [x.name for x in fields(cls) if table.get(x.name) is not None]
         entries: dict[str, Any] = {name: table[name] for name in names}
         entries |= {name: finite(entries.get(name)) for name in NUMBERS}
@@ -94,7 +94,7 @@ class RunResult:
 
     @classmethod
     def read(cls, folder: Path) -> "RunResult":
-        """The result of the run in `folder`; an empty one where there is none, or it is damaged."""
+        """The result of the run in `folder`; an empty one if there is none, or it is damaged."""
         return cls.of(read_table(folder / RESULT) or {})
 
 
@@ -164,7 +164,7 @@ class RunFiles:
         return entries_of(StepTimes, self.details)
 
     def get(self, path: str, default: Any = None) -> Any:
-        """The entry "today.spot" of the parts' tables, or `default` where it is missing or null."""
+        """The entry "today.spot" of the parts' tables, or `default` if it is missing or null."""
         return lookup(self.details, path, default)
 
     def numbers(self, path: str, column: str = "") -> np.ndarray | None:
@@ -204,7 +204,7 @@ class RunFiles:
 
 
 def lookup(table: Any, path: str, default: Any = None) -> Any:
-    """The entry "a.b" of nested tables, or `default` where it is missing or null."""
+    """The entry "a.b" of nested tables, or `default` if it is missing or null."""
     for key in path.split("."):
         table = table.get(key) if isinstance(table, dict) else None
     return default if table is None else table

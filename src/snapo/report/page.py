@@ -37,7 +37,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing with a caption on how to read it; `folded` as of a `Table`."""
+    """A drawing with a caption on how to read it; `folded` as in a `Table`."""
 
     kind: ClassVar[str] = "chart"
     svg: Markup
@@ -49,7 +49,7 @@ class Chart:
 class Table:
     """Rows of text; the columns after the first `texts` are numbers and are aligned to the right.
 
-    Where texts and numbers alternate, `texts` is the set of the columns of texts.
+    If texts and numbers alternate, `texts` is the set of the columns of texts.
 
     **Attributes:**
 
@@ -152,8 +152,8 @@ class Section:
 @dataclass(frozen=True)
 class Page:
     """A whole report; `about` are (name, value) pairs under the title, `logo` the address of an
-    image that holds all of it, `menu` (anchor, text) of the links in its bar: by default one to
-    every section."""
+    image without references to other files, `menu` the links in its bar, (anchor, text): by default
+    one to every section."""
 
     title: str
     about: Sequence[tuple[str, str]]

@@ -1,4 +1,4 @@
-"""Where a report comes from: its case with all inputs, its making, and the run before it."""
+"""The origin of a report: its case with all inputs, the run that made it, and the run before."""
 
 import csv
 import datetime

@@ -32,7 +32,7 @@ def finite(value: Any) -> float | None:
 
 
 def decimals(values: Iterable[Any], significant: int = 5) -> int:
-    """The number of decimals that gives the largest of `values` so many significant digits, at
+    """The number of decimals at which the largest of `values` has that many significant digits, at
     least 0.
 
     One count for a whole column, so that its decimal points are aligned.
@@ -83,14 +83,14 @@ def money(value: Any, currency: str, digits: int | None = None, sign: bool = Fal
 def plus_minus(error: Any, digits: int) -> str:
     """Half of the 95 % interval, "± 41", from a standard error; nothing if there is none.
 
-    One that `digits` decimals would round to zero keeps a digit: "± 0.00004".
+    A number that `digits` decimals would round to zero keeps a digit: "± 0.00004".
     """
     available = finite(error)
     return plus_minus_half(None if available is None else half_width(available), digits)
 
 
 def plus_minus_half(half: Any, digits: int) -> str:
-    """The same from half of an interval."""
+    """The same text from half of an interval."""
     available = finite(half)
     if available is None:
         return ""

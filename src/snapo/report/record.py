@@ -43,7 +43,7 @@ class PreviousRun(NamedTuple):
 
 
 class RunOrigin(NamedTuple):
-    """Where a run comes from.
+    """The origin of a run.
 
     - `run`: its name; `began`, `began_utc`: when it did, ISO 8601.
     - `case`: folder and file; `sha256`: of the file; `assignments`: the assignments of `--set`.
@@ -61,7 +61,7 @@ class RunOrigin(NamedTuple):
 
 
 class StepTimes(NamedTuple):
-    """The times of the steps in `about`: `local_times` as of `local_times_of`, and the `step`,
+    """The times of the steps in `about`: `local_times` as in `local_times_of`, and the `step`,
     "day" or "hour"; empty if steps have only numbers."""
 
     local_times: Sequence[tuple[int, str]] = ()

@@ -5,11 +5,11 @@
 
 Both training and sensitivities use these functions.
 
-The adjoint uses only the finite paths: one bad path must not cost a whole run.
+The adjoint uses only the finite paths, so that one bad path does not make a whole run useless.
 
-A path is bad where a total that the objective uses, or the path's adjoint, is non-finite. Bad
-paths are left out and counted, and may be at most the share `DROPPED` of all paths, since those
-left out may be the important ones. A path of ruin, whose total is finite, is never left out: its
+A path is bad if a total that the objective uses, or the path's adjoint, is non-finite. Bad paths
+are omitted and counted. They may be at most the share `DROPPED` of all paths, since the omitted
+paths may be the important ones. A path of ruin, whose total is finite, is never left out: its
 utility is minus infinity.
 """
 
@@ -88,8 +88,8 @@ def weighted_adjoint(
 ) -> tuple[float, Adjoint]:
     """The objective on these paths, and the adjoint of its weights.
 
-    A linear objective knows its weights beforehand; any other costs one more forward sweep. If the
-    objective has no derivative, as under ruin, the weights are those of training.
+    The weights of a linear objective are known beforehand; others need one more forward sweep. If
+    the objective has no derivative, as under ruin, the weights are those of training.
     """
     actions = None
     if held or not objective.linear:
@@ -128,8 +128,7 @@ def adjoint_of_finite_paths(
 ) -> tuple[float, Adjoint, int]:
     """`weighted_adjoint` over the paths that are finite, and the number of those that are not.
 
-    Where no path is finite, or the objective is not a number on paths that all are, that number is
-    of all paths.
+    If no path is finite, or all are finite but the objective is NaN, all paths are counted.
     """
     value, result = weighted_adjoint(bound_engine, policy, draws, smooth, objective, **options)
     if not np.isnan(value) and all_finite(result, objective.outputs):
@@ -152,7 +151,7 @@ def adjoint_of_good_weights(
 ) -> tuple[Adjoint, int]:
     """The adjoint for weights {output: [N] or [K, N]} that are known, and the number of bad paths.
 
-    Those have no weight; the weights of the others are unchanged.
+    Bad paths have no weight; the weights of the others are unchanged.
     """
     result = bound_engine.adjoint(policy, draws, smooth, weights, **options)
     if all_finite(result, weights) or not _finite_leaves(weights):
@@ -168,10 +167,10 @@ def adjoint_of_good_weights(
 
 
 def _good(bound_engine: BoundEngine, policy, draws, smooth, names, options) -> np.ndarray:
-    """Which paths have a finite value and a finite adjoint.
+    """The paths with a finite value and a finite adjoint.
 
-    A forward sweep finds most of the others; only where the adjoint of the rest is non-finite
-    too, each path is looked at by itself.
+    A forward sweep finds most of the other paths. Each path is examined separately only if the
+    adjoint of the rest is non-finite as well.
     """
     values = {key: options[key] for key in ("window", "start", "actions") if key in options}
     valid = finite(float64(bound_engine.values(policy, draws, smooth, **values).totals), names)

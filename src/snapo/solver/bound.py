@@ -5,12 +5,10 @@
 for every penalty whose mean is zero under every policy that does not see the future (Rogers 2002;
 Haugh and Kogan 2004; Brown, Smith and Sun, Operations Research 58, 2010). A penalty charges each
 decision with the innovation that it profits from: V(next state) - E[V(next state) | now], for some
-V. Whatever V is, the bound holds; with the exact value function it is the exact value on every
-path.
+V. The bound is valid for any V; with the exact value function it is the exact value on every path.
 
-The same penalty along the policy's path has mean zero, so it is taken from the policy's
-earnings as a control variate, and the gap of a path, perfect foresight minus policy, is never
-negative.
+The same penalty along the policy's path has mean zero, so it is taken from the policy's earnings as
+a control variate, and the gap of a path, perfect foresight minus policy, is never negative.
 """
 
 from collections.abc import Callable
@@ -72,10 +70,10 @@ class Between(NamedTuple):
 class Bound:
     """A value between two bounds, all on the same paths of the exact simulator.
 
-    - `lower`: the policy's value; `upper`: a bound of every policy's value.
+    - `lower`: the policy's value; `upper`: an upper bound on the value of any policy.
     - `gap`: upper minus lower, paired path by path.
     - `penalty`, `words`: kind and meaning of the penalty; `scale`: the scale of its parts.
-    - `sure`: the certainty equivalents of lower and upper, if the objective is a utility.
+    - `sure`: the certainty equivalents of `lower` and `upper`, if the objective is a utility.
     - `few`: whether a few paths that gain much by foresight dominate the gap; its interval is wider
       then.
     """
@@ -92,7 +90,7 @@ class Bound:
 
     @property
     def says_little(self) -> str:
-        """Why the bound is not informative about the policy; empty if it is."""
+        """The reason why the bound is not informative about the policy; empty if it is."""
         value = abs(self.lower.value)
         gap, error = self.gap.value, self.upper.standard_error
         if gap <= MAX_GAP * value and error <= MAX_ERROR * value:

@@ -93,8 +93,8 @@ def nudged(problem: Problem, seed: int = 0) -> Problem:
     """The problem with each number of its inputs moved by a random relative amount of at most .001.
 
     Round numbers tie: a store that fills in exactly eight days is on a kink of its limits,
-    where every path has two derivatives. Nearby, hardly any path has. A number that is zero is
-    moved upwards, by up to its input's `move`; without one it stays zero.
+    where every path has two derivatives. At a nearby point hardly any path is on a kink. A number
+    that is zero is moved upwards, by up to its input's `move`; without one it stays zero.
     """
     random, moved = np.random.default_rng(seed), []
     for entry in problem.inputs_by_name.values():
@@ -113,11 +113,12 @@ def certify_derivatives(
     engine: Engine | None = None,
     near: Callable[[Problem], Problem] = nudged,
 ) -> list[Bump]:
-    """`bump_check` at the reported inputs; where most paths meet a kink there, also near them.
+    """`bump_check` at the reported inputs; if most paths have a kink there, also near them.
 
-    So are inputs that fail while some paths meet one. Kinks of one path at the same point may
-    cancel: both sides then have the same slope, which an adjoint that takes a mean at every tie
-    misses, and no second difference shows them. The check nearby counts for these.
+    Inputs that fail while some paths are on a kink are also checked nearby. Kinks of one path at
+    the same point may cancel: both sides then have the same slope, which an adjoint that takes a
+    mean at every tie misses, and no second difference shows them. For these the nearby check
+    counts.
 
     Without the inputs of `Problem.in_mean`, see `in_the_mean`.
     """
@@ -142,7 +143,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
     """Rows like those of `Bump`, for the inputs of `Problem.in_mean`: the reported derivative
     against a move of all their numbers by 1 %, in four standard errors of the difference.
 
-    A bump that is reported itself, where it refutes the held derivative, has no difference."""
+    If a bump refutes the held derivative and is reported itself, there is no difference."""
     results = []
     for name in problem.in_mean:
         if (verdict := verdicts.get(name)) is None:

@@ -86,7 +86,7 @@ def path_totals(
 ) -> dict[str, np.ndarray]:
     """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
 
-    On the scenarios of `source`, by default those of the evaluation; as many as there are.
+    The scenarios are those of `source`, by default of the evaluation; all that are available.
     `controls`: with only the outputs that are control variates. `before`: the totals on the first
     of these paths, which are not valued again.
     """
@@ -139,14 +139,14 @@ def _keep(rollout: Rollout, block: np.ndarray, paths: int, totals: dict[str, np.
 
 
 def in_a_row(numbers: np.ndarray) -> slice | np.ndarray:
-    """Numbers that follow one another as a slice, which copies nothing."""
+    """Consecutive numbers as a slice, which copies nothing."""
     first, count = int(numbers[0]), len(numbers)
     follow = np.array_equal(numbers, np.arange(first, first + count))
     return slice(first, first + count) if follow else numbers
 
 
 def chunks(source: Scenarios, paths: int, simulator: Simulator) -> list[np.ndarray]:
-    """Path numbers of one call of an engine each; fewer of long paths, whose noise takes memory."""
+    """The path numbers of each call of an engine; fewer if paths are long and take more memory."""
     numbers = simulator.horizon * simulator.noise_size + simulator.initial_noise_size
     most = max(FEWEST, min(CHUNK, NOISE_BYTES // (8 * max(numbers, 1))))
     return source.blocks(paths, -(-paths // most))

@@ -5,9 +5,9 @@
     solution.plot.fan("water")
     solution.plot.policy("water", "price")
 
-They are drawn from the solution only, so a loaded one has them too. Each returns its figure, which
-shows itself in a notebook; with `ax` it draws into these axes and returns nothing, so that their
-figure is not shown twice.
+They are drawn from the solution only, so that a loaded solution has them too. Each returns its
+figure, which shows itself in a notebook; with `ax` it draws into these axes and returns nothing, so
+that their figure is not shown twice.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PATHS, POINTS, CELLS = 1024, 121, 61
 
 
 def simulated_series(problem: Problem, policy: Policy, paths: int = PATHS) -> dict[str, np.ndarray]:
-    """{name: [T or T + 1, paths]} of every number of state, action and outputs."""
+    """{name: [T or T + 1, paths]} of every number of the state, the action and the outputs."""
     trajectory = simulate(problem, policy, paths=paths)
     return {**trajectory.states, **trajectory.actions, **trajectory.outputs}
 
@@ -53,8 +53,8 @@ def series_named(series: dict[str, np.ndarray], name: str, subject: str) -> np.n
 def decisions(
     problem: Problem, policy: Policy, names: tuple[str, ...], ranges: list[np.ndarray], step: int
 ) -> np.ndarray:
-    """[points …, actions] exact decisions at a step, where one or two numbers of the state move and
-    all others stay at their means."""
+    """[points …, actions] exact decisions at a step, where one or two numbers of the state vary and
+    all others are at their means."""
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(PATHS)), problem.simulator)
     record = Xla("float64").bind(problem).values(policy, draws, Exact(), record=("state",)).record
@@ -118,8 +118,8 @@ class Figures:
     def tornado(self, *, ax: Any = None, count: int = BARS) -> Any:
         """The change of the value by a move of each input, largest first, with 95 % intervals.
 
-        All numbers of an input are moved by its `move`, by default 1 %. To first order, with the
-        reported derivative.
+        All numbers of an input are moved by its `move`, by default 1 %. The change is to first
+        order, with the reported derivative.
 
         **Raises:** `ValueError` if the solution has no sensitivities.
         """
@@ -153,7 +153,7 @@ class Figures:
     def distribution(self, output: str | None = None, *, ax: Any = None) -> Any:
         """The totals of an output over the evaluation's paths, with mean, and 5 % and 95 % lines.
 
-        Without a name, the output with the largest spread.
+        Without a name it is the output with the largest spread.
 
         **Raises:** `KeyError` for a name that is not an output.
         """
@@ -181,7 +181,7 @@ class Figures:
         """A state, an action or an output over time: the mean, and bands with 50 % and 90 % of
         1,024 paths of the evaluation.
 
-        - `problem`: the problem of the solution; required for a loaded one.
+        - `problem`: the problem of the solution; required for a loaded solution.
 
         **Raises:** `KeyError` for an unknown name, `ValueError` without a problem or a policy.
         """

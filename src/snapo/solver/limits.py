@@ -15,9 +15,9 @@ without it (Hestenes 1969; Stooke, Achiam and Abbeel 2020).
 The unit of an excess is the deviation of a path's measure, or the excess itself if that is
 larger: under a rule that decides nearly the same on all paths the measure hardly varies. The unit
 of a price is the ratio of the norms of the derivatives of objective and limit with respect to the
-policy, at which both have equal weight. Totals do not determine it: the noise in an objective may
-be far larger than the effect of all decisions, and a price that is far too large drives decisions
-to a bound of their set, where derivatives vanish.
+policy, at which both have equal weight. Totals do not determine this unit: the noise in an
+objective may be far larger than the effect of all decisions, and a price that is far too large
+drives decisions to a bound of their set, where derivatives vanish.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ from .statistics import of_shares, plus_minus
 def slope_of(
     bound_engine: BoundEngine, policy: Policy, draws: Draws, smooth, objective: Objective
 ) -> np.ndarray:
-    """In one row, in float64."""
+    """The values in one row, in float64."""
     result = weighted_adjoint(bound_engine, policy, draws, smooth, objective, wrt=("policy",))[1]
     leaves = jax.tree.leaves(trainable(result.policy)[0])
     return np.concatenate([np.ravel(np.asarray(leaf, np.float64)) for leaf in leaves])
@@ -62,11 +62,11 @@ class Dual(NamedTuple):
 
     @classmethod
     def read(cls, plain) -> "Dual":
-        """From its fields as lists."""
+        """The record, from its fields as lists."""
         return cls(*(tuple(item) for item in plain))
 
     def due(self, step: int) -> bool:
-        """Whether it is time to measure units: their derivatives cost as much as a step."""
+        """Whether units are to be measured again: their derivatives cost as much as a step."""
         return not self.units or step % EVERY == 0
 
     def measured(
@@ -78,7 +78,7 @@ class Dual(NamedTuple):
         objective: Objective,
         limits: Sequence[Limit],
     ) -> "Dual":
-        """With the units of prices on these paths, smoothed over the measurements before."""
+        """The same with the units of prices on these paths, smoothed over earlier measurements."""
         lengths = np.array([
             np.linalg.norm(slope_of(bound_engine, policy, draws, smooth, item))
             for item in (objective, *(limit.measure for limit in limits))
@@ -135,8 +135,8 @@ class LimitFound(NamedTuple):
     - `price`, `price_error`: the shadow price, the change of the objective per unit of the level
       (negative for a lower limit); zero if the limit does not bind: if its multiplier in training
       is zero, or the measure is far enough from the level. `multiplier`: its last value.
-    - `met`: "met", "not met", or "met nearly": missed by less than the half width of the interval,
-      a thousandth of one path's deviation, or round-off.
+    - `met`: "met", "not met", or "met nearly": violated by less than the half width of the
+      interval, a thousandth of one path's deviation, or round-off.
     """
 
     name: str
@@ -173,7 +173,7 @@ class LimitFound(NamedTuple):
 
 
 def _alike(half: float, level: float) -> float:
-    """How far a measure with this half width may be from the level and yet be taken for it."""
+    """The largest distance from the level at which a measure is taken for it, by half width."""
     return max(half, ALIKE * abs(level))
 
 

@@ -73,7 +73,7 @@ class Clock:
             self._compiled.append((now - duration, now))
 
     def stage(self, name: str) -> None:
-        """Books the time since the last call under this name, minus the compiling in it."""
+        """Adds the time since the last call to this name, without the time of compiling."""
         now, heard = time.perf_counter(), sorted(self._compiled)
         compiled, reached = 0.0, self._started
         for first, last in heard:

@@ -89,17 +89,17 @@ def solve_seeds(
     evaluation: Evaluation | None = None,
     **more: Any,
 ) -> Seeds:
-    """`solve`, once for every seed; programs compiled for the first one serve all.
+    """`solve`, once for every seed; all use the programs compiled for the first.
 
         found = snapo.solve_seeds(Reservoir(), inputs, objective="cash", seeds=5)
         print(found)
 
     A seed determines the initial weights, and the scenarios of training and validation, except
-    `Supplied` ones; those of the evaluation are the same for all, of the problem or of the first
-    seed.
+    `Supplied` ones. The scenarios of the evaluation are the same for all seeds: those of the
+    problem or of the first seed.
 
-    **Arguments:** `seeds`: how many, from `training.seed` on, or the seeds themselves; all others
-    are those of `solve`. Ctrl-C during a training ends with its seed.
+    **Arguments:** `seeds`: the number of seeds, from `training.seed` on, or the seeds themselves;
+    all others are those of `solve`. Ctrl-C during a training ends with its seed.
     """
     if isinstance(problem, int) or not isinstance(seeds, int | Iterable):
         message = "the problem comes first, and seeds is a keyword: solve_seeds(problem, seeds=5)"

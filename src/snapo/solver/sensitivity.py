@@ -116,7 +116,7 @@ def sensitivities_and_totals(
 def through_policy(
     problem: Problem, policy: Policy, smooth: Smooth, engine: Engine | None
 ) -> DerivativePass:
-    """How `sensitivities` differentiates the smooth simulator."""
+    """The derivative pass of `sensitivities` through the smooth simulator."""
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
     return DerivativePass(problem, bound, policy, smooth, held=False)
 
@@ -141,7 +141,7 @@ def held_of_several(
     paths: int,
     engine: Engine | None = None,
 ) -> list[dict[str, Estimate]]:
-    """Held derivatives {input: Estimate} of each objective, as `sensitivities` gives of one.
+    """Held derivatives {input: Estimate} of each objective, as from `sensitivities` for one.
 
     The objectives share the recorded decisions and every forward sweep: one adjoint pass for each
     block of paths has a column of cotangents for each objective.
@@ -164,7 +164,7 @@ def second_order(
 
     The derivatives are those with decisions held fixed, but along a direction the decisions respond
     through the smooth policy: otherwise a value that is linear in prices has no second derivative.
-    Directions and results are {input: array}; a direction is zero if not named. `smooth`:
+    Directions and results are {input: array}; a missing direction is zero. `smooth`:
     `Smooth(0.005)` by default. XLA only; weights are held fixed if the objective is not linear.
     """
     engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs

@@ -196,7 +196,7 @@ class Solution:
         The page is served until `close()` of the returned page, or until this session ends.
 
         - `problem`: by default the one solved; `simulator`: "MODULE:CLASS", for a run of
-          `snapo solve` with a simulator of yours.
+          `snapo solve` with a user-defined simulator.
         - `browser`: whether to open one; by default outside of a notebook, which shows a link.
 
         **Raises:** `ValueError` without a problem; `ModuleNotFoundError` without the extra `live`.
@@ -284,11 +284,11 @@ class Solution:
         """The solution that was saved in a folder; nothing in it is executed.
 
         The folder is that of `solution.save` or of a run of `snapo solve`, or the one above a run.
-        A policy of a user-defined class has its numbers in the file and not its code: `like` is
-        such a policy, of the same shape; without it the solution has no policy.
+        A policy of a user-defined class is stored without its code: `like` is such a policy, of the
+        same shape; without it the solution has no policy.
 
-        **Raises:** `CheckpointError` if a file is missing or damaged, or holds a policy that
-        differs from `like`: of another shape, with another activation, another set of actions.
+        **Raises:** `CheckpointError` if a file is missing or damaged, or contains a policy that
+        differs from `like` in shape, activation or action set.
         """
         folder = folder_of(folder)
         try:

@@ -1,4 +1,4 @@
-"""The verb: train a policy, measure it on the exact simulator, differentiate its value.
+"""`snapo.solve`: trains a policy, measures it on the exact simulator, differentiates its value.
 
 A run is two plain stages on one problem: `train`, `measure`.
 """
@@ -89,7 +89,7 @@ def solve(
     - `bar`: whether a line shows the progress and the time left; None: in a terminal or a notebook.
 
     Ctrl-C during training ends it: the best policy so far is measured, and the solution has the
-    status "interrupted". A second Ctrl-C ends the measurement too, without a solution.
+    status "interrupted". A second Ctrl-C also ends the measurement, without a solution.
 
     **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
@@ -167,7 +167,7 @@ def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Setti
 
 
 def in_order(problem: Any, inputs: PyTree, policy: Any) -> tuple[PyTree, Any]:
-    """Inputs and policy: after a `Problem`, which has its own inputs, the policy comes at once."""
+    """Inputs and policy: a `Problem`, which has its own inputs, is followed by the policy."""
     behind = isinstance(problem, Problem) and policy is None
     return (
         (None, inputs)

@@ -6,8 +6,8 @@ estimate and whose spread is its error: sums and ratios by the linearised ratio 
 Techniques, 1977, section 6.3), other statistics by their influence function. Results computed block
 by block become an `Estimate`, by a jackknife over the blocks (`by_block`). Intervals are Student's.
 
-Wherever a number is shown to people, ± is followed by half of a 95 % interval, from simulation
-error only; files and attributes hold the `standard_error`.
+In all output, ± is followed by half of a 95 % interval, from simulation
+error only; files and attributes contain the `standard_error`.
 """
 
 from decimal import Decimal
@@ -39,7 +39,7 @@ def with_error(value: float, error: float) -> str:
     """A number with half of its interval, to two significant digits of it: "2,732 ± 21".
 
     Large and small ones share a power of ten, "(1.235 ± 0.021)e-07"; without an error, or with one
-    that only double precision makes, the number has twelve digits.
+    of the size of round-off, the number has twelve digits.
     """
     value, error = float(value) + 0.0, float(f"{error:.1e}")
     size = max((abs(x) for x in (value, error) if np.isfinite(x)), default=0.0)
@@ -128,7 +128,7 @@ class Estimate(NamedTuple):
 def critical(degrees: float = np.inf, level: float = LEVEL, comparisons: int = 1) -> float:
     """Standard errors to either side of an estimate; of all `comparisons` estimates together.
 
-    Bonferroni's bound: each has (1 - level) / comparisons to spare.
+    Bonferroni's bound: each may miss with probability (1 - level) / comparisons.
     """
     from scipy import special  # late: it takes as long as reading a case
 
@@ -172,7 +172,7 @@ def of_shares(result: np.ndarray, fit: int = 0) -> Sampled:
 
 
 def mean(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
-    """The mean over paths; of a difference of two runs on the same paths, the paired one."""
+    """The mean over paths; for a difference of two runs on the same paths, the paired mean."""
     return of_shares(shares(values, groups))
 
 
@@ -180,7 +180,7 @@ class Skewed(NamedTuple):
     """A mean with a possibly asymmetric interval.
 
     - `standard_error`: half the width of the 95 % interval, in that of a normal distribution.
-    - `low`, `high`: the interval; `few`: whether a few of the numbers decide it.
+    - `low`, `high`: the interval; `few`: whether a few of the numbers dominate it.
     """
 
     value: float
@@ -193,7 +193,7 @@ class Skewed(NamedTuple):
 def skewed_mean(values: np.ndarray, groups: np.ndarray | None = None) -> Skewed:
     """The mean over paths of numbers that a few large ones may dominate.
 
-    Up to a skewness of 3 Student's interval of 32 block means. Above, where that is too short,
+    Up to a skewness of 3 Student's interval of 32 block means. Above, if that is too short,
     the bootstrap-t: t-values of resampled means instead of Student's (Efron and Tibshirani, An
     Introduction to the Bootstrap, 1993, section 12.5).
     """
@@ -252,7 +252,7 @@ def _in_tail(values: np.ndarray, level: float) -> np.ndarray:
 
 
 def deviation(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
-    """The standard deviation of the paths; its error by linearising the square root."""
+    """The standard deviation of the paths; its error follows by linearising the square root."""
     values = np.asarray(values, np.float64)
     square = mean((values - values.mean()) ** 2, groups)
     result = float(np.sqrt(square.value))
@@ -262,9 +262,9 @@ def deviation(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
 def shortfall(
     values: np.ndarray, level: float, groups: np.ndarray | None = None
 ) -> tuple[Sampled, Sampled]:
-    """By how much a quantile, and the mean of the paths below it, are less than the mean.
+    """The mean minus a quantile, and the mean minus the mean of the paths below that quantile.
 
-    `level`: 0.95 of the worst 5 %. Errors by influence functions, the density at the quantile from
+    `level`: 0.95 for the worst 5 %. Errors by influence functions, the density at the quantile from
     the quantiles at both ends of the interval of the share below it.
     """
     values = np.asarray(values, np.float64)

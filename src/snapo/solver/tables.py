@@ -70,7 +70,7 @@ def frame(columns: Mapping[str, Any], backend: str = "pandas") -> Any:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (0,)) -> str:
-    """A table of texts; columns not in `text` are figures, flush right."""
+    """A table of texts; columns not in `text` are numbers, aligned to the right."""
 
     def cells(tag: str, row: Sequence[str]) -> str:
         sides = ("left" if i in text else "right" for i in range(len(row)))
@@ -102,7 +102,7 @@ class Picture(NamedTuple):
 
 
 class SheetTable(NamedTuple):
-    """A table and, if need be, its chart."""
+    """A table and, optionally, its chart."""
 
     header: Sequence[str]
     rows: Iterable[Sequence[Any]]
@@ -207,7 +207,7 @@ TRAINING = Picture("line", "step", ("objective",))
 
 
 def sensitivities_chart(rows: list[Any]) -> Picture | None:
-    """Derivatives by label, or by input if most have no label; no chart that is too long to read.
+    """Derivatives by label, or by input if most have no label; None if a chart would be too long.
 
     `rows`: input, label …
     """

@@ -1,7 +1,7 @@
 """Training: stochastic gradient ascent on the smooth simulator, one adjoint pass a step.
 
-`train` is a plain loop. Adam with warm-up and cosine decay climbs; the temperature of the
-constraints is annealed; the parameters are averaged; the averaged policy is validated on the
+`train` is a plain loop. Adam with warm-up and cosine decay maximises the objective; the temperature
+of the constraints is annealed; the parameters are averaged; the averaged policy is validated on the
 EXACT simulator and the best one is kept. Fresh scenarios every step are a function of seed and
 step, so a stopped run continues bit for bit from its `Progress`.
 """
@@ -72,7 +72,7 @@ class TrainingLoop(NamedTuple):
     """All that one step of training needs; `update` is the compiled step of the optimiser.
 
     - `problem`, `bound_engine`: the objective of a step; with a `spread` or `exploration` they
-      are perturbed; the problem itself is `inner`, which `exact` rolls.
+      are perturbed; the problem itself is `inner`, which `exact` simulates.
     """
 
     problem: Problem
@@ -98,10 +98,10 @@ def train(
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
     With `until` it stops after that step, validated, and can be continued from there. A training
-    that does nothing restarts, for the n-th time from `fresh(n)`, n from 0, if there is one.
+    whose policy does nothing restarts, the n-th time from `fresh(n)` (n from 0), if available.
     `bar` shows every step.
 
-    It stops early where a callback returns True. On Ctrl-C they are called once more, and
+    It stops early if a callback returns True. On Ctrl-C they are called once more, and
     `Interrupted`, a `KeyboardInterrupt`, has the progress so far. The status of the result is
     "trained", "stopped early" or "diverged".
     """

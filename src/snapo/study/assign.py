@@ -13,7 +13,7 @@ OPTION = "--set"
 
 
 def assigned(data: Mapping[str, Any], assignments: Iterable[str]) -> tuple[dict, set[str]]:
-    """A copy of the tables of a case with each "path=value" put in; and the paths.
+    """A copy of the tables of a case with each "path=value" assigned, and the paths.
 
     A path is made of keys; an array's element is identified by its number from 0, or its `name`.
     A value is written as in TOML. The domain decides whether a new key is allowed.
@@ -76,8 +76,8 @@ def value_at(data: Mapping[str, Any], path: str) -> Any:
 
 
 def key_as_in(data: Mapping[str, Any], key: str) -> str:
-    """A key of a case as its tables write it, where `key` differs from that in capital letters
-    only; else in lower case where its table has no such key, as names of columns are."""
+    """A key of a case in the spelling of its tables, if `key` differs from it only in capital
+    letters; otherwise in lower case, as names of columns are, if its table has no such key."""
     parts, position = list[str](), data
     for part in key.split("."):
         names = [name for name in position if name.casefold() == part.casefold()]

@@ -1,4 +1,4 @@
-"""A study carried out into a folder, part by part, resumable, and the report of the folder."""
+"""Runs a study into a folder, part by part and resumable, and writes its report."""
 
 import json
 import time
@@ -40,7 +40,7 @@ def write_report(domain: Domain, folder: Path) -> Path:
 def page_of(domain: Domain, folder: Path) -> str:
     """The report of a run folder as HTML.
 
-    Where a file or a key is missing, the section has a sentence on it. The same files give the
+    If a file or a key is missing, the section has a sentence on it. The same files give the
     same page, byte for byte.
     """
     summary = domain.report()
@@ -289,9 +289,9 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
 
     The last entries of "notes" are those on the case itself, which were known before the run.
 
-    "seconds" has those of every part and of preparing the case, whose sum is the "total"; those of
-    writing reports, which no page can know of itself; and the stages of the training, which are
-    within its part.
+    "seconds" has the time of every part and of preparing the case, with the sum as "total"; the
+    time of writing reports, which the page itself cannot contain; and the stages of the training,
+    which are within its part.
     """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}

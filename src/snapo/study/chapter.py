@@ -1,4 +1,4 @@
-"""A chapter: one question to a run, from its measurement to its section of the report.
+"""A chapter: one analysis of a run, from its measurement to its section of the report.
 
     BASELINES = Chapter("baselines", "Classical rules", Baselines, measure, show)
 
@@ -35,18 +35,18 @@ def floats() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Chapter(Generic[Result]):
-    """One question to a run.
+    """One analysis of a run.
 
-    - `name`: a text; of its part, its file and the anchor of its section.
-    - `title`: the title of the section, or a function of the files of the run; `short`: in the
-      menu, the name where it is empty; `anchor`: if it differs from the name.
+    - `name`: the name of its part, its file and the anchor of its section.
+    - `title`: the title of the section, or a function of the files of the run; `short`: its text in
+      the menu, by default the name; `anchor`: if it differs from the name.
     - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses; under a `key`
       also `tuple[Row, ...]` of them.
     - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
     - `needs`: names of the parts that must be done before.
     - `key`: under which the file of the part has the result; "": the fields are keys of the file.
     - `table`: the table of the case, without which the part is not among those of the study.
-    - `optional`: whether a run without the part has no section on it; else one with the reason.
+    - `optional`: whether a run without the part has no section on it; else it gives the reason.
 
     No two chapters of a study may write the same key.
     """

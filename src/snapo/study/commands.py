@@ -117,11 +117,11 @@ def solve(
     """Carries out the study of a case into the folder `out`, by default a new one in `runs` next
     to the case; `run` points to the latest of them.
 
-    `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
-    trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
-    `workers`: compute groups of the paths of a large problem, with the same bits. `ladder`: value
-    the contract by all methods too. `hedge`: simulate its hedges. `gamma`: measure it by product.
-    Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
+    `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: the number
+    of trainings, from the seed of the case on, or the seeds themselves; the run is that of the
+    best. `workers`: compute groups of the paths of a large problem, with the same bits. `ladder`:
+    also value the contract by all methods. `hedge`: simulate its hedges. `gamma`: measure it by
+    product. Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
     `KeyboardInterrupt` is passed on to the caller.
 
     **Raises:** `CaseError` if the case has a mistake, or the policy does not fit it.
@@ -157,8 +157,7 @@ def certify(
 ) -> dict[str, Any]:
     """Bounds the value of a run from both sides; returns the new content of its result.json.
 
-    **Raises:** `CaseError` if there is no such run, or nothing bounds its value, with the
-    reason.
+    **Raises:** `CaseError` if there is no such run, or nothing bounds its value, with the reason.
     """
     from . import run_folder
     from .prepare import case_of_run, options_of_run, use_every_core
@@ -214,7 +213,7 @@ def report(run: Path) -> Path:
 def printed(run: Path) -> Path:
     """Prints the report of a run as a PDF next to it; returns its path.
 
-    **Raises:** `CaseError` if no browser of this machine can.
+    **Raises:** `CaseError` if no browser of this machine can print it.
     """
     from snapo.report.page import BROWSERS, VARIABLE, browser, print_page
 

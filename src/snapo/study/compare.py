@@ -28,7 +28,7 @@ class DerivativePair(NamedTuple):
 
     - `standard_error`: the standard error of the difference, from sampling; `policy`: by how much
       the errors of both policies may move it.
-    - `sources`: where either comes from (`Sensitivities.source`).
+    - `sources`: the source of each derivative (`Sensitivities.source`).
     - `effect`: the difference of the effects of the input's standard move on the two values.
     """
 
@@ -115,7 +115,7 @@ class Comparison:
 def compare(first: Path, second: Path) -> Comparison:
     """The second run against the first.
 
-    **Raises:** `CaseError` if one is no run of this version, or they are of different kinds.
+    **Raises:** `CaseError` if one is not a run of this version, or their kinds differ.
     """
     records = [run_folder.read(run) for run in (first, second)]
     kinds = [record["kind"] for record in records]
@@ -151,7 +151,7 @@ def compare(first: Path, second: Path) -> Comparison:
 
 
 class Comparisons(NamedTuple):
-    """Three runs or more: every other one as it differs from the first."""
+    """Three or more runs: the differences of each from the first."""
 
     pairs: tuple[Comparison, ...]
 

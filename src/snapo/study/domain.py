@@ -1,8 +1,8 @@
-"""A domain: how a file becomes a study in its user's terms, and a case that is read with it.
+"""A domain, which turns a file in its user's terms into a study; and a case that it has read.
 
-Domains are found by the entry-point group `snapo.domains`, those of this package and of
-any other. An entry point names an object with the attributes of `Domain`; its module imports
-nothing heavy, so that `snapo new` answers at once.
+Domains of this and other packages are found by the entry-point group `snapo.domains`. An entry
+point names an object with the attributes of `Domain`; its module imports nothing heavy, so that
+`snapo new` answers at once.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -33,7 +33,7 @@ class Options(NamedTuple):
 
     - `engine`: "auto", "xla" or "native".
     - `reference`: compute the exact references as well, however long they take.
-    - `about`: that of an earlier run of the same case, which passed its checks for it; else None.
+    - `about`: the `about` of an earlier run of the same case, which passed the checks; else None.
     - `ladder`: value the contract by all methods, on common paths; `hedge`: simulate its hedges;
       `gamma`: measure the change of deltas with prices, by product.
     """
@@ -58,7 +58,7 @@ class Case(Protocol):
 
 @dataclass(frozen=True)
 class Report:
-    """How a run is reported, from the files of its folder only.
+    """The layout of a run's report, from the files of its folder only.
 
     - `title`: if the run has none.
     - `folder`: reads the run; the class of a domain adds its units.
@@ -74,8 +74,8 @@ class Report:
     menu: "Mapping[str, Callable[[Any], Section]]" = field(default_factory=dict)
 
     def links(self, made: "Sequence[Section]") -> "list[tuple[str, str]]":
-        """(anchor, text) of the menu; `made`: by the sections, of which those without blocks are
-        not shown."""
+        """(anchor, text) of the menu; `made`: the sections made; those without blocks are not
+        shown."""
         if not self.menu:
             return [(x.name, x.short) for x in made if x.blocks and x.short]
         names = {id(first): text for text, first in self.menu.items()}
@@ -103,7 +103,7 @@ class Domain(Protocol):
     def templates(self) -> "Mapping[str, Traversable]": ...
 
     def read(self, file: Path, data: Mapping[str, Any]) -> Case:
-        """From the tables of a case to its records; **raises** `CaseError` for every mistake."""
+        """The records from the tables of a case; **raises** `CaseError` for every mistake."""
         ...
 
     def check(self, case: Any) -> list[str]:
@@ -111,11 +111,11 @@ class Domain(Protocol):
         ...
 
     def study(self, case: Any, options: Options) -> "Study":
-        """What a run of the case does."""
+        """The study of the case, which a run carries out."""
         ...
 
     def report(self) -> Report:
-        """How a run is reported."""
+        """The layout of a run's report."""
         ...
 
     def bench(self, engine: str, progress: "ProgressCallback") -> str:
@@ -211,8 +211,8 @@ class CaseRequest(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """A case that was read: its domain, its file, its tables as they count, its records, and the
-    `assignments` that changed the tables."""
+    """A case that was read: its domain, its file, its tables after all changes, its records, and
+    the `assignments` that changed the tables."""
 
     domain: Domain
     file: Path

@@ -43,7 +43,7 @@ OWN = re.compile(r"\.(low|high|groups)(\W|$)")  # settings that are those of the
 
 @dataclass(frozen=True, eq=False)
 class SuppliedPolicy:
-    """A policy to begin with, before it is known whether it fits.
+    """A policy to begin with, before its fit has been checked.
 
     - `source`: the run folder or the file, as the command names it; `file`: where it was read.
     - `content`: the bytes of the file; `value`: that of its run, if it has one.
@@ -191,7 +191,7 @@ KEPT, GAIN = "given policy", "gain over the initial policy"
 
 
 def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
-    """The study with `values` in the place of its untrained policy; `file` is that of its case.
+    """The study with `values` instead of its untrained policy; `file` is that of its case.
 
     **Raises:** `CaseError` if nothing is trained, or the policy does not fit.
     """

@@ -31,8 +31,8 @@ class Kind:
       without a timer, nothing of the kind is timed separately.
     - `tables`: the same of the `Formats` of its tables, or of a function that returns them; the
       schema that `snapo schema` prints is made of them.
-    - `relaxed`: the same of a function of a case's tables that returns them without what must hold
-      at its own numbers only, for a case with others; "": there is nothing of the kind.
+    - `relaxed`: the same of a function of a case's tables that returns them without the checks that
+      apply only to its present numbers, for a case with others; "": no such checks.
     - `explainer`: the same of a function of two runs that splits the change of value between them
       into parts; "": there is none.
     """
@@ -91,10 +91,10 @@ class Kind:
 
 
 def inputs_line(sizes: Collection[int]) -> str:
-    """The line of a summary on the inputs of a case; `sizes`: how many numbers each has."""
+    """The line of a summary on the inputs of a case; `sizes`: the number of entries of each."""
     return f"{len(sizes)} inputs with {sum(sizes)} numbers, each with a sensitivity"
 
 
 def with_other_numbers(domain: Any, data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """`Kind.with_other_numbers`; of a domain that is no `Kind`, the tables themselves."""
+    """`Kind.with_other_numbers`; for a domain that is not a `Kind`, the tables themselves."""
     return domain.with_other_numbers(data) if isinstance(domain, Kind) else data

@@ -56,8 +56,8 @@ def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, A
 
 
 def options_of_run(domain: Domain, case: Any, record: Mapping[str, Any], engine: str) -> Options:
-    """As the case of a run is studied again: without the checks that it passed, unless it runs code
-    that has changed since."""
+    """The options to study the case of a run again: without the checks that it passed, unless it
+    runs code that has changed since."""
     typed = entries_of(RunRecord, record)
     decided = typed.settings.options.items()
     same = not isinstance(domain, RunsCode) or domain.decides(case).items() <= decided
@@ -83,9 +83,9 @@ def _plain(data: Any) -> Any:
 
 
 def use_every_core() -> None:
-    """XLA runs one device per core, where JAX has not computed yet, and keeps its programs on disk.
+    """Sets XLA to one device per core, if JAX has not computed yet, with its programs on disk.
 
-    On a machine with a GPU everything but an engine's rollouts runs on the processor all the same:
+    On a machine with a GPU everything except an engine's rollouts still runs on the CPU:
     its many small programs take longer to compile for a GPU than to run.
     """
     import jax
@@ -99,7 +99,7 @@ def use_every_core() -> None:
 
 
 def keep_memory() -> None:
-    """Memory that the process has used stays with it, if the C library is glibc.
+    """Lets the process keep memory that it has used, if the C library is glibc.
 
     For processes that repeat calls of the same sizes: most of the time that the system would take
     to give them new pages is saved.
@@ -125,7 +125,7 @@ class Wanted(NamedTuple):
     - `engine`, `reference`, `ladder`, `hedge`, `gamma`: as in `Options`.
     - `resume`: continue the run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
-    - `about`: that of another run of the same case, which passed its checks for this one too.
+    - `about`: that of another run of the same case, whose checks are valid for this one too.
     - `workers`: compute groups of paths, with the same bits.
     """
 
@@ -231,7 +231,7 @@ def _over(study: "Study", workers: "Workers", file: str) -> "Study":
 
 
 def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":
-    """The study with the remarks on its case among its notes, also where it has none."""
+    """The study with the remarks on its case among its notes, also if it has none."""
     every = dict.fromkeys([*notes, *study.about.get("notes", ())])
     return replace(study, about={**study.about, "notes": list(every)})
 

@@ -61,7 +61,7 @@ def _traced(problem: Problem, simulator: Simulator) -> ProgramText:
 def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines of a run.
 
-    **Raises:** `CaseError` if the requested one cannot take the problem, with the reason.
+    **Raises:** `CaseError` if the requested engine cannot take the problem, with the reason.
     """
     try:
         return choose(requested, problem, policy)
@@ -89,7 +89,7 @@ def at_values(
 ) -> Setup:
     """The setup at other `values` of its inputs, with the code that is compiled already.
 
-    `simulator` is that of the moved case. Where it uses a number as a plain constant, it is another
+    `simulator` is that of the moved case. If it uses a number as a plain constant, it is another
     program, and `rebuilt` makes the setup.
     """
     if not same_program(setup.problem, simulator):

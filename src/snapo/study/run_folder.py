@@ -70,7 +70,7 @@ ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
 
 def check_writable(out: Path) -> None:
-    """An unwritable folder or a full disk is found before training, not after."""
+    """Detects an unwritable folder or a full disk before training, not after it."""
     folder = out
     while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
@@ -142,7 +142,7 @@ def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dic
 
     A new run removes the files of the previous one.
 
-    **Raises:** `CaseError` if a run to resume was started with something else.
+    **Raises:** `CaseError` if a run to resume was started with other settings.
     """
     (out / PARTS).mkdir(parents=True, exist_ok=True)
     if resume and (old := check_same(out, decides)):
@@ -157,7 +157,7 @@ def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dic
 def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
     """The record of the run to resume in a folder, None if there is none yet.
 
-    **Raises:** `CaseError` if it was started with something else, or by an earlier version.
+    **Raises:** `CaseError` if it was started with other settings, or by an earlier version.
     """
     if not any((out / name).exists() for name in (RUN, RESULT, CHECKPOINT)):
         return None
@@ -174,8 +174,7 @@ def _written(out: Path) -> list[Path]:
 
 
 def become(out: Path, source: Path) -> None:
-    """Replaces the run of this folder by that of another one; its report is not
-    taken."""
+    """Replaces the run of this folder by that of another one; its report is not taken."""
     (out / PARTS).mkdir(parents=True, exist_ok=True)
     for file in _written(out):
         file.unlink(missing_ok=True)
@@ -283,7 +282,7 @@ def _no_run(out: Path) -> CaseError:
 
 
 class Difference(NamedTuple):
-    """One setting of two runs that is not the same: its name, and its values (None: not given)."""
+    """One setting of two runs that is not the same: its name, and its values (None if absent)."""
 
     name: str
     first: Any
@@ -318,13 +317,13 @@ def changed(old: Any, new: Any) -> str:
 
 
 def in_words(value: Any) -> str:
-    """A setting as in a case, cut short where it is long."""
+    """A setting as in a case, cut short if it is long."""
     text = "not given" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def write_part(out: Path, part: "Part", tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Keeps the tables of a part, and returns them as they come back from its file."""
+    """Saves the tables of a part, and returns them as they are read from its file."""
     text = json.dumps(plain_json(tables))
     write_text(out / PARTS / part.file, text)
     return json.loads(text)

@@ -223,7 +223,7 @@ def solve_seeds(
 
     `seeds`: how many, from the seed of the case on, or the seeds themselves.
 
-    **Raises:** `CaseError` if the case trains nothing, or another run lies in the folder.
+    **Raises:** `CaseError` if the case trains nothing, or the folder contains another run.
     """
     began = time.perf_counter()
     loaded = load(request)
@@ -321,7 +321,7 @@ def _check_same(out: Path, decides: Mapping[str, Any]) -> None:
 
 
 def _adopt(best: Prepared, source: Path, resume: bool) -> None:
-    """The folder of the best seed as RUN; kept, but for the table, where it is the same already."""
+    """The folder of the best seed as RUN; kept, without its table, if it is already this run."""
     if resume and (best.out / run_folder.RUN).exists():
         record = run_folder.read(best.out)
         if run_folder.mark(record["decides"]) == run_folder.mark(best.decides):

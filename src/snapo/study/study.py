@@ -28,11 +28,11 @@ ProgressCallback = Callable[[str], None]
 
 
 class Setup(NamedTuple):
-    """All that training takes, settled: the arguments of `snapo.solve`.
+    """All arguments of `snapo.solve` for a training.
 
-    `recipe`: the recipe of `policy`, where it is a general one, so that training begins as
-    `snapo.solve` does; None: training begins from `policy` itself. `case`: the prepared one, if the
-    problem's simulator does not hold it.
+    `recipe`: the recipe of `policy`, if that is a general one, so that training begins as
+    `snapo.solve` does; None: training begins from `policy` itself. `case`: the prepared case, if
+    the problem's simulator does not contain it.
     """
 
     problem: Problem
@@ -64,7 +64,7 @@ class Setup(NamedTuple):
 def with_change(
     setup: Callable[[], Setup], change: Callable[[Setup], Setup]
 ) -> Callable[[], Setup]:
-    """The setup of a study, which may be another one while it runs, with a change made once."""
+    """The setup of a study with a change applied once, since it may be replaced during a run."""
     made: dict[int, tuple[Setup, Setup]] = {}
 
     def build() -> Setup:
@@ -126,7 +126,7 @@ class PathTotals(NamedTuple):
 
 
 class DisplayedValue(NamedTuple):
-    """A value as its reader knows it: an increasing function of it, "Certainty equivalent" in %.
+    """A value as its readers know it, an increasing function such as "Certainty equivalent" in %.
 
     - `number`: at the value; `slope`: d number / d value.
     """
@@ -140,8 +140,8 @@ class DisplayedValue(NamedTuple):
 class CalculatedOutput(NamedTuple):
     """An output of a study without a policy.
 
-    - `values`: [N] by path; `nominal`: without anything random; `within`: the share of paths within
-      its limits.
+    - `values`: [N] by path; `nominal`: the value without random effects; `within`: the share of
+      paths within its limits.
     """
 
     name: str
@@ -194,7 +194,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What a run does.
+    """A problem, and the parts of its runs.
 
     - `kind`: the kind of the domain.
     - `about`: known before any work: title, currency, dates, notes …, for the report; "units" and
@@ -202,13 +202,12 @@ class Study:
     - `parts`: in the order in which they are done.
     - `result`: the content of result.json, from the run so far: "value", "standard_error",
       "status" …
-    - `setup`: gives the arguments of training, the same object every time; None if nothing
-      trains.
+    - `setup`: returns the arguments of training, always the same object; None if nothing trains.
     - `relaxation`: returns the inner problem of the upper bound; or the reason for its absence as
       text.
     - `setup_at`: gives the setup at a case that differs in the numbers of its inputs only, as fast
       as it can: with code that is compiled already. None: its inputs cannot be moved.
-    - `checks`: the case's tables with figures to check its numbers by: a case with other numbers is
+    - `checks`: the case's tables with figures that check its numbers: a case with other numbers is
       written without them.
     - `today`: gives the decision of today: of a setup and a policy, the rows of a table.
     - `inputs`: gives the inputs of a case by name; None: they are found among its records.
@@ -280,7 +279,7 @@ class StudyRun:
 
     @property
     def setup(self) -> Setup:
-        """All that training takes."""
+        """The arguments of the training."""
         if self.study.setup is None:
             raise ValueError(f"{self.study.kind}: this study trains nothing.")
         return self.study.setup()

@@ -77,11 +77,11 @@ def trained(
     advantages: Iterable[Advantage] = (),
     exact: float | None = None,
 ) -> dict[str, Any]:
-    """The result of a study that trains; empty before it has.
+    """The result of a study that trains; empty before the training.
 
-    How much can still be gained is the "verdict" on the terminal and the first note, where the run
-    has a bound from above or an `exact` value. `advantages` over classical rules, on the same
-    paths: one that does better is in the notes, and replaces the verdict.
+    If the run has an upper bound or an `exact` value, the possible gain is the "verdict" on the
+    terminal and the first note. `advantages` over classical rules, on the same paths: a rule that
+    does better is in the notes, and replaces the verdict.
     """
     result = dict(run.get("solution", {}))
     if not result:
@@ -96,7 +96,7 @@ def trained(
 
 
 def _with_room(result: RunResult, left: Room) -> dict[str, Any]:
-    """Word and notes where it is known how much can be gained; next to a bound none asks for
+    """Word and notes if it is known how much can be gained; next to a bound none asks for
     more steps."""
     notes, word = result.notes, result.convergence
     if left.near:
@@ -205,8 +205,7 @@ def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
 
 
 def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[str]]:
-    """Entries of a study's `about` for a report: names of parts, `selected` and left
-    out."""
+    """Entries of a study's `about` for a report: names of parts, `selected` and left out."""
     return {
         PLANNED: [part.name for part in selected],
         LEFT_OUT: [part.name for part in parts if part not in selected],
@@ -214,7 +213,7 @@ def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[s
 
 
 def no_policy(out: Path, record: Mapping[str, Any]) -> CaseError:
-    """Why the run in a folder, with its record, has no trained policy."""
+    """The reason why the run in a folder, with its record, has no trained policy."""
     message = "this run has no trained policy: solve its case again, or continue with --resume"
     if TRAINING.name in entries_of(RunRecord, record).about.get(LEFT_OUT, ()):
         message = "this run has no trained policy: its `[report] parts` leave out the training"

@@ -103,7 +103,7 @@ def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
 
 
 class SheetPart(NamedTuple):
-    """A table, and the way to it in the part's data."""
+    """A table, and its path in the data of the part."""
 
     path: tuple[str, ...]
     header: tuple[str, ...]

@@ -21,7 +21,7 @@ class Miniature(NamedTuple):
     """A case small enough to be solved in seconds: a template with smaller numbers and fewer parts.
 
     - `kind`: the kind of the domain, which must be installed.
-    - `size`: the size of its template; the default one where it is None.
+    - `size`: the size of its template; by default that of the kind.
     - `assignments`: keys with other values, as `snapo solve --set` takes them.
     - `simulator`: (module, class) next to the case, for a kind that runs the user's code.
     - `texts`: returns the files of the case, {name: text}, if it is not a template.
@@ -38,7 +38,7 @@ class Miniature(NamedTuple):
         return commands.CaseRequest(folder / CASE, self.assignments, self.simulator)
 
     def write(self, folder: Path) -> commands.CaseRequest:
-        """The template, or the given case, in `folder`/case."""
+        """Writes the template, or the files of `texts`, into `folder`/case."""
         if self.texts is None:
             commands.new(self.kind, folder / CASE, self.size)
         else:
@@ -62,8 +62,8 @@ def quiet(text: str) -> None:
 def once(folder: Path, make: Callable[[Path], Any]) -> Path:
     """The folder, filled by `make(folder)` in the first process that calls; the others wait.
 
-    Where `make` fails, its files are removed, and the next caller tries again. The lock is one
-    of the operating system's, which a killed process gives back (POSIX only).
+    If `make` fails, its files are removed, and the next caller tries again. The lock is one of the
+    operating system, released if the process is killed (POSIX only).
     """
     import fcntl
 

@@ -177,7 +177,7 @@ def _inside(data: Any, path: Route) -> Any:
 def spoilt_files(folder: Path, labels: Iterable[str] = ()) -> Iterator[Mistake]:
     """Mistakes in every CSV next to the case in `folder`: the file, its header, each column.
 
-    `labels`: columns of names, if any text is right though it may look like a number.
+    `labels`: columns of names, if any text is valid, even one that looks like a number.
     """
     labels = set(labels)
     for file in sorted(folder.glob("*.csv")):

@@ -25,13 +25,12 @@ def make_inputs(
     noise: Mapping[str, Any] | None = None,
     measurement: Mapping[str, Any] | None = None,
 ) -> PlantInputs:
-    """{"plant", "cost", "start", "noise", "measurement"} of a plant, its own numbers where none are
-    given.
+    """{"plant", "cost", "start", "noise", "measurement"} of a plant, by default its own numbers.
 
     - `start`: {state: {"at"}, {"low", "high"} or {"mean", "deviation"}}.
     - `noise`: {state: standard deviation of a step's disturbance}; or a matrix that multiplies
       normals, or one for every step.
-    - `measurement`: {state: standard deviation of the error with which it is seen}.
+    - `measurement`: {state: standard deviation of its measurement error}.
 
     **Raises:** `KeyError` for a name that the plant does not have.
     """

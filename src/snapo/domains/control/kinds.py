@@ -1,4 +1,4 @@
-"""The kinds of plants by their descriptions: parameters, weights, states and actions with units.
+"""The descriptions of the kinds of plants: parameters, weights, states and actions with units.
 
 A case is read and checked with the description; the equations are in `plants/`, a class for each.
 """
@@ -15,8 +15,8 @@ PlantValues = Mapping[str, Any]
 
 
 class PlantParameter(NamedTuple):
-    """A parameter of a plant or of its cost: its default (None: it is required; infinite: there is
-    no such limit), its unit and meaning. `positive`: it must be above 0."""
+    """A parameter of a plant or of its cost: its default (None if it is required; infinite if there
+    is no such limit), its unit and meaning. `positive`: it must be above 0."""
 
     value: Any
     unit: str
@@ -29,7 +29,8 @@ class Variable(NamedTuple):
 
     - `start`: the default distribution of an initial state: {"at"}, {"low", "high"} or {"mean",
       "deviation"}.
-    - `turn`: an angle, unwrapped in the state; its cost and features repeat every 2 pi.
+    - `turn`: whether it is an angle, unwrapped in the state; its cost and features repeat
+      every 2 pi.
     """
 
     unit: str
@@ -59,7 +60,7 @@ class PlantKind:
 
     @classmethod
     def faults(cls, values: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-        """Contradictions in a case: (key, value, allowed). `values`: as the inputs."""
+        """Contradictions in a case: (key, value, allowed). `values`: in the form of the inputs."""
         for name, start in values["start"].items():
             if np.size(any_of(start)) > 1:
                 message = "this state is one number"
@@ -71,7 +72,7 @@ class PlantKind:
 
 
 def any_of(values: PlantValues) -> Any:
-    """One of the arrays of a distribution: all have the shape of the state."""
+    """One of the arrays of a distribution; all have the shape of the state."""
     result = next(iter(values.values()))
     return getattr(result, "value", result)
 

@@ -129,13 +129,13 @@ def _field(parameter: PlantParameter) -> Any:
 
 
 class At(CaseTable):
-    """An initial state that is known."""
+    """A fixed initial state."""
 
     at: float | list[float] = doc("initial state", allowed="a number, or a list of them")
 
 
 class UniformStart(CaseTable):
-    """An initial state anywhere between two numbers."""
+    """A uniformly distributed initial state between two numbers."""
 
     low: float = doc("smallest initial state", allowed="a number below high")
     high: float = doc("largest initial state", allowed="a number above low")
@@ -183,7 +183,7 @@ def formats() -> dict[str, Any]:
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
-    """Reads all tables, then looks whether their numbers fit together."""
+    """Reads all tables, then checks whether their numbers fit together."""
     table, name = parse(ControlFile, data, str(file), ""), str(file)
     plant = _plant(table.plant, name)
     selected = parse(plant_table(plant), table.plant, name, "plant")
@@ -229,7 +229,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
 
 
 def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[tuple[str, tuple]]:
-    """(name, positions of its numbers) of the inputs, but for a start that the case leaves out."""
+    """(name, positions of its numbers) of the inputs, except a start that the case omits."""
     for group, entries in inputs.items():
         for name, entry in flat(entries):
             first, *rest = name.split(".")

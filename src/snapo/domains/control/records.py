@@ -17,8 +17,8 @@ class ControlCase:
     """All that a study needs: the plant with its inputs, the objective, and how it is trained.
 
     - `kind`: the kind of the plant; `horizon`, `timer`: steps, and whether the policy sees how many
-      are left, None as the kind has them.
-    - `hidden`, `memory`, `window`: of the network that is trained, see `[policy]`.
+      are left, None for the default of the kind.
+    - `hidden`, `memory`, `window`: those of the trained network, see `[policy]`.
     - `objective_words`: "mean reward".
     - `positions`: {input: the positions of its numbers in the file}.
     """

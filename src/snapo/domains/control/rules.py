@@ -81,6 +81,6 @@ def classical_rules(plant: Plant, inputs) -> dict[str, Policy]:
 
 
 def regulator(plant: Plant, p: PlantValues, w: PlantValues) -> np.ndarray:
-    """Riccati's gains around the target: one for each step, or the first where time is unseen."""
+    """Riccati's gains around the target: one for each step, or the first if time is unobserved."""
     gains = riccati(linearised(plant, p, w), plant.horizon).K
     return gains if plant.time_feature else gains[:1]

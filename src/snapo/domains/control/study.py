@@ -103,7 +103,7 @@ def plant_at(case: ControlCase) -> Plant:
 
 
 def objective_of(case: ControlCase) -> Objective:
-    """What is maximised, of the reward."""
+    """The objective that is maximised, a statistic of the reward."""
     return make_objective(case.objective, "reward")
 
 
@@ -129,7 +129,7 @@ def make_setup(case: ControlCase, engine: str) -> Setup:
 def setup_at(setup: Setup, case: ControlCase) -> Setup:
     """The setup of a case that differs only in the numbers of its inputs.
 
-    Nothing is compiled where the case has the same form.
+    Nothing is compiled if the case has the same form.
     """
     problem = replace(setup.problem, simulator=plant_at(case), inputs=case.inputs)
     if problem.form != setup.problem.form:

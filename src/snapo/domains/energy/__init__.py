@@ -1,4 +1,4 @@
-"""Energy contracts: one core values and steers them all; light until there is work to do."""
+"""Energy contracts: one core values and operates them all. Its import loads little."""
 
 from snapo.study.kind import Kind
 

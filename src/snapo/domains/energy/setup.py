@@ -1,4 +1,4 @@
-"""A case made ready to solve: the problem with its fitted value, its policy and its engines."""
+"""Prepares a case to be solved: the problem with its fitted value, its policy and its engines."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -66,8 +66,8 @@ def setup_at(setup: Setup, case: EnergyCase) -> Setup:
 def rebuilt(problem: Problem) -> Problem:
     """The problem with the fitted value and the scales of features of its inputs.
 
-    Its nodes are as far apart as before, and read in the same way: values of different inputs are
-    then equally good.
+    Its nodes are as far apart as before, and read in the same way: values are then equally
+    accurate.
     """
     table = simulator_of(problem).unit_values
     problem = _bare(problem)
@@ -84,8 +84,8 @@ def _bare(problem: Problem) -> Problem:
 
 
 def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Problem:
-    """The problem with the unit values that its policy starts from, and with a control variate
-    where its prices have no other risks than its factors'. `before`: of other inputs."""
+    """The problem with the unit values that its policy starts from, and with a control variate if
+    prices have no risks except its factors. `before`: those of other inputs."""
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
     apart, like = np.zeros(len(layout.levels)), None
     if before is not None:
@@ -152,6 +152,6 @@ def factors_of(problem: Problem) -> GaussianFactors | None:
 
 
 def case_of(setup: Setup) -> EnergyCase:
-    """The case that was made ready."""
+    """The prepared case."""
     assert isinstance(setup.case, EnergyCase)
     return setup.case

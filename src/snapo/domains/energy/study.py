@@ -36,7 +36,7 @@ from .setup import bare_problem, make_setup, setup_at
 def study(case: EnergyCase, options: Options) -> Study:
     """All parts of a run.
 
-    **Raises:** `CaseError` if the contract cannot be met, or has no gamma that was asked for.
+    **Raises:** `CaseError` if the contract cannot be met, or a requested gamma is not available.
     """
     if options.gamma:
         check_gamma(case)
@@ -76,7 +76,7 @@ def _relaxation(prepared: "_Prepared", problem: Problem) -> Callable[[], EnergyR
 
 
 class _Prepared:
-    """The case made ready once, when the first part asks for it."""
+    """The prepared case; it is prepared once, when the first part needs it."""
 
     def __init__(self, case: EnergyCase, engine: Any):
         self.case, self.engine = case, engine

@@ -38,7 +38,7 @@ def lines(case: EnergyCase) -> list[str]:
 def known_schedule(case: EnergyCase) -> Schedule:
     """The schedule of a case at its forward prices, in NumPy, without those of the price process.
 
-    As `EnergySimulator.prepare` of its inputs, up to rounding.
+    It equals `EnergySimulator.prepare` of its inputs, up to rounding.
     """
     market, at = case.market, CaseInput.used
     paid, settled = (discount(market, days) for days in (market.gas_day, case.day + 1))

@@ -1,4 +1,4 @@
-"""Gas storage: a contract on gas in store, valued and steered; light until there is work to do."""
+"""Gas storage: values and operates a contract on gas in store. Its import loads little."""
 
 from snapo.study.kind import Kind
 

@@ -1,4 +1,4 @@
-"""A case made ready to solve: the problem with value table and hedge, its policy and engines."""
+"""Prepares a case to be solved: the problem with value table and hedge, policy and engines."""
 
 from dataclasses import replace
 
@@ -59,7 +59,7 @@ def make_setup(
 def setup_at(setup: Setup, case: StorageCase) -> Setup:
     """The setup of a case that differs only in its numbers: `make_setup(case)`.
 
-    Nothing is compiled where the case has the same form.
+    Nothing is compiled if the case has the same form.
     """
     bare = bare_problem(case)
     if case.model.sources(setup.training.seed) or bare.form != _bare(setup.problem).form:
@@ -128,7 +128,7 @@ def value_table(problem: Problem, fit: FittedValue | None) -> ValueTable:
 
 
 def case_of(setup: Setup) -> StorageCase:
-    """The case that was made ready."""
+    """The prepared case."""
     assert isinstance(setup.case, StorageCase)
     return setup.case
 

@@ -1,4 +1,4 @@
-"""A case made ready to solve: the problem, its policy and its engines."""
+"""Prepares a case to be solved: the problem, its policy and its engines."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def make_setup(case: AnyCase, engine: EngineName = "auto") -> Setup:
 def setup_at(setup: Setup, case: AnyCase) -> Setup:
     """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
 
-    Nothing is compiled where the case has the same form.
+    Nothing is compiled if the case has the same form.
     """
     problem = replace(setup.problem, simulator=simulator_of(case), inputs=case.inputs())
     if problem.form != setup.problem.form:
@@ -58,7 +58,7 @@ def simulator_of(case: AnyCase) -> InventorySimulator | NetworkSimulator:
 
 
 def first_policy(problem: Problem, case: AnyCase, seed: int) -> OrderUpTo | EchelonRule:
-    """The base-stock rule; where an order has a cost, an (s, S) rule with the economic lot."""
+    """The base-stock rule or, if an order has a cost, an (s, S) rule with the economic lot."""
     key = jax.random.key(seed)
     if isinstance(case, NetworkCase):
         batch, wait = first_batches(case)
@@ -86,12 +86,12 @@ def first_batch(case: InventoryCase) -> tuple[float, float]:
 
 
 def case_of(setup: Setup) -> InventoryCase:
-    """The item that was made ready."""
+    """The prepared item."""
     assert isinstance(setup.case, InventoryCase)
     return setup.case
 
 
 def network_of(setup: Setup) -> NetworkCase:
-    """The network that was made ready."""
+    """The prepared network."""
     assert isinstance(setup.case, NetworkCase)
     return setup.case

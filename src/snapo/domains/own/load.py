@@ -116,7 +116,7 @@ def readable(file: Path) -> Iterator[None]:
 
 
 def short(file: str | Path) -> str:
-    """A file from where the user is, where that is shorter."""
+    """The path of a file from the working directory, if that is shorter."""
     try:
         near = os.path.relpath(file)
     except ValueError:

@@ -220,7 +220,7 @@ def objective_of(aims: tuple[Aim, ...]) -> Objective:
 
 
 def words_of(aims: tuple[Aim, ...]) -> str:
-    """ "mean of cash + 0.5 x mean of the worst 10 % of cash"."""
+    """As text: "mean of cash + 0.5 x mean of the worst 10 % of cash"."""
     text = ""
     for aim in aims:
         sign = "" if not text and aim.weight > 0 else "- " if aim.weight < 0 else "+ "
@@ -230,7 +230,7 @@ def words_of(aims: tuple[Aim, ...]) -> str:
 
 
 def unit_of(aims: tuple[Aim, ...], units: Mapping[str, str]) -> str:
-    """The unit of the sum: that of its parts, where they all have the same."""
+    """The unit of the sum: that of its parts, if they all have the same."""
     result = {units.get(aim.output, "") if aim.table.keeps_unit else "" for aim in aims}
     return result.pop() if len(result) == 1 else ""
 

@@ -44,5 +44,5 @@ class OwnCase:
 
     @property
     def constraints(self) -> tuple[Limit, ...]:
-        """Limits that the simulator's class holds."""
+        """The limits that the simulator's class defines."""
         return tuple(getattr(self.simulator, "constraints", ()))

@@ -1,5 +1,4 @@
-"""The report of a run of a user's simulator: the sections that every run can have, and
-limits."""
+"""The report of a run of a user's simulator: the sections that every run can have, and limits."""
 
 from typing import Any
 
@@ -25,7 +24,7 @@ CAVEAT = (
 
 
 def limits(run: RunFiles) -> Section:
-    """A row for each limit; a section without blocks, which no page shows, if there is none."""
+    """A row for each limit; an empty section, which is not shown, if there are no limits."""
     rows = [_row(LimitFound(**entries)) for entries in run.result.limits]
     head = [
         ("Limit", ""), ("", ""), ("Level", ""), ("Value", ""), ("95 %", ""),

@@ -45,8 +45,8 @@ class SimulatorError(CaseError):
 def checked(case: OwnCase) -> Findings:
     """The remarks of `snapo.check` on a simulator that can be trained.
 
-    **Raises:** `SimulatorError` if it cannot; `CaseError` if the case, or a limit of the
-    class, names no output of it.
+    **Raises:** `SimulatorError` if it cannot be trained; `CaseError` if the case, or a limit of the
+    class, does not refer to an output.
     """
     findings = check(case.simulator, case.inputs)
     if not findings.ok:

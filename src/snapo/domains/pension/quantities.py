@@ -1,10 +1,10 @@
 """The quantities of a pension case: unit, range, standard move and group, declared once.
 
 The standard moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
-ratios one percentage point, quantities (money, members, death probabilities) one per cent of
-themselves. Groups, which reports and readers ask for: "curve" (nodes of a curve), "volatility",
-"premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan".
-The unit "money" is the currency of the case.
+ratios one percentage point, quantities (money, members, death probabilities) a relative change of
+one per cent. Groups, which reports and readers use: "curve" (nodes of a curve), "volatility",
+"premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan". The unit
+"money" is the currency of the case.
 """
 
 import math
@@ -37,8 +37,8 @@ FROM_YEAR, BY_AGE = "from_year", "sex,age"
 
 @dataclass(frozen=True)
 class FundQuantity(Quantity):
-    """A number of a fund; by "from_year" each row of its CSV holds from its time on, and by
-    "sex,age" from its age on, which its reader resolves.
+    """A number of a fund; each row of its CSV applies from its "from_year" on, or from its age on
+    (columns "sex,age"; its reader resolves these).
 
     - `blank`: the number of an empty cell, if a cell may be empty.
     - `by_factor`: whether a list has one for each factor of a model; then several are read.

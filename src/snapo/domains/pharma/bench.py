@@ -19,7 +19,7 @@ BATCHES, REPEATS = 4096, 5
 
 
 def bench(engine: str, progress: ProgressCallback) -> str:
-    """A table of best times, compiling apart."""
+    """A table of best times, without compiling."""
     if engine not in ("auto", "xla", "native"):
         raise CaseError("--engine", "", engine, 'it must be "auto", "xla" or "native"')
     file = files("snapo.domains.pharma") / "template" / "case.toml"

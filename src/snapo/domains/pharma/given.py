@@ -1,6 +1,6 @@
-"""Numbers that the user gave, where they are used, and the form of records without them.
+"""The numbers of a user where they are used, and the form of records without them.
 
-A formed record has no numbers of inputs, so traced code cannot read one but as an argument: two
+A formed record has no numbers of inputs, so that traced code can read one only as an argument: two
 records of equal forms are the same program. Every other number is part of the form (a grid, an
 order, a limit, and inputs that a case holds fixed): it is compiled in.
 """
@@ -20,7 +20,7 @@ Formed = TypeVar("Formed")
 
 @dataclass(frozen=True, eq=False)
 class InputUse:
-    """Where the numbers of a `CaseInput` are used; `values`: themselves where they are no input."""
+    """Where the numbers of a `CaseInput` are used; `values`: the numbers if not an input."""
 
     name: str
     index: np.ndarray
@@ -49,7 +49,7 @@ def use(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> Array:
 
 
 def absent(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> bool:
-    """Whether a term can be left out: its factor is zero and no input."""
+    """Whether a term can be omitted: its factor is zero and not an input."""
     return values.name not in inputs and not _held(values)[values.index].any()
 
 
@@ -63,7 +63,7 @@ def _held(values: CaseInput | InputUse) -> np.ndarray:
 def fixed(array: np.ndarray) -> Array:
     """A table as an array of JAX in the precision of the trace at hand, or as one of NumPy.
 
-    From a copy: JAX keeps one constant for each NumPy array, in the precision that it met first.
+    From a copy: JAX keeps one constant for each NumPy array, in the precision of its first use.
     """
     if in_use():
         return np.array(array, float)  # pyright: ignore[reportReturnType]
@@ -79,7 +79,7 @@ class Form(Generic[Formed]):
 
     @classmethod
     def of(cls, record: Formed, held: Collection[str] = ()) -> Self:
-        """The form of a record of a case; `held`: names of numbers that are no inputs."""
+        """The form of a record of a case; `held`: names of numbers that are not inputs."""
         formed = _formed(record, held)
         return cls(formed, _parts(formed))
 

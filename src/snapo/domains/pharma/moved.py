@@ -134,7 +134,7 @@ def _with(process: PharmaProcess, case: PharmaCase) -> PharmaProcess:
 
 
 def limits(low: float | None, high: float | None, unit: str) -> str:
-    """As "at least 75 %", "70 to 100 µm"."""
+    """The limits as text: "at least 75 %", "70 to 100 µm"."""
     local = "" if unit in ("", "1") else f"\u00a0{unit_words(unit)}".replace(" ", "\u00a0")
     if low is not None and high is not None:
         return f"{low:.6g} to {high:.6g}{local}"
@@ -144,7 +144,7 @@ def limits(low: float | None, high: float | None, unit: str) -> str:
 
 
 def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> LiveTable:
-    """Every attribute with its limits, and how often batches keep them."""
+    """Every attribute with its limits, and how often batches meet them."""
     rows: list[Sequence[Any]] = [
         (
             attribute.name, limits(attribute.low, attribute.high, attribute.unit),

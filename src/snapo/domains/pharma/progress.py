@@ -1,4 +1,4 @@
-"""Lines of progress within a long part of a run, some seconds apart."""
+"""Lines of progress during a long part of a run, some seconds apart."""
 
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,6 @@
 """The native engine: a step and its transpose, compiled into one kernel for blocks of paths.
 
-The compiler is `snapo.lanes`; here is the part that knows a rollout. In the order in which a
-simulator passes through it:
+The compiler is `snapo.lanes`; this package handles rollouts. In the order of use:
 
     rollout             trees that paths share; the phases as functions of arrays, traced and cut
     kernel/             rows of memory, and all functions of a kernel:

@@ -41,7 +41,7 @@ class Seats(NamedTuple):
     """The path of every lane of all blocks, part by part; the last path of a part fills its last
     block.
 
-    - `path`: [blocks x lanes] the number of each lane's path; `inner`: whether it counts there.
+    - `path`: [blocks x lanes] the number of each lane's path; `inner`: whether it counts.
     - `edges`: [parts + 1] the first block of every part, and the number of all blocks.
     """
 
@@ -74,7 +74,7 @@ _runners: OrderedDict[Any, Runner] = OrderedDict()
 
 
 def forget_kernels() -> None:
-    """Frees the memory of all compiled kernels; the disk has their code."""
+    """Frees the memory of all compiled kernels; their code is on disk."""
     _runners.clear()
 
 
@@ -128,14 +128,14 @@ class NativeCall:
         return _runners[key]
 
     def key(self, setup: FunctionSetup, like) -> Hashable:
-        """All that the kernel depends on: calls with equal ones share it."""
+        """Everything that the kernel depends on: equal calls share it."""
         leaves, tree = jax.tree.flatten(like)
         starts = tree, tuple((x.shape, x.dtype) for x in leaves)
         kind = type(self.simulator), self.version
         return setup, self.shared.key(), self.steps.key(1), starts, kind
 
     def kernel(self, setup: FunctionSetup, like, stages: KernelStages | None = None) -> Kernel:
-        """The kernel as an earlier process stored it, or newly made; with `stages` always new."""
+        """The kernel as an earlier process stored it, or a new one; with `stages` always new."""
         missing = unavailable()
         if missing is not None:
             raise Unsupported(missing)
@@ -274,7 +274,7 @@ class NativeCall:
     def gradients(self, runner: Runner, out: Back):
         """(policy, schedule, start) as NumPy arrays in the engine's precision, of one column.
 
-        With a leading axis of parts in policy and schedule, where the sums are theirs.
+        Policy and schedule have a leading axis of parts, if sums are by part.
         """
         lead = out.call_sums.shape[:-1]
         trees, layouts, dtype = runner.kernel.trees, runner.kernel.layouts, self.engine.dtype

@@ -1,10 +1,9 @@
 """Groups of paths computed by other processes: a part of a run of a kernel, as bytes.
 
 A job has the rows that some groups read. The kernel and the numbers of its steps, which are the
-same at every step of training, are sent to a worker that does not know them. It needs neither the
-simulator nor the policy. The result has the rows that the kernel wrote, with the sums of every
-group by themselves: they are added in the same way in all runs, so that the bits are those of one
-process.
+same at every step of training, are sent to a worker that does not have them yet. It needs neither
+the simulator nor the policy. The result has the rows that the kernel wrote, with separate sums for
+every group: they are added in the same way in all runs, so that the bits are those of one process.
 """
 
 import hashlib
@@ -39,10 +38,10 @@ ByteRows = Mapping[str, np.ndarray]
 
 
 class Distributed:
-    """Runs of kernels whose groups of paths workers compute, where that saves time.
+    """Runs of kernels whose groups of paths are computed by workers, if that saves time.
 
-    A kernel's first run is timed on this machine. Others go to workers where they would take
-    `MIN_SECONDS` here, and the time to move their rows. After the loss of a job this process
+    A kernel's first run is timed on this machine. Later runs go to workers if they would take at
+    least `MIN_SECONDS` here, plus the time to move their rows. After the loss of a job this process
     computes everything.
     """
 
@@ -53,7 +52,7 @@ class Distributed:
 
     @property
     def note(self) -> str:
-        """Why workers computed nothing; empty if they did."""
+        """The reason why workers computed nothing; empty if they did."""
         if self.lost:
             return f"Workers were not used after one job returned no result: {self.lost}."
         if self.runs or not self.longest:
@@ -147,7 +146,7 @@ def _filled(runner: Runner, name: str, rows: np.ndarray) -> np.ndarray:
 
 
 def _rows(runner: Runner, inputs: KernelInputs, first: int, last: int) -> dict[str, np.ndarray]:
-    """The inputs of some blocks, but for the numbers of the steps."""
+    """The inputs of some blocks, except the numbers of the steps."""
     rows = {
         name: row if name in SHARED else _blocks(name, row, inputs, first, last)
         for name, row in inputs.memory.rows.items()

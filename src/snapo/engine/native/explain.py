@@ -57,7 +57,7 @@ def explain(
     - `policy`: by default a small network.
 
     **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
-    the layout of memory, and LLVM IR. Raises `Unsupported` with the reason where there is one.
+    the layout of memory, and LLVM IR. Raises `Unsupported` with the reason.
     """
     schedule = simulator.prepare(None) if schedule is None else schedule
     if policy is None:
@@ -87,9 +87,9 @@ def unsupported(
     precision: str = "float32",
     quickly: bool = False,
 ) -> str | None:
-    """Why a simulator cannot be compiled: the primitive and the line of user code.
+    """The reason why a simulator cannot be compiled: the primitive and the line of user code.
 
-    None if it can: its value and gradient, with every record, and clipped by `state_scale`.
+    None if it can, including the gradient, every record, and clipping by `state_scale`.
     Nothing is compiled; tracing takes some tenths of a second, once for all simulators of one form.
 
     `quickly`: where no code is the user's own, only the kernel of derivatives is traced, which

@@ -58,7 +58,7 @@ class SharedTree:
         return jax.tree.unflatten(self.tree, leaves)
 
     def split(self) -> tuple[PyTree, PyTree]:
-        """The tree with its arrays only, and with all the rest only; None elsewhere."""
+        """The tree with only its arrays, and with only the rest; None elsewhere."""
         arrays = [x if isinstance(x, np.ndarray) else None for x in self.leaves]
         rest = [None if isinstance(x, np.ndarray) else x for x in self.leaves]
         return jax.tree.unflatten(self.tree, arrays), jax.tree.unflatten(self.tree, rest)
@@ -81,7 +81,7 @@ def cast(x, dtype) -> np.ndarray:
 
 
 def jax_type(x) -> np.dtype:
-    """The type that JAX gives this array under the present precision."""
+    """The type of this array in JAX under the present precision."""
     return np.dtype(jax.dtypes.canonicalize_dtype(x.dtype))
 
 
@@ -214,7 +214,7 @@ class Functions:
         return [*(totals[name] for name in self.final_names), *local[:n]]
 
     def phases(self) -> Iterator[Any]:
-        """(name, function, inputs, outputs, whether it sees the step) of every phase."""
+        """(name, function, inputs, outputs, whether it depends on the step) of every phase."""
         total = jax.ShapeDtypeStruct((), self.dtype)
         state = [(("state", i), x) for i, x in enumerate(self.state)]
         carry = [*state, *((("total", n), total) for n in self.names)]
@@ -262,7 +262,7 @@ class Functions:
 
 
 def initial_state(segments: Callable, call, noise) -> PyTree:
-    """Shapes and types of the state that a simulator gives a path at its start."""
+    """Shapes and types of a path's state at its start, from the simulator."""
 
     def first(call, noise):
         _, constants, _, simulator = segments(call)
@@ -283,10 +283,10 @@ class Phase:
 
 @dataclass(eq=False)
 class KernelTrees:
-    """The way from a kernel's arrays back to the caller's trees.
+    """Converts a kernel's arrays back to the caller's trees.
 
-    `requested`: of the leaves of `call` and of `now`, whether their gradient is asked for. Where it
-    is zero whatever the path does, the leaf is not active, and the kernel adds nothing up.
+    `requested`: whether the gradients of the leaves of `call` and `now` are requested. If a
+    gradient is zero on every path, the leaf is not active, and the kernel adds nothing up.
     """
 
     setup: FunctionSetup
@@ -321,7 +321,7 @@ def parted(split: tuple[PyTree, PyTree], skip: int = 0) -> tuple[Callable, list]
 def traced(
     shared, steps, state_like, setup: FunctionSetup, noise_sizes: tuple[int, int], action_size: int
 ) -> Traced:
-    """Traces and cuts the phases. `state_like` is the tree of given starting states, or None."""
+    """Traces and cuts the phases. `state_like` is the tree of supplied starting states, or None."""
     dtype = np.dtype(setup.dtype)
     segments, call_avals = parted(shared)
     current, step_leaves = parted(steps, skip=1)

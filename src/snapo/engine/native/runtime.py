@@ -30,7 +30,7 @@ GROUPS = 32  # independent partial sums: fixed, so that threads do not change th
 class KernelInputs:
     """All that one run reads, as rows of the kernel's layouts; weights for each column.
 
-    `edges`: the blocks at which parts of the paths begin, whose sums are kept apart.
+    `edges`: the blocks at which parts of the paths begin, whose sums are separate.
     """
 
     paths: int
@@ -54,7 +54,7 @@ class KernelOutputs:
 
 @dataclass(eq=False)
 class Back:
-    """One column of an adjoint: sums over paths, and the cotangents of given states."""
+    """One column of an adjoint: sums over paths, and the cotangents of supplied states."""
 
     call_sums: np.ndarray
     step_sums: np.ndarray
@@ -62,7 +62,7 @@ class Back:
 
 
 class ThreadTable(NamedTuple):
-    """One thread's table of addresses, [columns, slots], and where it is."""
+    """One thread's table of addresses, [columns, slots], and its own address."""
 
     table: np.ndarray
     address: int
@@ -81,7 +81,7 @@ class GroupRunner:
 
     @cached_property
     def name(self) -> str:
-        """Equal for kernels that give the same bits."""
+        """A name that is equal for kernels with the same results, to the last bit."""
         return disk.key(self.code.text)
 
     def prepared(self, inputs: KernelInputs) -> np.ndarray:
@@ -123,7 +123,7 @@ class GroupRunner:
         return memory
 
     def results(self, inputs: KernelInputs, groups: int) -> dict[str, int]:
-        """{row: bytes} that `groups` gives back: those of blocks, and the sums of groups."""
+        """{row: bytes} that `groups` returns: the rows of blocks, and the sums of groups."""
         strides, blocks = self.code.strides, inputs.blocks
         sizes = {"final": blocks * strides["final"]}
         if inputs.records:
@@ -230,11 +230,11 @@ class Runner(GroupRunner):
 
 
 class Spare:
-    """Scratch memory between calls: of all kernels together, at most `SPARE` bytes minus four times
-    the inputs of the latest call: those of long paths are large, and the caller has them in several
-    problems.
+    """Scratch memory between calls, of all kernels together at most `SPARE` bytes minus four times
+    the inputs of the latest call: the inputs of long paths are large, and the caller holds them in
+    several problems.
 
-    Memory returns to the kernel that had it; memory unused for longest is freed first.
+    Memory is reused by the kernel that had it; memory unused for longest is freed first.
     """
 
     def __init__(self):
@@ -261,7 +261,7 @@ class Spare:
         self.shrink(limit)
 
     def shrink(self, limit: int) -> None:
-        """Frees memory until at most so many bytes are left."""
+        """Frees memory until at most this number of bytes is left."""
         with self._lock:
             while self._waiting and self._bytes > limit:
                 self._bytes -= self._waiting.pop(0)[1].size
@@ -270,7 +270,7 @@ class Spare:
         self._waiting, self._bytes = waiting, sum(memory.size for _, memory in waiting)
 
     def bytes(self) -> int:
-        """All that waits now."""
+        """The memory of all waiting kernels."""
         with self._lock:
             return self._bytes
 

@@ -1,9 +1,9 @@
-"""Kernels on disk, with all that tracing and writing them gave: a process that needs one that an
-earlier process made neither traces nor writes it again.
+"""Kernels on disk, with the results of tracing and writing them: a process that needs a kernel of
+an earlier process neither traces nor writes it again.
 
 A file is named by all that a trace reads (`problem.code.described`), so that it is used for the
-same sources, settings and processor only. A simulator or policy with code of the user's own is
-traced in every process, as no text holds all that its code reads.
+same sources, settings and processor only. A simulator or policy with user code is traced in every
+process, since no text describes all that this code reads.
 """
 
 import json

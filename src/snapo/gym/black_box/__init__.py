@@ -1,5 +1,5 @@
 """Environments that are not differentiable: a model is fitted, and the policy trained in it.
 
-`learn.learn` is the verb, `rounds` its loop: `real` counts every step of the environment,
-`ensemble` is fitted to them, and `model` is the simulator in which the policy is trained.
+`learn.learn` is the public function, `rounds` its loop: `real` counts every step of the
+environment, `ensemble` is fitted to them, and the policy is trained in `model`.
 """

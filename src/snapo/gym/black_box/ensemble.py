@@ -2,7 +2,7 @@
 
 Members differ by their initial weights and by the batches that they see, so that they agree where
 there are data and disagree elsewhere (Chua and others 2018, "Deep reinforcement learning in a
-handful of trials"; there too a network predicts differences of observations).
+handful of trials"; whose networks predict differences of observations too).
 """
 
 from itertools import pairwise
@@ -28,8 +28,8 @@ class Fit(NamedTuple):
       observation and action to the difference of the observation, the reward of a step that does
       not end the episode, the reward of a step that ends it, and the log odds of the end.
     - `raw`: the same between numbers of order one, from which to continue.
-    - `error`: [k + 2] root mean squares on the rows held out, over the spread of each number, of
-      the members' mean: differences, then the reward; last the share of ends that it misjudges.
+    - `error`: [k + 2] root mean square errors of the members' mean on held-out rows, over the
+      spread of each number: differences, then the reward; last the share of ends predicted wrongly.
     - `spread`: [k] the standard deviation of the environment's noise.
     """
 
@@ -66,7 +66,7 @@ def fit(
     """The ensemble fitted further from the weights `raw`, and its error on held-out rows.
 
     A tenth of the rows is held out. Every member keeps the weights that were best on it; the fit
-    stops after `maximum` steps, or after `patience` looks without a better one. `capacity` is the
+    stops after `maximum` steps, or after `patience` checks without a better one. `capacity` is the
     maximum number of rows: arrays have that length, so that all fits are compiled once.
     """
     rng = np.random.default_rng((seed, transitions.count))

@@ -1,4 +1,4 @@
-"""The verb `snapo.learn`: a policy for an environment that cannot be differentiated.
+"""`snapo.learn`: a policy for an environment that cannot be differentiated.
 
 Explore; then, round by round: fit a smooth ensemble to all transitions, train the policy through
 it by adjoint, and play it in the real environment. Errors of the model are observed there, and the
@@ -58,7 +58,7 @@ def learn(
     - `progress`: called with every `LearningRound`.
 
     **Raises:** `ValueError` if observations or actions are not boxes of numbers, if episodes have
-    no limit, or if the steps do not suffice for ten episodes, or more for more rounds.
+    no limit, or if the steps are not sufficient for ten episodes (more with more rounds).
     """
     # Late: the public names are there without Gymnasium.
     from .real import Real

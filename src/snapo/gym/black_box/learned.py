@@ -65,8 +65,9 @@ class Learned:
 
     - `policy`: from the environment's observation to its action, both in its units: can be played
       with `snapo.gym.Agent(policy)`, saved and exported like every policy.
-    - `comparison`: its value in both, and their gap, on fresh initial states that no round used.
-    - `steps`: total number in the real environment; `hold`: for how many a decision is held.
+    - `comparison`: its value in the environment and in the model, and the gap, on fresh initial
+      states that no round used.
+    - `steps`: total number in the real environment; `hold`: the steps of a held decision.
     - `rounds`: the history; `selected`: the round of this policy, from 1: the one with the highest
       reward in the real environment from the common initial observations.
     - `model`, `inputs`: the simulator and its inputs after the last fit: `snapo.Problem(model,

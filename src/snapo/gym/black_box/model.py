@@ -24,8 +24,7 @@ class Model(Simulator):
 
     The inputs are those of `inputs_of`: weights of all members, scales, first observations. A path
     follows one member, drawn by its initial noise: so a policy must be good in all of them, and
-    where they differ it cannot trust any. A path that may have ended continues with a smaller
-    weight.
+    cannot exploit the errors of one. A path that may have ended continues with a smaller weight.
     """
 
     horizon: int = eqx.field(static=True)
@@ -40,7 +39,7 @@ class Model(Simulator):
 
     @property
     def size(self) -> int:
-        """Numbers in an observation."""
+        """The number of entries of an observation."""
         return self.noise_size
 
     @property

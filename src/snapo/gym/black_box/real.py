@@ -1,4 +1,4 @@
-"""The real environment: every step is counted, every transition kept and put in units."""
+"""The real environment: every step is counted, and every transition is stored and scaled."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -22,8 +22,8 @@ ON_CIRCLE = 1e-3  # of the sum of two squares, at every observation
 class Transitions(NamedTuple):
     """Steps of the environment, one a row; with `hold`, a step is that of a held decision.
 
-    `ended` is true where the environment terminated: nothing follows. The time limit is no such
-    end, since it does not depend on the state.
+    `ended` is true if the environment terminated. A time limit is not such an end, since it does
+    not depend on the state.
     """
 
     before: Float[np.ndarray, "n k"]
@@ -38,15 +38,15 @@ class Transitions(NamedTuple):
 
 
 def joined(parts: list[Transitions]) -> Transitions:
-    """All of them, in their order."""
+    """All transitions, in their order."""
     return Transitions(*(np.concatenate(part) for part in zip(*parts)))
 
 
 def circles(observed: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
     """Pairs of observed numbers that are on the unit circle in all rows: cosine and sine.
 
-    A model that leaves the circle slightly at every step asks its networks about states that no
-    environment has; so such pairs are put back on it.
+    A model that leaves the circle slightly at every step evaluates its networks at impossible
+    states, so these pairs are projected back onto the circle.
     """
     pairs: list[tuple[int, int]] = []
     free = list(range(observed.shape[1]))
@@ -65,7 +65,7 @@ def circles(observed: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
 def scale_of(
     rows: Float[np.ndarray, "n k"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Mean and deviation of columns; a column that never moves has a scale of one."""
+    """Mean and deviation of columns; a constant column has a scale of one."""
     if not len(rows):
         return np.zeros(rows.shape[1]), np.ones(rows.shape[1])
     mean, deviation = rows.mean(0), rows.std(0)
@@ -109,7 +109,7 @@ class Real:
 
     @property
     def size(self) -> int:
-        """Numbers in an action."""
+        """The number of entries of an action."""
         return int(np.prod(self.actions.shape))
 
     def episode(self, act: Act, seed: int) -> Episode:
@@ -133,7 +133,7 @@ class Real:
 class HeldAction(gymnasium.Wrapper):
     """An environment with every action held for `hold` steps, whose rewards are added up.
 
-    An episode is over after `limit` steps of the environment inside; `taken` are those so far.
+    An episode is over after `limit` steps of the inner environment; `taken` counts them.
     """
 
     def __init__(self, environment: Any, hold: int, limit: int):
@@ -157,7 +157,7 @@ class HeldAction(gymnasium.Wrapper):
 
 
 def opened(environment: Any):
-    """The environment of a name, of a function that makes it, or itself."""
+    """The environment, from its name, from a function that creates it, or from itself."""
     return environment if isinstance(environment, gymnasium.Env) else made(environment)
 
 
@@ -211,7 +211,7 @@ class Units(NamedTuple):
     scale: np.ndarray
 
     def undone(self, policy: MLP) -> MLP:
-        """The policy that takes observations as the environment gives them: an ordinary network,
+        """The policy for the observations of the environment itself: an ordinary network,
         so that it can be saved and exported like every policy."""
         return _with_layer(policy, plain(*_layer(policy), self.shift, self.scale))
 
@@ -240,7 +240,7 @@ class Known:
         return Known(real, np.random.default_rng((seed, 1)), nothing)
 
     def settled(self) -> "Known":
-        """With units from all transitions so far."""
+        """The same environment with units from all transitions so far."""
         observed = self.transitions
         every = np.concatenate([observed.before, observed.after]).astype(np.float64)
         return replace(self, units=Units(*scale_of(every)), circles=circles(every))
@@ -256,7 +256,7 @@ class Known:
         return np.stack([episode.start for episode in self.episodes])
 
     def play(self, act: Act, seed: int | None = None) -> Episode:
-        """One more episode."""
+        """Plays one more episode, records it and returns it."""
         seed = int(self.rng.integers(2**31)) if seed is None else seed
         self.episodes.append(self.real.episode(act, seed))
         return self.episodes[-1]

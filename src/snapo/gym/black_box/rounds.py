@@ -1,8 +1,8 @@
-"""The loop of `snapo.learn`: explore, then rounds, then the last policy only.
+"""The loop of `snapo.learn`: exploration, the rounds, then episodes of the final policy.
 
 A round fits the model, improves the policy inside it, and plays it in the real environment.
-Random actions are held: white noise averages out in a system with momentum, and a mountain car
-that shakes never leaves its valley. (Eberhard and others 2023, "Pink noise is all you need",
+Random actions are held: white noise averages out in a system with momentum, and a mountain car with
+such actions never leaves its valley. (Eberhard and others 2023, "Pink noise is all you need",
 measure how much correlation in time matters.)
 """
 
@@ -37,7 +37,7 @@ NOISE = 0.3  # of half the range of an action, added to those of a policy
 
 
 def random_actions(real: Real, rng: np.random.Generator) -> Act:
-    """Random actions, each held for one time that is drawn for the episode; ends are likely."""
+    """Random actions, often at the limits, each held for a time that is drawn for the episode."""
     low, high = (np.ravel(item) for item in (real.actions.low, real.actions.high))
     drawn = _held(real, rng)
 
@@ -180,8 +180,8 @@ class Inside(NamedTuple):
 
 
 def fewest(rounds: int) -> int:
-    """The number of complete episodes for which the steps must suffice: each round plays one, and
-    the last policy another, wherever they are."""
+    """The number of complete episodes that the steps must allow: one in each round, and one of the
+    final policy."""
     return max(math.ceil(1 / CONFIRM), math.ceil((rounds + 1) / (1 - EXPLORE)))
 
 
@@ -241,7 +241,7 @@ def compared(
     """Episodes in the real environment up to `maximum` steps, at least one, and the same in the
     model.
 
-    With the seeds `common` every second episode is another, with noise, only for the next fit.
+    With the seeds `common`, every second episode has others and noise, for the next fit only.
     """
     agent = Agent(available.units.undone(policy))
     played: list[Episode] = []

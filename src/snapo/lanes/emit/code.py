@@ -1,4 +1,5 @@
-"""A writer of LLVM IR for vectors: every number is a vector of lanes, one where all paths agree.
+"""A writer of LLVM IR for vectors: every number is a vector of lanes, or one lane if all paths
+agree.
 
 `Code` appends instructions to one function; `Ref` is a typed result. Mixing one-lane and many-lane
 operands broadcasts, as in NumPy.
@@ -42,8 +43,8 @@ LINE = 64  # bytes of a line of the cache
 class Ahead:
     """Memory from an address on that loops of dot products fetch before it is needed.
 
-    Each of their rounds fetches some. All at once it would take every buffer that the processor
-    has for misses of its cache, and loads of the present step would wait.
+    Each of their rounds fetches a part. Fetched at once, it would occupy all of the processor's
+    buffers for cache misses, and loads of the present step would wait.
     """
 
     LIMIT = 8  # lines that one round fetches
@@ -61,7 +62,7 @@ class Ahead:
                 self._fetch(code.pointer(code.pointer(start, first), distance), 4)
 
     def take(self, rounds: int) -> int:
-        """The number of the first of so many rounds, which follow one another."""
+        """The number of the first of this many consecutive rounds."""
         self.taken += rounds
         return self.taken - rounds
 
@@ -81,9 +82,9 @@ class Ahead:
 class Code:
     """One function's instructions. `lanes` is the width of a number that differs between paths.
 
-    Where `contract` is on, LLVM may make a product and a sum one multiply-add. Whether it does
-    depends on all that surrounds them: it is off for numbers that must have the same bits in two
-    kernels, or twice in one.
+    If `contract` is on, LLVM may fuse a product and a sum to one multiply-add. Whether it does
+    depends on the surrounding code, so `contract` is off for numbers that must have the same bits
+    in two kernels, or twice in one.
     """
 
     def __init__(self, lanes: int, module: Module):
@@ -242,7 +243,7 @@ class Code:
         return Ref(self.raw(text), yes.dtype, yes.lanes)
 
     def recast(self, x: Ref, dtype: str, lanes: int) -> Ref:
-        """The same bits as other numbers, of another size too."""
+        """The same bits read as numbers of another type, also of another size."""
         result = Ref("", dtype, lanes)
         return Ref(self.raw(f"bitcast {x.type} {x.text} to {result.type}"), dtype, lanes)
 
@@ -261,7 +262,7 @@ class Code:
     def load(
         self, pointer: str, dtype, lanes: int, invariant: bool = False, align: int | None = None
     ) -> Ref:
-        """Booleans lie in memory as bytes. `align`: by default that of as many lanes."""
+        """Booleans are bytes in memory. `align`: by default that of as many lanes."""
         dtype = name_of(dtype)
         selected = stored(dtype)
         ref = Ref("", selected, lanes)
@@ -353,7 +354,7 @@ class Code:
 
     @contextmanager
     def branch(self, condition: str) -> Iterator[None]:
-        """Code that runs where the scalar condition holds."""
+        """Code that runs if the scalar condition is true."""
         then, after = self.fresh("then"), self.fresh("after")
         self.do(f"br i1 {condition}, label %{then}, label %{after}")
         self.lines.append(f"{then}:")
@@ -365,7 +366,7 @@ class Code:
 
 
 def flush_denormals(code: Code, triple: str) -> Callable[[], None]:
-    """Denormals count as zero from here on, as XLA has it; returns a call that restores the mode.
+    """Denormals count as zero from here on, as in XLA; returns a call that restores the mode.
 
     Tails of logistic curves fill an adjoint with denormals, and each costs a hundred cycles.
     """

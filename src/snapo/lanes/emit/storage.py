@@ -1,4 +1,4 @@
-"""Where an array lives: in registers, element by element (`Small`), or in memory (`ArrayPlace`).
+"""The place of an array: in registers, element by element (`Small`), or in memory (`ArrayPlace`).
 
 Rearranging a `Small` array rearranges Python objects; rearranging a `ArrayPlace` changes its
 strides. Neither costs an instruction.
@@ -28,7 +28,7 @@ class Small:
 
     @property
     def uniform(self) -> Ref | None:
-        """The one register that fills the array, if it is one."""
+        """The register that fills the whole array, if there is only one."""
         if not self.items.size:
             return None
         if self.items.size == 1 or not any(
@@ -115,7 +115,7 @@ class Layout:
         self.size = offset + math.prod(shape) * stored * self.lanes
 
     def size_to(self, keys: Iterable[object]) -> int:
-        """Bytes of a row as far as these fields go."""
+        """Bytes of a row up to the end of these fields."""
         fields = [self.fields[key] for key in keys]
         sizes = (math.prod(shape) * dtype.itemsize for _, shape, dtype in fields)
         return max((field[0] + self.lanes * size for field, size in zip(fields, sizes)), default=0)
@@ -142,7 +142,7 @@ class Layout:
 class Shared:
     """Two rows of memory, the call's and the present step's, and the arrays in them by leaf.
 
-    `call_row` and `step_row` are the rows' addresses; without a step only the call's is there.
+    `call_row` and `step_row` are the rows' addresses; outside of a step only the first exists.
     """
 
     call: Layout
@@ -155,7 +155,7 @@ class Shared:
         return leaf in self.call.fields
 
     def address(self, leaf: Leaf, invariant: bool = False) -> ArrayPlace:
-        """Where an array lies; `invariant` promises that nothing writes there meanwhile."""
+        """The place of an array; `invariant` promises that nothing writes there meanwhile."""
         if self.of_call(leaf):
             return self.call.address(leaf, self.call_row, invariant)
         assert self.step_row is not None

@@ -1,4 +1,4 @@
-"""Where each array of a program lies while a function is written."""
+"""The position of each array of a program while a function is written."""
 
 import math
 from collections.abc import Container
@@ -86,7 +86,7 @@ class Workspace:
 class EmittedValues:
     """The arrays of one program inside one function: in registers, or in memory.
 
-    `homes` are places where given values must lie when the function ends (tape, chunk rows); an
+    `homes` are places where certain values must be when the function ends (tape, chunk rows); an
     operation that writes memory writes there at once.
     """
 
@@ -101,11 +101,11 @@ class EmittedValues:
         self._where: dict[ProgramValue, Small | ArrayPlace] = {}
 
     def bind(self, value: ProgramValue, available: Small | ArrayPlace) -> None:
-        """From here on the value lies there."""
+        """Sets the place of a value from here on."""
         self._where[value] = available
 
     def held(self, value: ProgramValue) -> Small | ArrayPlace | None:
-        """Where a value lies; None if it does not exist yet."""
+        """The place of a value; None if it does not exist yet."""
         return self._where.get(value)
 
     def settle_all(self) -> None:
@@ -114,7 +114,7 @@ class EmittedValues:
             self.settle(value)
 
     def settle(self, value: ProgramValue) -> None:
-        """Copies a value to its home where it is not there already."""
+        """Copies a value to its home if it is not there already."""
         home = self.homes.get(value)
         if home is None or value not in self._where or self._where[value] is home:
             return
@@ -135,7 +135,7 @@ class EmittedValues:
         return available
 
     def constant(self, value: ProgramValue) -> Small | ArrayPlace:
-        """A constant: registers where it is small or all the same, else a table in the kernel."""
+        """A constant: registers if it is small or uniform, else a table in the kernel."""
         array = np.asarray(value.constant)
         if (array.size and np.all(array == array.flat[0])) or array.size == 1:
             ref = self.code.constant(array.flat[0], array.dtype)
@@ -189,7 +189,7 @@ class EmittedValues:
     # Writing.
 
     def set(self, value: ProgramValue, items: np.ndarray | Ref) -> None:
-        """Registers for a value; NumPy gives a bare element where an array has no axes."""
+        """Registers for a value; NumPy gives a bare element if an array has no axes."""
         if isinstance(items, Ref):
             items = objects([items], ())
         self._where[value] = Small(items)

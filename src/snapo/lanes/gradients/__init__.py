@@ -2,5 +2,5 @@
 
 A matrix's gradient is a sum of outer products. Adding each to memory would cost a load and a store
 per multiply-add, so both factors of some tens of steps are kept and multiplied as small matrices,
-tile by tile in registers; only then are the lanes added up. Vectors wait in the same rows.
+tile by tile in registers; only then are the lanes added up. Vectors use the same rows.
 """

@@ -15,7 +15,7 @@ from ..program.program import BIG, ProgramValue
 def ranges(
     code: Code, size: int, tile: int, body: Callable[[str, int], None], apart: bool = False
 ) -> None:
-    """Calls `body` for every tile, the last one `apart` from the loop where it is special."""
+    """Calls `body` for every tile, the last one outside the loop if it is `apart`."""
     complete, rest = divmod(size, tile)
     if apart and not rest and complete:
         complete, rest = complete - 1, tile

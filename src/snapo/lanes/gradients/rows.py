@@ -204,15 +204,15 @@ class Rows:
         return {value: self.layout.address(value, row) for value in self.fields}
 
     def address(self, value: ProgramValue, tape_row: str, chunk_row: str) -> tuple[ArrayPlace, str]:
-        """Where a value lies, and the distance to the next step's."""
+        """The place of a value, and the distance to the next step's."""
         if value in self.taped:
             return self.tape.address(value, tape_row), "%stride"
         return self.layout.address(value, chunk_row), str(self.layout.stride)
 
     def gather(self, code: Code, sums: Shared, tape_row: str, chunk_row: str, count: str) -> None:
-        """Adds up the waiting steps of all that belongs to the whole call.
+        """Adds up the stored steps of all gradients of the whole call.
 
-        A vector without an outer product (a bias) rides along where it is also a product's rows.
+        A vector without an outer product (a bias) is summed with a product whose rows it equals.
         """
         alone: dict[ProgramValue, list[ArrayPlace]] = {}
         products: list[tuple[Outer, ArrayPlace]] = []
@@ -258,7 +258,7 @@ class Rows:
 def accumulate(
     values: EmittedValues, rows: Rows, sums: Shared, tape_row: str, chunk_row: str
 ) -> None:
-    """Adds up all that belongs to this step's numbers."""
+    """Adds up the gradients with respect to this step's numbers."""
     singles: list[tuple[ArrayPlace, Ref]] = []
     for g in rows.gradients.items:
         if sums.of_call(g.leaf):

@@ -3,9 +3,9 @@
 $XDG_CACHE_HOME/snapo/kernels    machine code of kernels, and kernels as traced
 $XDG_CACHE_HOME/snapo/xla        XLA's programs
 
-`XDG_CACHE_HOME` is `~/.cache` where it is not set. The oldest files beyond 512 MB in a folder are
+`XDG_CACHE_HOME` is `~/.cache` if it is not set. The oldest files beyond 512 MB in a folder are
 removed, and those not used (kernels) or made (programs) for 60 days: of kernels when one is made,
-of programs when a command begins. Code from here is run: it must be the user's own.
+of programs when a command begins. Code from here is executed, so it must belong to the user.
 """
 
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ def code_folder(name: str) -> Path:
 
 
 def linked_code(text: str, entries: Mapping[str, int]) -> Linked:
-    """The functions of a module's text, from the disk where their code was made before."""
+    """The functions of a module's text, from the disk if their code was compiled before."""
     return Linked(cached(text, code_folder(KERNELS)), entries)
 
 
@@ -70,7 +70,7 @@ def contents() -> list[CodeFolder]:
 
 
 def empty() -> None:
-    """Removes all code. A process that runs has its own in memory."""
+    """Removes all code. A running process keeps its code in memory."""
     for name in (KERNELS, PROGRAMS):
         for file in _files(code_folder(name)):
             with suppress(OSError):

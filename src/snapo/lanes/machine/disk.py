@@ -1,8 +1,8 @@
 """Machine code on disk, reused between runs, made in this process or in a separate one.
 
-LLVM's passes keep memory: 0.2 megabytes for a small kernel (`mallinfo2` around each of them;
-modules, contexts, pass managers and targets give all of theirs back). After many compilations a
-new process makes the code, so that this memory is bounded."""
+LLVM's passes do not release 0.2 megabytes of memory for a small kernel (measured with `mallinfo2`;
+modules, contexts, pass managers and targets release all of theirs). After many compilations a new
+process makes the code, so that this memory is bounded."""
 
 import hashlib
 import itertools
@@ -57,11 +57,11 @@ ENDING = ".o"
 
 
 def cached(text: str, folder: Path) -> bytes:
-    """Machine code for this text, from the folder where it was made before.
+    """Machine code for this text, from the folder if it was compiled before.
 
     The name of a file is a hash of the text and of the pipeline's identity: code that other passes
     or another LLVM made, or code for another processor, is not found. A file is used if it is this
-    user's, no other user may write it, and its checksum is right; else code is compiled again.
+    user's, no other user may write it, and its checksum is right; otherwise code is compiled again.
     """
     path = folder / f"{key(text)}{ENDING}"
     data = read(path)
@@ -72,7 +72,7 @@ def cached(text: str, folder: Path) -> bytes:
 
 
 def key(text: str) -> str:
-    """The name under which code is kept."""
+    """The name under which code is stored."""
     digest = hashlib.sha256()
     for part in (PIPELINE.identity(), text):
         digest.update(hashlib.sha256(part.encode()).digest())
@@ -106,7 +106,7 @@ def _checksum(name: str, data: bytes) -> bytes:
 
 
 def read(path: Path) -> bytes | None:
-    """The content of a file of the folder; None if it cannot be trusted, or is not there."""
+    """The content of a file of the folder; None if it cannot be trusted or does not exist."""
     try:
         with open(path, "rb") as file:
             state = os.fstat(file.fileno())
@@ -134,7 +134,7 @@ def is_private(state: os.stat_result) -> bool:
 def write(path: Path, data: bytes) -> None:
     """Writes a file of the folder, atomically, and removes the oldest files beyond its limits.
 
-    A disk that cannot be written is not an error.
+    If the disk cannot be written, no error is raised.
     """
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,7 @@ from .pipeline import PIPELINE, binding
 class KernelMemory:
     """Named rows of zero bytes on 64-byte boundaries, and their addresses.
 
-    They are of one allocation: kernels take addresses, and NumPy is slow to return them.
+    They share one allocation: kernels take addresses, which NumPy is slow to return.
     """
 
     def __init__(self, sizes: dict[str, int]):
@@ -52,8 +52,8 @@ def address(array: np.ndarray) -> int:
 class Linked:
     """The functions of one piece of machine code. It keeps the memory of the code alive.
 
-    `entries` are the functions' names, each with the number of its 64-bit integers; all take an
-    address before them and return nothing.
+    `entries` are the functions' names, each with the number of its 64-bit integers; all first take
+    an address, and return nothing.
     """
 
     def __init__(self, data: bytes, entries: Mapping[str, int]):

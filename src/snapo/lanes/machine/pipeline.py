@@ -53,7 +53,7 @@ REGISTERS = 2  # per number and block: two chains side by side hide part of the 
 
 
 class Processor(NamedTuple):
-    """A processor as LLVM knows it; `register` are the bytes of a vector register."""
+    """A processor as LLVM describes it; `register` are the bytes of a vector register."""
 
     triple: str
     name: str
@@ -61,7 +61,7 @@ class Processor(NamedTuple):
     register: int
 
     def lanes(self, dtype: str) -> int:
-        """Paths in one block: two vector registers of them."""
+        """The number of paths in one block: two vector registers."""
         return max(1, self.register // np.dtype(dtype).itemsize) * REGISTERS
 
 
@@ -90,8 +90,8 @@ def host() -> Processor:
 
 
 def use_processor(level: str) -> bool:
-    """Makes all code of this process from now on for a level of `LEVELS`, so that it has the same
-    bits on every processor that has it; False if this one has not."""
+    """From now on compiles all code of this process for a level of `LEVELS`, with the same bits on
+    every processor of that level; False if this processor does not support it."""
     if not actual().triple.startswith("x86_64") or actual().register < LEVELS[level]:
         return False
     if os.environ.get(PROCESSOR) != level:
@@ -101,7 +101,7 @@ def use_processor(level: str) -> bool:
 
 
 def fingerprint() -> str:
-    """The name of all that the bits of this processor depend on."""
+    """A name for all properties of this processor that affect the bits of results."""
     processor = actual()
     text = f"{processor.triple} {processor.name} {processor.features}"
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()

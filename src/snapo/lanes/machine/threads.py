@@ -1,4 +1,4 @@
-"""Work handed out to threads that wait for it."""
+"""Distributes work to waiting threads."""
 
 import os
 import threading
@@ -13,8 +13,7 @@ Own = TypeVar("Own")
 
 
 def cores() -> int:
-    """The processors that this process may run on, where the system reports them; else all of
-    them."""
+    """The processors that this process may run on, if the system reports them; otherwise all."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -22,7 +21,7 @@ def cores() -> int:
 
 @contextmanager
 def in_thread(work: Callable[[], object]) -> Iterator[None]:
-    """Does the work in a thread while the block runs; the end of the block waits for it.
+    """Does the work in a thread while the block runs; leaving the block waits for it.
 
     For work that is repeated if its result is missing, such as compiling: a failure is ignored.
     """
@@ -48,9 +47,9 @@ def spread(
 ) -> None:
     """Hands groups to threads in turn; this thread takes its share and notices Ctrl-C.
 
-    `local` gives each thread its own scratch memory, and `stop` is a flag that ends the work. On an
-    interrupt the others are waited for; a second one leaves them running with their last groups, so
-    that `one` must hold all the memory that it reads and writes.
+    `local` gives each thread its own scratch memory, and `stop` is a flag that ends the work. After
+    an interrupt the other threads finish their groups; a second interrupt does not wait for them,
+    so that `one` must own all the memory that it reads and writes.
     """
     waiting = iter(range(groups))
     lock = threading.Lock()

@@ -75,7 +75,7 @@ REMOVES_AXES = {"squeeze", "reshape"}
 class Assembly:
     """An array put together from parts along an axis; `stacked`: from rows without that axis.
 
-    The array itself is here too: its identity is a key, which no later array may have.
+    The array itself is stored too, since its identity is a key that no later array may reuse.
     """
 
     array: Any
@@ -84,15 +84,15 @@ class Assembly:
     stacked: bool = False
 
     def lengths(self) -> list[int]:
-        """Of the parts along the axis."""
+        """The lengths of the parts along the axis."""
         return [1 if self.stacked else jnp.shape(part)[self.axis] for part in self.parts]
 
 
 class Assembled:
     """The arrays that one trace has put together or given further axes.
 
-    An observation is one array of many numbers, and a policy may read few of them. Where its slices
-    read the parts, nothing computes the others, and no derivative goes through them.
+    An observation is one array of many numbers, and a policy may read few of them. If its slices
+    read the parts directly, unused parts are not computed or differentiated.
     """
 
     def __init__(self):
@@ -100,7 +100,7 @@ class Assembled:
         self._sources: dict[int, tuple[Any, Any]] = {}
 
     def result(self, eqn, inputs: list[Any]) -> Any:
-        """The result of an equation that reads an assembled array; None where it is applied."""
+        """The result of an equation that reads an assembled array; None if it must be applied."""
         name, params = eqn.primitive.name, eqn.params
         if name == "slice" and (parts := self._parts.get(id(inputs[0]))) is not None:
             return self._sliced(parts, params)
@@ -175,7 +175,7 @@ def _plain_call(eqn) -> bool:
 def evaluate(closed, values, caller=None, assembled: Assembled | None = None):
     """Applies the equations of a jaxpr and of the plain calls in it.
 
-    Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's.
+    Equations inside a function of `jax.numpy` have the line of user code that called it.
     Slices of `assembled` arrays read their parts.
     """
     jaxpr, assembled = closed.jaxpr, assembled or Assembled()
@@ -206,7 +206,7 @@ def _fresh(constant):
 
 @dataclass(eq=False)
 class Cut:
-    """A function, cut into a piece per level."""
+    """A function, cut into one piece per level."""
 
     call: Piece
     step: Piece

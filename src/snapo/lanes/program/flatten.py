@@ -1,8 +1,9 @@
-"""From a jaxpr, which nests, to a `Program`, which does not.
+"""Converts a jaxpr, which is nested, to a `Program`, which is not.
 
 Calls are inlined, short loops unrolled, branches evaluated on both sides and selected, and
 arithmetic on constants done at once. A piece and its transpose are one program: their joint trace
-is one jaxpr, so that the choice between keeping a number and computing it again is not JAX's."""
+is one jaxpr, so that the compiler, not JAX, decides which numbers are stored and which are computed
+again."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -87,7 +88,7 @@ class Flattener:
         return self.add(name, inputs, avals, eqn.params, line)
 
     def add(self, name, inputs, avals, params, line="") -> list[ProgramValue]:
-        """Appends an operation, or folds it when everything it reads is known."""
+        """Appends an operation, or folds it if all its inputs are constants."""
         if any(not supported(a.dtype) for a in avals):
             raise Unsupported(f"{name}: numbers of type {avals[0].dtype}, at {line}")
         inputs = [v if v.size else constant(np.zeros(v.shape, v.dtype)) for v in inputs]
@@ -109,7 +110,7 @@ class Flattener:
         return outputs
 
     def unknown(self, value: ProgramValue, line: str) -> ProgramValue:
-        """The value, which nothing is folded into."""
+        """The value, as one that cannot be folded."""
         if value.constant is None:
             return value
         return self.add(BARRIER, [value], [ProgramValue(value.shape, value.dtype)], {}, line)[0]

@@ -1,6 +1,6 @@
 """Arithmetic on numbers known while compiling: loop counters, static indices, masks, zeros.
 
-Only small arrays are folded; every result must be XLA's.
+Only small arrays are folded; every result must equal that of XLA.
 """
 
 import math
@@ -115,7 +115,7 @@ _OVER_NOTHING = {
 
 
 def select(which, *options):
-    """`select_n`: the option whose number `which` holds, position by position."""
+    """`select_n`: the option with the number in `which`, position by position."""
     which = np.broadcast_to(which, options[0].shape).astype(np.int64)
     return np.take_along_axis(np.stack(options), which[None], 0)[0]
 

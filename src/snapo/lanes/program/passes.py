@@ -1,6 +1,6 @@
 """Passes over a program: rewrite, share, drop.
 
-Each pass takes a program and gives one that computes the same, with fewer or cheaper operations.
+Each pass turns a program into one that computes the same with fewer or cheaper operations.
 """
 
 from dataclasses import replace
@@ -13,8 +13,8 @@ Replaced = dict[ProgramValue, ProgramValue]
 
 
 def optimize(program: Program, equal: Replaced | None = None) -> Program:
-    """Rewrites, shares, fuses, simplifies and drops, in that order; `equal`: inputs that equal
-    other ones."""
+    """Applies the passes rewrite, share, fuse, simplify and drop in that order; `equal`: inputs
+    that equal other ones."""
     return drop(simplify(fuse(share(rewrite(program), equal))))
 
 
@@ -65,7 +65,7 @@ def _inverse(value: ProgramValue) -> ProgramValue | None:
 def share(program: Program, equal: Replaced | None = None) -> Program:
     """Common subexpressions: one computation of each operation on the same inputs.
 
-    Whatever reads an input that is among the `equal` ones reads the other one in its place.
+    An operation that reads an input in `equal` reads its equal one instead.
     """
     replaced: Replaced = dict(equal or {})
     available: dict[tuple, Op] = {}
@@ -95,11 +95,11 @@ def _signature(op: Op) -> tuple:
 
 
 def fuse(program: Program) -> Program:
-    """Products and the sums that read them, as multiply-adds: `fma x y z` is x y + z.
+    """Fuses products and the sums that read them to multiply-adds: `fma x y z` is x y + z.
 
-    It depends on nothing but the sum and the product. LLVM decides by who else reads the product,
-    and two kernels with the same step, one with a policy and one with its recorded actions, would
-    then differ in the last place. Cotangents are unchanged.
+    The choice depends only on the sum and the product. LLVM's choice depends on other readers of
+    the product: two kernels with the same step, one with a policy and one with its recorded
+    actions, would then differ in the last place. Cotangents are unchanged.
     """
     maker = {v: op for op in program.ops for v in op.outputs}
     ops = [_fused(op, maker) or op for op in program.ops]
@@ -133,9 +133,9 @@ def _factors(op: Op | None) -> list[ProgramValue] | None:
 
 
 def simplify(program: Program) -> Program:
-    """Without products with one, and selections by masks that are known.
+    """Removes products with one, and selections by constant masks.
 
-    After sums are fused: their terms, and with them the last place of every number, stay the same.
+    It runs after sums are fused, so that the last place of every number is unchanged.
     """
     replaced: Replaced = {}
     ops = []

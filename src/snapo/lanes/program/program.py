@@ -54,7 +54,7 @@ BIG = 12  # arrays of more numbers than this live in memory, smaller ones in reg
 class ProgramValue:
     """One array of a program: `path`: whether it differs between paths.
 
-    A value whose content is known while compiling carries it in `constant`.
+    If the content of a value is known at compile time, `constant` has it.
     """
 
     shape: tuple[int, ...]
@@ -92,7 +92,7 @@ class Program:
 
 
 def constant(array) -> ProgramValue:
-    """A value known while compiling."""
+    """A value that is constant at compile time."""
     array = np.asarray(array)
     return ProgramValue(array.shape, array.dtype, False, array)
 

@@ -40,7 +40,7 @@ def plan(
 
     `primal` are the outputs of the forward sweep, `back` those of the reverse sweep, and
     `cotangents` the inputs that only the reverse sweep has. Dot products, curves and noise are
-    stored; cheap arithmetic and reads in shared tables are done again from stored values. `values`
+    stored; cheap arithmetic and reads in shared tables are repeated from stored values. `values`
     are stored in any case.
     """
     maker = {v: op for op in program.ops for v in op.outputs}
@@ -84,5 +84,5 @@ def stored(op: Op) -> bool:
 
 
 def costly(op: Op) -> bool:
-    """Whether storing the result beats computing it again."""
+    """Whether storing the result is cheaper than computing it again."""
     return op.name in EXPENSIVE or (op.name in REDUCTIONS and op.inputs[0].size > BIG)

@@ -1,4 +1,4 @@
-"""Primitives that rearrange arrays: views where that is possible, else copies."""
+"""Primitives that rearrange arrays: views if that is possible, else copies."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +18,7 @@ def rearranged(
     small: Callable[[Op, np.ndarray], np.ndarray],
     strided: Callable[[Op, ArrayPlace], ArrayPlace | None],
 ) -> Rule:
-    """A rule from a function of NumPy arrays and one of places, which gives None for no view."""
+    """A rule from a function of NumPy arrays and one of places (None if no view exists)."""
 
     def rule(values: EmittedValues, op: Op) -> None:
         available = values.get(op.inputs[0])

@@ -35,7 +35,7 @@ def _work(op: Op) -> int:
 def dot(values: EmittedValues, op: Op, finish: Finish | None = None) -> None:
     """`dot_general` with any batch, free and contracted axes.
 
-    In tiles, `finish` takes each sum as it leaves its registers; without it they are stored.
+    In tiles, `finish` receives each sum from its register; without `finish` sums are stored.
     """
     (contract_a, contract_b), (batch_a, batch_b) = op.params["dimension_numbers"]
     a, b = op.inputs
@@ -120,7 +120,7 @@ def tiled(
 ) -> None:
     """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows.
 
-    Zeros at the end of long rows are left out where the factor of each path is `finite`.
+    Zeros at the end of long rows are left out if the factor of each path is `finite`.
     """
     batch, rows, columns, depth = sizes
     order = (rows * columns, columns, 1)
@@ -155,7 +155,7 @@ def _tallest(code: Code, out: ProgramValue) -> int:
 
 
 def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
-    """(first row, how many, height) of tiles of two heights: a low rest would idle the processor.
+    """(first row, count, height) of tiles of two heights: a low last tile would idle the processor.
 
     A multiply-add takes four cycles, and two begin in each.
     """
@@ -236,7 +236,7 @@ def _flat(code: Code, position, order) -> int | str:
 
 
 class counted:
-    """A loop, or nothing if there is one round."""
+    """A loop, or no loop if there is one round."""
 
     def __init__(self, code: Code, count: int):
         self.loop = code.loop(count) if count != 1 else None

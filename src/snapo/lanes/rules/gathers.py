@@ -1,7 +1,7 @@
 """Reading at positions known only while running: gather and dynamic slices.
 
-Processors gather number by number. Neighbours in a table that all paths share are faster read path
-by path, and then transposed: one vector of lanes for each.
+Processors gather number by number. For neighbours in a table that all paths share it is faster to
+read path by path and then transpose, to one vector of lanes for each neighbour.
 """
 
 import math
@@ -74,11 +74,11 @@ def _function(module: Module, dtype: np.dtype, count: int) -> str:
 
 
 def transposed(code: Code, rows: list[Ref]) -> list[Ref]:
-    """Vectors of blocks, each block with as many numbers as there are vectors, a power of two:
-    every block of them transposed.
+    """Blocks, transposed. A block has one row from each vector, and as many columns as there are
+    vectors, a power of two.
 
-    Each round interleaves every vector with the one half of them further on. Of the bits of a
-    number's position, row before column, this moves the first to the end.
+    Each round interleaves vector i of n with vector i + n/2. This moves the
+    first bit of the position of a number (row, then column) to the end.
     """
     width, lanes = len(rows), rows[0].lanes
     masks = [

@@ -1,7 +1,7 @@
 """Positions known only while running: their bounds, and the elements that lie there.
 
-A position known while compiling costs nothing. One that differs between paths becomes selections
-or rearrangements (`lookups`) of up to 16 candidates, else one masked gather over the lanes.
+A position known while compiling costs nothing. A position that differs between paths becomes
+selections or rearrangements (`lookups`) of up to 16 candidates, otherwise one masked gather.
 """
 
 import numpy as np
@@ -79,7 +79,7 @@ Start = Ref | int
 
 
 def clamped(values: EmittedValues, start: ProgramValue, last: int) -> Start:
-    """A start index within [0, last]: a number where it is known."""
+    """A start index within [0, last]: a number if it is known."""
     if start.constant is not None:
         return int(np.clip(int(start.constant), 0, last))
     return _clamp(values.code, values.small(start)[()], last)

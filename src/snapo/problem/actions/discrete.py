@@ -24,16 +24,16 @@ class Choice(Actions):
     ways to read the weights:
 
     - as a mixture, `action @ options`: exact if the step is linear in the weights (a cost or a
-      speed of each option), and otherwise a smoothing;
+      speed of each option), and otherwise a smooth approximation;
     - as probabilities, with `draw`: the step uses one option, as in the value, and derivatives are
-      correct for any effect of it.
+      correct for any effect of the option.
 
     `scale`: scores count in units of temperature times `scale`.
 
-    Scores are counted from their mean, and their root mean square is kept below a level: at the
-    usual temperature of the first steps an option keeps a part of the weight, however long the
-    gradients have been against it. Otherwise the slope of its weight would vanish with the weight,
-    and states in which the option is the best one could not bring it back.
+    The mean of the scores is subtracted, and their root mean square is limited: at the usual
+    temperature of the first steps every option keeps a part of the weight, even after many
+    gradients against it. Otherwise the slope of its weight would vanish with the weight, and states
+    in which the option is the best one could not restore it.
 
     >>> snapo.Choice(3).squash(np.float32([0.1, 0.7, 0.2]), snapo.Exact()).tolist()
     [0.0, 1.0, 0.0]
@@ -64,10 +64,10 @@ class Choice(Actions):
     def draw(self, action: Float[Array, " size"], normal: Array) -> tuple[Array, Array]:
         """(option, likelihood): one option at random, with probabilities `action`.
 
-        `normal` is one of the step's standard normals. `option` [size] is 1 on the option drawn
-        and carries no derivative. `likelihood` is the number 1; its derivative is that of the
-        option's log probability. The simulator carries the product of all likelihoods, and
-        multiplies by it every output at or after the choice:
+        `normal` is one of the step's standard normals. `option` [size] is 1 on the option drawn and
+        has no derivative. `likelihood` is the number 1; its derivative is that of the option's log
+        probability. The simulator keeps the product of all likelihoods in its state, and multiplies
+        every output at or after the choice by it:
 
             option, likelihood = self.action.draw(action, noise[1])
             weight = state["weight"] * likelihood
@@ -105,7 +105,7 @@ NEAR = 1e-3  # a hazard nearer to 0 or 1 than this moves as if it were this
 class Stop(Actions):
     """At every step: stop or continue. With `rights` above 1: use one of the rights left, or wait.
 
-    In the value an action is 1, stop, or 0, continue. In training it is a hazard: the probability
+    In the value an action is 1 (stop) or 0 (continue). In training it is a hazard: the probability
     of stopping here if not before. A path then does not stop but fades: the simulator's state has
     the weight that is still alive, and the payoff is paid on the part that stops. That is the
     expectation over the time of stopping, without any jump, so that its derivative is correct.
@@ -142,7 +142,7 @@ class Stop(Actions):
         score, over temperature * scale; exact: 1 if it is above 0.
 
         It is not the logistic curve, whose slope vanishes like the hazard itself, so that training
-        whose first steps all lower the hazard never recovers.
+        could not recover if its first steps all lower the hazard.
         """
         return self._hazard(raw + _score(self.hazard), smooth)
 

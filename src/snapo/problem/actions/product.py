@@ -23,7 +23,7 @@ def contains(action: Actions, kind: type[Actions]) -> bool:
 
 
 def decision_names(action: Actions) -> list[str]:
-    """The names of all decisions, which `together` counts, in a `Product`; empty ones elsewhere.
+    """The names of all decisions, as counted by `together`; empty outside a `Product`.
 
     >>> decision_names(snapo.Product(run=snapo.Choice(2), power=snapo.Box(0.0, 1.0, size=2)))
     ['run', 'power[0]', 'power[1]']
@@ -80,11 +80,11 @@ class Product(Actions):
         }
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """Each part into its set."""
+        """Maps each part into its set."""
         return self._each(lambda item, part: item.squash(part, smooth), raw)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """Each part near its base."""
+        """Adds a correction to the base of each part, within its set."""
         return self._each(lambda item, *values: item.near(*values, smooth), base, correction)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
@@ -95,7 +95,7 @@ class Product(Actions):
         return sum(item.exploration_size for item in self.sets)
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """Each part in its set, with separate normals."""
+        """Explores each part in its set, with separate normals."""
         explores, first, parts = [], 0, self.parts(action)
         for name, item in zip(self.names, self.sets):
             local = normals[first : first + item.exploration_size]

@@ -1,6 +1,6 @@
 """Sets of numbers: a box, integers, shares; and the base class of all action sets.
 
-Shares of a whole.
+Shares that add up to one.
 """
 
 import abc
@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 def count(name: str, values: Any, minimum: int, more: str = "") -> int:
     """A whole number of at least `minimum`.
 
-    **Raises:** `ValueError` for anything else; `more` ends its sentence.
+    **Raises:** `ValueError` for anything else; `more` is added to its message.
     """
     available = isinstance(values, int | np.integer) and not isinstance(values, bool)
     if not available or values < minimum:
@@ -32,8 +32,9 @@ def count(name: str, values: Any, minimum: int, more: str = "") -> int:
 class Actions(eqx.Module):
     """The set of a decision of `size` numbers, with a map into it from unbounded numbers.
 
-    A set has two forms. The smooth one, of training, has a derivative everywhere; the exact one, of
-    the value, has the decisions that can be taken. `smooth` selects the form, as in a simulator.
+    A set has two forms. The smooth form, used in training, has a derivative everywhere; the exact
+    form, used in the value, contains the decisions that can be taken. `smooth` selects the form, as
+    in a simulator.
     """
 
     size: eqx.AbstractVar[int]
@@ -321,7 +322,7 @@ class Integers(Actions):
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """As for a `Box`: in training numbers need not be whole."""
+        """As for a `Box`, since in training numbers need not be whole."""
         return self.box.explore(action, normals, share)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:

@@ -1,4 +1,4 @@
-"""A policy on its way out: a file that describes itself, an ONNX graph, a table of decisions.
+"""Exports a policy as a file that describes itself, an ONNX graph, or a table of decisions.
 
 `save` is behind `policy.save` and `load_policy`; `export` behind `to_onnx` and `decision_table`,
 with one entry of `rules` for each operation of a trace.

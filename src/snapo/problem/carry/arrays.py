@@ -10,7 +10,7 @@ import numpy as np
 
 
 def write_arrays(file: Path, arrays: Mapping[str, np.ndarray], header: Any) -> None:
-    """Through a temporary file next to the target; `header` is data for JSON."""
+    """Writes through a temporary file next to the target; `header` is data for JSON."""
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)
     partial = file.with_name(file.name + ".partial")
     with partial.open("wb") as stream:

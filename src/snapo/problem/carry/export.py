@@ -99,7 +99,7 @@ MOVES = {
 def translated(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
     """The outputs of one such operation.
 
-    **Raises:** `ValueError` if an index depends on the observation, or leaves its array.
+    **Raises:** `ValueError` if an index depends on the observation, or is outside its array.
     """
     data = MOVES[equation.primitive.name]
     operands, first, start = [], [], 0

@@ -1,6 +1,6 @@
 """`run` next to a case points to the folder of its latest run in `runs`.
 
-It is a symbolic link, or a small text file where links are not possible, so that every reader of a
+It is a symbolic link, or a small text file if links are not possible, so that every reader of a
 run folder goes through `followed`.
 """
 

@@ -47,14 +47,14 @@ class Graph:
     def node(
         self, kind: str, inputs: Sequence[Tensor], shape: Sequence[int], dtype: Any, **settings: Any
     ) -> Tensor:
-        """The output of one operation; it differs by state where any of its inputs does."""
+        """The output of one operation; it differs by state if any of its inputs does."""
         name, names = f"v{len(self.nodes)}", tuple(item.name for item in inputs)
         self.nodes.append(GraphNode(kind, names, name, np.dtype(dtype), settings))
         batched = any(entry.batched for entry in inputs)
         return Tensor(name, tuple(shape), np.dtype(dtype), batched)
 
     def integers(self, numbers: Sequence[int]) -> Tensor:
-        """A constant of 64-bit integers, as shapes and axes are given."""
+        """A constant of 64-bit integers, the type of shapes and axes."""
         return self.constant(np.array(numbers, np.int64))
 
     def reshaped(self, value: Tensor, shape: Sequence[int]) -> Tensor:
@@ -355,7 +355,7 @@ def _matrix(graph: Graph, value: Tensor, axis: int, last: bool) -> Tensor:
 
 
 def unrolled(graph: Graph, settings: Any, tensors: list[Tensor], write: Callable) -> list[Tensor]:
-    """A loop of a known, small number of rounds that carries values and returns no others."""
+    """A loop with a small, fixed number of rounds that returns only the values that it carries."""
     count, carried = arguments_of_scan(settings)
     if settings["length"] > MAXIMUM or len(tensors) != count + carried:
         raise ValueError(f"to_onnx: a loop of more than {MAXIMUM} rounds is not exported.")

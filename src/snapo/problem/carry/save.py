@@ -32,7 +32,7 @@ def described(tree: Any) -> dict[str, str]:
 def difference(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
     """The first difference as a clause, "its activation is tanh, and here it is silu"; or "".
 
-    A place that only one of the two has makes no difference: another version may have added it.
+    A position that only one of the two has is ignored: another version may have added it.
     """
     for position, text in now.items():
         if stored.get(position, text) != text:
@@ -109,7 +109,7 @@ def functions() -> dict[str, Callable]:
 
 
 def name_of(function: Callable) -> str | None:
-    """The name under which a function is known; None for any other."""
+    """The registered name of a function; None for any other function."""
     available = functions()
     return next((name for name, item in available.items() if item is function), None) or (
         "tanh" if function is jnp.tanh else None
@@ -246,7 +246,7 @@ class PolicyFileError(ValueError):
 class StoredPolicy(NamedTuple):
     """The content of a policy's file.
 
-    - `policy`: None if its class is user code, of which no file has the code.
+    - `policy`: None if its class is user code, which a file does not contain.
     - `described`: {position: text} of its kinds, sizes and functions; `leaves`: its arrays.
     - `features`: the length of its observation, None if that is unknown.
     """
@@ -260,7 +260,7 @@ class StoredPolicy(NamedTuple):
 def save(policy: eqx.Module, file: Path | str, features: int | None, code: bool = False) -> None:
     """Writes a policy for a number of features with its kinds, sizes, activations and weights.
 
-    Of a policy with user code the arrays are written if `code`, for a reader who has the code.
+    With `code`, the arrays of a policy with user code are written, for a reader who has the code.
 
     **Raises:** `PolicyFileError` for a policy with user code, unless `code`.
     """
@@ -288,7 +288,7 @@ def leaves_of(tree: Any) -> list[np.ndarray]:
 def stored(file: Path | str, base: type[eqx.Module]) -> StoredPolicy:
     """The content of a file that `save` wrote; nothing is executed.
 
-    **Raises:** `PolicyFileError` if the file is missing or damaged, holds something else, or
+    **Raises:** `PolicyFileError` if the file is missing or damaged, contains something else, or
     weights whose sizes do not fit each other.
     """
     try:
@@ -319,8 +319,8 @@ def stored(file: Path | str, base: type[eqx.Module]) -> StoredPolicy:
 
 
 def load(file: Path | str, base: type[AnyPolicy], like: AnyPolicy | None = None) -> AnyPolicy:
-    """The policy written by `save`, of a subclass of `base`; with the numbers of the file in
-    `like`, if there is one.
+    """The policy written by `save`, of a subclass of `base`; if there is a `like`, it is returned
+    with the numbers of the file.
 
     **Raises:** `PolicyFileError` as `stored` does; if the file's policy is user code and there
     is no `like`; and if it differs from `like` in shape, activation or any other setting.

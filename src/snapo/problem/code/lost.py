@@ -1,7 +1,7 @@
-"""Inputs whose derivative is lost: outputs depend on them, but only by operations of slope zero.
+"""Inputs whose derivative is lost: outputs depend on them only through operations with slope zero.
 
 Rounding and comparisons have a derivative of zero: the derivative of `floor(size * uniform)` with
-respect to `size` is 0 on every path, but the derivative of its mean is not. Where the input has
+respect to `size` is 0 on every path, but the derivative of its mean is not. If the input has
 another way to the output, as in `x - floor(x)`, nothing is reported here.
 """
 
@@ -45,8 +45,8 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     """The inputs that move an output, exact or smooth, and have no derivative, by name, each with
     the equations that cut it off.
 
-    Decisions are held fixed: an input that only moves them rightly has derivative zero. Operands of
-    `jax.lax.stop_gradient` are left out, since its author wants no derivative there.
+    Decisions are held fixed: an input that affects only them correctly has derivative zero.
+    Operands of `jax.lax.stop_gradient` are left out, since its author wants no derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]
     values = inputs_.values(inputs)

@@ -35,11 +35,11 @@ MADE = frozenset(("getattr", "vars"))  # by these, attributes by names that are 
 class Names(NamedTuple):
     """The names in a function and in the functions inside it.
 
-    - `read`: globals and enclosing variables; `added`: those of them that it only adds to.
+    - `read`: globals and enclosing variables; `added`: those that it only adds to.
     - `written`: globals that it sets.
     - `members`: attributes, and every string that may be the name of one.
     - `modules`: the imported ones, with the level of a relative import.
-    - `made`: whether it reads attributes, of the other objects it names, by names made at run time.
+    - `made`: whether it reads attributes of other objects by names that are made at run time.
     - `unseen`: whether it reads anything that no name in its code shows.
     """
 

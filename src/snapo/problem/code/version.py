@@ -1,10 +1,10 @@
 """The version of a user's code: a number for everything it reads, such as globals and closures.
 
-A program that was compiled for a simulator serves as long as its code reads the same. Every call
-of one is therefore in `following(version)`: JAX then does not reuse a trace of another version, in
-functions that the user compiles too. snapo's code has no version.
+A program that was compiled for a simulator can be used as long as its code reads the same. Every
+call of one is therefore in `following(version)`: JAX then does not reuse a trace of another
+version, in functions that the user compiles too. snapo's code has no version.
 
-Programs as text: two traces that read the same things are the same text.
+Programs as text: two traces that read the same objects have the same text.
 """
 
 import re
@@ -113,7 +113,7 @@ def of_preparation(simulator: Any, inputs: PyTree) -> Version:
 
 
 def of_rollout(simulator: Any, policy: Any, schedule: Any, smooth: Any = None) -> Version:
-    """The version of the code that rolls paths."""
+    """The version of the code that simulates paths."""
     trees = simulator, policy, schedule, smooth
     return of(trees, lambda: rollout(simulator, policy, schedule))
 

@@ -2,7 +2,7 @@
 
 Engines draw standard normals from a counter. A `Noise` turns some of them into a value by plain
 `jax.numpy`, inside `step`, so that both engines trace the same function, and antithetic, Sobol and
-supplied scenarios serve every distribution. Its parameters are leaves of a tree: numbers, or
+supplied scenarios work for every distribution. Its parameters are leaves of a tree: numbers, or
 `Input`s, which makes them differentiable:
 
     inputs = {"demand": snapo.noise.Poisson(snapo.Input(4.0, "units")),
@@ -111,7 +111,7 @@ def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTre
 
 
 def only(normals: Float[Array, " 1"]) -> Float[Array, ""]:
-    """The normal of a noise that takes one, which may come as a number."""
+    """The normal of a noise that takes one, which may also be passed as a number."""
     return normals.reshape(-1)[0]
 
 

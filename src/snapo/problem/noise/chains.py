@@ -25,8 +25,8 @@ class Markov(Noise):
         … {"cash": weight * cash}
 
     Regimes have no order, so that a path has no derivative with respect to the probabilities.
-    `likelihood` is the number 1, with the derivative of the log probability; carried along as here,
-    it makes the derivative of the mean correct (likelihood ratio). Without it: `draw(noise[:1],
+    `likelihood` is the number 1, with the derivative of the log probability; used as above, it
+    makes the derivative of the mean correct (likelihood ratio). Without it: `draw(noise[:1],
     state["regime"])`.
 
     **Arguments:**

@@ -2,7 +2,7 @@
 
 Gamma and Student noise: quantiles on a grid, computed once, with implicit derivatives.
 
-The logarithm y of a gamma number is smooth in the normal z that it has the quantile of. Its values
+The logarithm y of a gamma number is smooth in the normal z at the same quantile. Its values
 and slopes are on 512 intervals of z, and a draw reads a cubic between two of them: within 1e-8 of
 the quantile, for any shape. The derivative with respect to the shape is that of the equation
 P(shape, e^y) = u (implicit reparametrisation: Figurnov, Mohamed and Mnih 2018).
@@ -112,7 +112,7 @@ def matrix(correlation: Any) -> Float[Array, "K K"]:
 
 
 def cholesky(correlation: Any) -> Float[Array, "K K"]:
-    """The lower root of the correlation matrix."""
+    """The lower Cholesky factor of the correlation matrix."""
     return jnp.linalg.cholesky(matrix(correlation))
 
 
@@ -208,7 +208,7 @@ class Gamma(Noise):
     """Mean shape x scale, variance shape x scale^2. Its derivatives are pathwise (implicit).
 
     Prepare it (`snapo.noise.prepare`): a draw from an unprepared one computes its grid at every
-    step, which the native engine leaves to XLA.
+    step, which the native engine does not support.
     """
 
     shape: Any = parameter()
@@ -234,7 +234,7 @@ class Student(Noise):
     """mean + scale t, where t is Student's with `df` degrees of freedom: a normal over the root of
     a gamma number. One number, or K that are correlated and share that root.
 
-    All derivatives are pathwise. It takes one normal more than it gives numbers.
+    All derivatives are pathwise. It takes one normal more than it returns numbers.
 
     **Arguments:**
 

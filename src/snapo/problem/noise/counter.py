@@ -1,4 +1,4 @@
-"""The noise of a path: counted by threefry where it is used, or stored in arrays.
+"""The noise of a path: drawn by threefry when it is used, or stored in arrays.
 
 Words are bit-identical in every engine and precision; normals are made from them by the inverse
 of the distribution function.
@@ -42,7 +42,7 @@ class Counter(eqx.Module):
         return jax.vmap(lambda t: self.noise(t, size // self.before, dtype))(steps).reshape(-1)
 
     def steps(self, first, length: int):
-        """What the scan over time carries along: the number of the step in the calendar."""
+        """The carry of the scan over time: the number of the step in the calendar."""
         return self.first + first.astype(jnp.uint32) + jnp.arange(length, dtype=jnp.uint32)
 
     def noise(self, step: UInt32[Array, ""], size: int, dtype) -> Float[Array, " size"]:

@@ -1,8 +1,8 @@
 """Whole numbers: the quantile of a discrete distribution, with a derivative with respect to its
 parameters.
 
-Number k is drawn if the uniform u is between F(k - 1) and F(k). A step function has no
-derivative of use; a draw is given
+Number k is drawn if the uniform u is between F(k - 1) and F(k). A step function has no useful
+derivative; a draw gets
 
     d k = -(d F(k - 1) + d F(k)) / (2 p(k)),        p(k) = F(k) - F(k - 1).
 
@@ -11,9 +11,9 @@ f'(k) and f'(k + 1): the trapezoid's rule for f(k + 1) - f(k). It is exact for e
 quadratic between whole numbers without corners, and otherwise has an error of about a twelfth of
 the third differences. At a corner at a whole number q, where JAX uses the mean of both slopes, the
 error is a quarter of the change of slope times d F(q) - d F(q - 1): for the mean of a Poisson,
-times p(q - 1) - p(q). If q differs by path that averages out; at the end of the range, where q is 0
-and no draw is below, it does not. `weigh` gives the likelihood ratio, which is correct for any f,
-with more noise.
+times p(q - 1) - p(q). If q differs between paths, this error averages out, but not at the end of
+the range, where q is 0 and no draw is below. `weigh` gives the likelihood ratio, which is correct
+for any f, with more noise.
 """
 
 import abc

@@ -1,13 +1,12 @@
 """Objectives: the value of all paths' totals together, to be maximised.
 
-An objective gives a value and the weight of every path and output, its derivative; engines
-take weights, never objectives, so risk measures need no second kind of adjoint. `influence`
+An objective returns a value and its derivative, the weight of every path and output; engines
+take weights, never objectives, so that risk measures need no other adjoint. `influence`
 is each path's share of the value to first order: its spread gives the standard error.
 
 Objectives add and scale: `Mean("x") + 0.5 * CVaR("x", 0.95)`. A cost is negated: `-Mean("cost")`.
-A measure of risk with a negative weight is the same measure of minus its output with a positive
-one: `-CVaR("cost", 0.9)` is minus the mean of the dearest tenth, not of the cheapest. A sign that
-is taken back brings the first measure back.
+A risk measure with a negative weight is that of a cost: `-CVaR("cost", 0.9)` is minus the mean of
+the most expensive tenth, not of the cheapest. Two minus signs give the original measure.
 
 A user-defined objective is one formula in `jax.numpy`; weights and errors follow from it::
 
@@ -17,7 +16,7 @@ A user-defined objective is one formula in `jax.numpy`; weights and errors follo
         def formula(self, totals):
             return jnp.mean(totals["profit"]) / jnp.std(totals["profit"])
 
-A negative weight on it multiplies its numbers; `as_cost` states where something else is meant.
+A negative weight multiplies its numbers, unless `as_cost` defines something else.
 
 A comparison with a number is a constraint that holds on average or with a probability:
 `Mean("unserved") <= 0.05`. A limit that must hold on every path belongs in the simulator.
@@ -60,7 +59,7 @@ class Objective(abc.ABC):
 
     @property
     def tail(self) -> float:
-        """The share of the paths that it uses: 1, or that of a tail."""
+        """The share of the paths that it uses: 1, or the share of a tail."""
         return 1.0
 
     @property
@@ -109,8 +108,8 @@ class Objective(abc.ABC):
 
     @property
     def as_cost(self) -> "Objective":
-        """The same measure of a cost, used where the weight is negative: for a risk measure the one
-        of the tail of high values; itself for all others."""
+        """The same measure for a cost, used if the weight is negative: a risk measure takes the
+        tail of high values; every other objective is returned unchanged."""
         return self
 
     @property
@@ -183,7 +182,7 @@ def _is(other: Any) -> bool:
 class Weighted(Objective):
     """A sum of factors times objectives.
 
-    A term with a negative factor is a measure of a cost, one with a positive factor of a gain
+    A term with a negative factor measures a cost, one with a positive factor a gain
     (`Objective.as_cost`), and sums of sums are one sum.
     """
 
@@ -358,9 +357,8 @@ class Limit:
 class AtMost(Limit):
     """The mean of an output, or any objective of it, is at most `level`.
 
-    The same as `Mean("unserved") <= 0.05`; with a probability
-    `Probability("shortfall", 0.0, width=1.0) <= 0.01`. Training finds its price (see `solve`,
-    `constraints`).
+    The same as `Mean("unserved") <= 0.05`; with a probability `Probability("shortfall", 0.0,
+    width=1.0) <= 0.01`. Training finds its price (see `solve`, `constraints`).
 
     >>> snapo.AtMost("unserved", 0.05).name
     'mean of unserved at most 0.05'
@@ -378,19 +376,19 @@ class AtLeast(Limit):
 
 
 def as_objective(objective: Objective | str) -> Objective:
-    """The mean of an output that is named; an objective itself."""
+    """The mean of an output, if its name is passed; an objective is returned unchanged."""
     return Mean(objective) if isinstance(objective, str) else objective
 
 
 def as_constraints(limits: Sequence[Limit] | Limit) -> tuple[Limit, ...]:
-    """One or several, as a tuple."""
+    """One limit or several, as a tuple."""
     return (limits,) if isinstance(limits, Limit) else tuple(limits)
 
 
 def priced(objective: Objective, limits: Sequence[Limit], prices: Sequence[float]) -> Objective:
     """The objective minus the price of every limit's measure, in the direction of its excess.
 
-    Its derivatives are those of the best value within the limits; its value is without the constant
+    Its derivatives are those of the best value within the limits; its value omits the constant
     `price * level`.
     """
     if not limits:

@@ -143,7 +143,7 @@ class ExpectedUtility(ByPath):
     """Mean utility of the total, such as `CRRA(5.0)`.
 
     Ruin is an outcome with the worst utility: with one such path the value is minus infinity and
-    has no derivative. Training moves away from it: a path of ruin has the weight of the path with
+    has no derivative. Training moves away from ruin: such a path has the weight of the path with
     the largest marginal utility.
     """
 

@@ -78,7 +78,7 @@ NEEDED = (
 
 
 class Plain(Policy):
-    """An `eqx.Module` where a policy goes; `solve` creates it from any other module.
+    """An `eqx.Module` used as a policy; `solve` creates it from any other module.
 
     - `raw`: whether it is called as `network(observation)`: its outputs are unbounded, and are
       squashed into the action set. Otherwise it is called as `policy(observation, smooth)`, and its
@@ -98,7 +98,7 @@ class Plain(Policy):
         return self.action.squash(self.module(observation), smooth)
 
     def for_problem(self, interface: Interface, key) -> "Plain":
-        """Itself with its set of actions. **Raises:** `ValueError` if sizes do not fit."""
+        """The policy with its set of actions. **Raises:** `ValueError` if sizes do not fit."""
         made = Plain(self.module, self.raw, interface.action)
         size, features = interface.action.size, interface.features
         name = type(self.module).__name__
@@ -119,7 +119,7 @@ class Plain(Policy):
 
 
 def as_policy(values: Any) -> Policy:
-    """The policy that was given, or a module as one. **Raises:** `TypeError` for all else."""
+    """The policy itself, or a module as a policy. **Raises:** `TypeError` for anything else."""
     if isinstance(values, Policy):
         return values
     if not isinstance(values, eqx.Module) or not callable(values):

@@ -1,8 +1,8 @@
 """Policies that remember: recurrent networks and windows of past observations.
 
 A policy with memory decides by its observation and by internal numbers, which it passes on to its
-next decision. The engines carry these next to the simulator's state (`Remembering`): no one who
-writes a simulator sees them, and recorded actions replay without them.
+next decision. The engines carry these next to the simulator's state (`Remembering`): a simulator
+need not know of them, and recorded actions can be replayed without them.
 """
 
 import abc
@@ -228,7 +228,7 @@ class Remembering(Around):
 
 
 def remembers(simulator: Simulator) -> bool:
-    """Whether the state holds a policy's memory already, also inside another simulator."""
+    """Whether the state already contains a policy's memory, also inside another simulator."""
     return isinstance(simulator, Remembering) or isinstance(
         getattr(simulator, "inner", None), Remembering
     )

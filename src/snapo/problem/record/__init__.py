@@ -1,8 +1,8 @@
 """Records of numbers, in NumPy: a case as it is read, before anything is differentiated.
 
-A `TreeRecord` is a frozen dataclass. Where JAX is loaded it is one of its trees as well, as a
-module of Equinox is: fields are its branches, but for `static` ones, which belong to its structure.
-A case is read, checked and described without JAX, in less time than importing it takes.
+A `TreeRecord` is a frozen dataclass. If JAX is loaded it is also a tree of JAX, like a module of
+Equinox: its fields are branches, except `static` ones, which belong to its structure. A case is
+read, checked and described without JAX, in less time than importing it takes.
 """
 
 import dataclasses
@@ -38,8 +38,8 @@ else:
 def field(*, static: bool = False, converter: Callable[[Any], Any] | None = None, **more) -> Any:
     """A field of a record: `dataclasses.field` with two arguments more.
 
-    - `static`: it is part of the structure: JAX compares it, and compiled code depends on it.
-    - `converter`: a function of the value, whose result is kept.
+    - `static`: whether it is part of the structure, on which compiled code depends.
+    - `converter`: a function of the value, whose result is stored.
     """
     return dataclasses.field(metadata={STATIC: static, CONVERTER: converter}, **more)
 
@@ -141,7 +141,7 @@ def _is_abstract(kind: Any) -> bool:
 
 
 def register_all(register: Callable[[type[TreeRecord]], None]) -> None:
-    """Calls `register` for every class of records, those to come included."""
+    """Calls `register` for every class of records, including later ones."""
     _REGISTER.append(register)
     for cls in _CLASSES:
         register(cls)
@@ -183,7 +183,7 @@ class Input(TreeRecord):
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
       number (see `step`).
     - `judge_bump`: the bump of every number with which its derivative is tested, the policy
-      reacting; by default 1 % of each. Specify it where values change on a grid of the input.
+      reacting; by default 1 % of each. Specify it if values change on a grid of the input.
     - `move`: the amount by which reports and sliders move it, in `unit`; None: a relative move.
     - `display_unit`, `display_factor`: the preferred unit, and the number of these in one `unit`: a
       rate of 1/year is 10,000 bp. By default `unit` itself.

@@ -3,9 +3,9 @@
     from snapo.problem.record.arrays import Array, Float, jnp
 
 A price process, a unit operation or a contract is one file with the keys of its table and its
-equations. Reading a case needs the first, and calls none of the second. The names are those of the
+equations. Reading a case needs the table, but evaluates no equations. The names are those of the
 libraries, and so are the objects that come from them: `jnp.exp` is `jax.numpy.exp`. Types of arrays
-are those of jaxtyping where types are checked, and nothing at run time.
+are those of jaxtyping for type checkers, and empty at run time.
 
 Equations that a check evaluates too use `xp` of `either`: JAX in a simulator, NumPy in a check.
 """

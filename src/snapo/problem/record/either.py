@@ -1,7 +1,7 @@
-"""Equations for either library: `xp` is `jax.numpy`, and NumPy within a function `with_numpy`.
+"""Equations for both libraries: `xp` is `jax.numpy`, and NumPy within a function `with_numpy`.
 
-A simulator is traced by JAX. A check evaluates the same equations once, for which NumPy needs no
-second of imports. Where the two libraries differ, the functions here are one name for both.
+A simulator is traced by JAX. A check evaluates the same equations once, for which NumPy avoids the
+import of JAX. If the two libraries differ, the functions here are one name for both.
 """
 
 from collections.abc import Callable, Iterator
@@ -51,7 +51,7 @@ def with_numpy(function: Callable[P, Any]) -> Callable[P, Any]:
 
 
 def at_once(function: Callable[P, R]) -> Callable[P, R]:
-    """`function` of numbers that are known, evaluated in float64 even while JAX traces."""
+    """`function` of concrete numbers, evaluated in float64 even while JAX traces."""
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -64,9 +64,9 @@ def at_once(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def slope(function: Callable[[Any], Any], x: Any) -> np.ndarray:
-    """d `function` / d `x` at a number, by NumPy: exact but for rounding, without differences.
+    """d `function` / d `x` at a number, by NumPy: exact except for rounding, without differences.
 
-    `function` is analytic in the number where it is taken; it may have any shape. A complex step:
+    `function` must be analytic at this number; its result may have any shape. A complex step:
     W. Squire, G. Trapp, SIAM Review 40, 1998.
     """
     return np.imag(with_numpy(function)(x + 1j * STEP)) / STEP
@@ -96,7 +96,7 @@ def updated(x: Any, index: Any, values: Any) -> Any:
 
 
 def added(x: Any, index: Any, values: Any) -> Any:
-    """`x` with `values` added at an index, in turn where one is there twice."""
+    """`x` with `values` added at an index; repeated indices add up."""
     if not in_use():
         return x.at[index].add(values)
     result = np.array(x, np.result_type(x, values))
@@ -129,7 +129,7 @@ def scan(
 
 
 def backwards(step: Callable[[Any, Any], Any], last: Any, rows: Any, count: int) -> Any:
-    """Stacked results of `step(result of the next row, row)`; of the last row, from `last`."""
+    """Stacked results of `step(result of the next row, row)`, backwards from `last`."""
 
     def both(following: Any, row: Any) -> tuple[Any, Any]:
         result = step(following, row)
@@ -139,7 +139,7 @@ def backwards(step: Callable[[Any, Any], Any], last: Any, rows: Any, count: int)
 
 
 def running_maximum(x: Any) -> Any:
-    """[n] of the elements up to each of `x` [n]."""
+    """[n] the maximum of the elements up to each of `x` [n]."""
     return np.maximum.accumulate(x) if in_use() else jax.lax.cummax(x)
 
 
@@ -160,7 +160,7 @@ def repeated(count: int, step: Callable[[Any, Any], Any], start: Any) -> Any:
 
 
 def derivative(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """The derivative of a number by a number."""
+    """The derivative of a number with respect to a number."""
     return partial(slope, function) if in_use() else jax.grad(function)
 
 
@@ -197,7 +197,7 @@ def _absolute(x: Any) -> Any:
 
 
 class _Numpy(SimpleNamespace):
-    """NumPy, but for functions that differ; names that were asked for are kept."""
+    """NumPy, except for functions that differ; requested names are stored."""
 
     abs = staticmethod(_absolute)
     linalg = SimpleNamespace(solve=_or_nan(np.linalg.solve), cholesky=_or_nan(np.linalg.cholesky))

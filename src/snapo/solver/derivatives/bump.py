@@ -1,10 +1,10 @@
 """Bumps: the exact value with one input moved up and down, paired with the held derivative.
 
 The bump B = [V(x + h) - V(x - h)] / 2h, with the policy reacting, and the held derivative C, with
-the decisions replayed, share all their noise. Their difference block by block, the reaction
-R = B - C, is therefore known far better than either: if the policy is optimal it is zero.
-Everything that a domain builds from the inputs (value table, hedge, tables of a rule) is built
-again for the moved input (`Problem.moved`); with the old table a good policy would look bad.
+the decisions replayed, have the same noise. Their difference block by block, the reaction R = B -
+C, is therefore far more accurate than either: if the policy is optimal it is zero. Everything that
+a domain builds from the inputs (value table, hedge, tables of a rule) is built again for the moved
+input (`Problem.moved`); with the old table a good policy would look bad.
 """
 
 from collections.abc import Callable, Mapping
@@ -48,10 +48,10 @@ class Reaction(NamedTuple):
     """One input bumped: the change of the value along `by`, a move of one percent.
 
     - `held`: [B] the held derivative along `by`, by block; `reaction`: [b] bump minus held, of the
-      first b blocks, to first order; `extra`: the error of taking the curvature out of it.
-    - `up`, `down`: value after the bump minus that before, and that before minus that after the
-      opposite one, with their standard error `side_error`.
-    - `tested`: whether the bump differs from the held derivative at all, beyond round-off: an input
+      first b blocks, to first order; `extra`: the error from removing its curvature.
+    - `up`, `down`: the value after the bump minus that before it, and the value before minus that
+      after the opposite bump, with their standard error `side_error`.
+    - `tested`: whether the bump differs from the held derivative by more than round-off: an input
       that only affects costs changes no decision.
     - `corner`: "kink" or "jump", if both sides differ and half the move shows the same; else "".
     """
@@ -118,8 +118,8 @@ def reactions(
     centre: Totals | None = None,
     engine: Engine | None = None,
 ) -> dict[str, Reaction]:
-    """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks, of
-    `maximum` paths together.
+    """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks with
+    `maximum` paths in total.
 
     Every input is bumped on a few of the blocks. If the reaction is inaccurate, all blocks and a
     wider move follow, the least certain input first, until about `rollouts` paths were valued.

@@ -27,7 +27,7 @@ CHUNK = 8192  # paths in one call of an engine, where a block has no more
 class ScheduleDerivatives(NamedTuple):
     """Derivatives with respect to the schedule, of each block of paths.
 
-    Those with respect to any inputs from which the same schedule is prepared follow from them.
+    The derivatives with respect to all inputs of that schedule can be computed from them.
 
     - `passes`: the sums over the paths of each block, times `scale`; `further`: those of pieces of
       the weights (`BlockPlan.blocks`).
@@ -48,7 +48,7 @@ class ScheduleDerivatives(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """The memory that they take."""
+        """The memory of these derivatives."""
         leaves = jax.tree.leaves((self.passes, self.further))
         return sum(leaf.nbytes for leaf in leaves if any(leaf.strides))
 
@@ -75,7 +75,7 @@ class PassResult(NamedTuple):
 
 class Pulled(NamedTuple):
     """One adjoint pass: derivatives at the schedule, of the policy [P], its bad paths, and the
-    totals of its paths where they are known."""
+    totals of its paths if they are known."""
 
     schedule: PyTree
     policy: np.ndarray
@@ -106,7 +106,7 @@ class DerivativePass(NamedTuple):
         return self.of((self.problem.objective,), blocks)[0]
 
     def compile(self) -> None:
-        """Has the program of a pass ready, where it serves any number of paths."""
+        """Prepares the program of a pass, if it can be used for any number of paths."""
         draws, decider, options = self._asked(np.arange(2))
         nothing = {name: np.zeros(2) for name in self.problem.objective.outputs}
         self.bound_engine.adjoints(decider, draws, self.smooth, nothing, [1, 1], **options)

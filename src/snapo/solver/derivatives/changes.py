@@ -1,17 +1,17 @@
 """Standard errors of an objective's derivatives: each block of paths is left out in turn.
 
 The derivative of a functional of all paths is D = sum_i w_i dX_i, and the weights depend on all
-paths too: they are normalised, ranked or measured from a mean. Only a block's part of that sum
-does not scatter as D does: with dX = 1 the derivative of a tail mean is one for any paths. Without
-block b the derivative is D_b = sum_{i not in b} w_i^b dX_i, where w^b are the weights of the paths
-that are left; the scatter of D_b is that of D (Shao and Wu, A general theory for jackknife variance
+paths too: they are normalised, ranked or measured from a mean. A block's part of that sum does not
+vary as D does: with dX = 1 the derivative of a tail mean is one for any paths. Without block b the
+derivative is D_b = sum_{i not in b} w_i^b dX_i, where w^b are the weights of the paths that are
+left; the scatter of D_b is that of D (Shao and Wu, A general theory for jackknife variance
 estimation, 1989; blocks of different sizes: Busing, Meijer and van der Leeden, Delete-m jackknife
 for unequal m, 1999).
 
-It costs no adjoint pass for every block. With N / (N - n_b) times the old weights the new sum
-follows from the blocks' parts; the rest of the change is, to first order, the same few
+This needs no further adjoint pass for each block. With N / (N - n_b) times the old weights the new
+sum follows from the blocks' parts; the rest of the change is, to first order, the same few
 functions of the paths for every block, times a number (the shift of a mean, of a quantile): the
-leading ones are kept, and each is pulled back once, on a sample of paths.
+largest ones are kept, and each is pulled back once, on a sample of paths.
 """
 
 from collections.abc import Sequence
@@ -59,7 +59,7 @@ class BlockPlan(NamedTuple):
 
 
 def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> BlockPlan:
-    """How the weights of these totals change without each block; blocks follow one another."""
+    """The change of the weights of these totals without each block; blocks are contiguous."""
     complete, endpoints = objective.weights(totals), np.cumsum(sizes)
     none = BlockPlan(complete, np.asarray(sizes), np.zeros(0, int), [], np.zeros((len(sizes), 0)))
     if objective.linear or len(sizes) < 2:

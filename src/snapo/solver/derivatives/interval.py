@@ -3,9 +3,9 @@
 The true derivative is that of the best policy's value. An estimate of it has two errors: the
 sampling error of a finite number of paths, and the error of the policy, which is close to the best
 one. A policy whose value is short of the best by a gap g has a derivative that is off by at most
-sqrt(2 g kappa), where kappa measures how fast the derivative changes with the policy, measured
-against the loss (see `margin`). The error of the value is of second order in that of the policy,
-the error of a derivative of first order: it grows with the root of the gap.
+sqrt(2 g kappa), where kappa measures how fast the derivative changes with the policy, relative to
+the loss (see `margin`). The error of the value is of second order in that of the policy, the error
+of a derivative of first order: it grows with the root of the gap.
 """
 
 from collections.abc import Sequence
@@ -58,8 +58,8 @@ class Curvature(NamedTuple):
     """A quadratic surface in n coordinates that approximates the value around the policy, at its
     maximum.
 
-    - `inverse`: [n, n], of minus the second derivatives; `covariance`: [n, n], of the place of the
-      top; `gap`: by how much the best policy may be above this one.
+    - `inverse`: [n, n], of minus the second derivatives; `covariance`: [n, n], of the position of
+      the maximum; `gap`: by how much the best policy may be above this one.
     """
 
     inverse: np.ndarray
@@ -146,7 +146,7 @@ class Reported(NamedTuple):
         ]  # fmt: skip
 
     def capped(self, gap: float) -> "Reported":
-        """The same with this bound on the policy's gap, if it is less than the present one."""
+        """The number with this bound on the policy's gap, if it is below the present one."""
         minimum = min(gap, self.curvature.gap)
         return self._replace(curvature=self.curvature._replace(gap=minimum))
 
@@ -181,8 +181,7 @@ def _multiple(direction: np.ndarray, by: np.ndarray) -> float | None:
 
 
 def one_percent(values: Input) -> np.ndarray:
-    """The bump: 1 % of every number, where the input states no other; where all are zero, of its
-    `move`."""
+    """The bump: 1 % of every number, or that of the input; if all are zero, 1 % of its `move`."""
     if values.judge_bump is not None:
         return np.full(values.value.shape, values.judge_bump)
     if values.value.any():

@@ -34,7 +34,7 @@ SMOOTH_FLOOR, HARD_FLOOR = 0.5, 1.0  # of a target: the gap that no search sees
 
 
 class Margin(NamedTuple):
-    """How derivatives change with the policy: of held ones {input: [n, *shape]} in the surface's
+    """The change of derivatives with the policy: held ones as {input: [n, *shape]} in the surface's
     coordinates, {input: [K, *shape]} in random directions, per root of twice the loss."""
 
     surface: Surface

@@ -2,7 +2,7 @@
 
 Tables of a long problem, such as the fitted value of 8,760 hours, take longer than the paths that
 are valued with them. They are rebuilt at one move of each input; at other moves of the same input
-they are on the line through both, if they lie on it.
+they are interpolated linearly, if the moves lie on one line.
 """
 
 import itertools
@@ -24,8 +24,8 @@ def fewer(paths: int, horizon: int) -> int:
     """The number of paths that together make no more steps than all paths with `LONG` steps each;
     at least 512, if there are so many.
 
-    A path of a year by the hour has as many days as four of three months: what is a mean over days
-    is known as well from a quarter of the paths.
+    A path of a year by the hour has as many days as four of three months: a mean over days is as
+    accurate with a quarter of the paths.
     """
     if horizon <= LONG:
         return paths
@@ -33,7 +33,7 @@ def fewer(paths: int, horizon: int) -> int:
 
 
 def problems_at(problem: Problem) -> Callable[[dict[str, Any]], Problem]:
-    """The problem at other values of one input; of a long one see above."""
+    """The problem at other values of one input; for long problems see above."""
     if not rebuilt_once(problem):
         return problem.at_values
     return _RebuiltOnce(problem)

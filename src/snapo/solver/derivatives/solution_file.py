@@ -53,7 +53,7 @@ KINDS = ("held", "smooth")
 
 
 def about_sensitivities(table: Sensitivities | None) -> dict[str, Any]:
-    """All of a solution's sensitivities that is no array."""
+    """All of a solution's sensitivities except arrays."""
     if table is None:
         nothing = dict.fromkeys(("policy_gradient", "verdicts", "reported"))
         return {"inputs": {}, "left_out": 0, **nothing}

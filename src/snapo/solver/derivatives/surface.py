@@ -46,11 +46,11 @@ class Coordinates(NamedTuple):
     directions: np.ndarray
 
     def at(self, position: np.ndarray) -> Policy:
-        """The policy at a place [n]."""
+        """The policy at coordinates [n]."""
         return shifted_policy(self.policy, position @ self.directions)
 
     def leading(self, count: int) -> "Coordinates":
-        """Only the first few."""
+        """The first `count` coordinates only."""
         return self._replace(directions=self.directions[:count])
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
@@ -64,7 +64,7 @@ class Coordinates(NamedTuple):
 
 
 def shifted_policy(policy: Policy, by: np.ndarray) -> Policy:
-    """The policy whose trained numbers, as one vector [P], are moved by so much."""
+    """The policy whose trained numbers, as one vector [P], are moved by this vector."""
     numbers, rest = trainable(policy)
     leaves, structure = jax.tree.flatten(numbers)
     after, first = [], 0
@@ -148,7 +148,7 @@ STEP, ROUNDS = 1.3, 2  # radii that one step takes at most; surfaces, one at the
 class Surface(NamedTuple):
     """A quadratic surface around a policy, in radii from `centre` along the coordinates.
 
-    - `coordinates`, `centre` [n], `radius` [n]; `top`: [n] of the highest place.
+    - `coordinates`, `centre` [n], `radius` [n]; `top`: [n] of the maximum.
     - `points`: [M, n] where the value was measured, in radii from `centre`.
     - `inverse`: [n, n] of minus the curvature; `covariance`: [n, n] of the top.
     - `target`: the loss at one radius; `gain`: that of the surface from its centre to its top.
@@ -173,7 +173,7 @@ class Surface(NamedTuple):
         return self.coordinates.at(self.top)
 
     def at(self, position: np.ndarray) -> Policy:
-        """The policy at a place in radii from the centre."""
+        """The policy at coordinates in radii from the centre."""
         return self.coordinates.at(self.centre + self.radius * position)
 
 
@@ -223,7 +223,7 @@ def rollouts(count: int) -> int:
 def surface_of(
     problem: Problem, coordinates: Coordinates, paths: int, seed: int, engine: Engine
 ) -> Surface | None:
-    """The surface on `paths` of fresh scenarios; None if the value knows no such coordinate."""
+    """The surface on `paths` of fresh scenarios; None if no coordinate affects the value."""
     count = len(coordinates.directions)
     source = fresh(problem.sources.evaluation, SEARCH)
     paths = source.available(paths)

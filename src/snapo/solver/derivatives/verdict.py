@@ -1,10 +1,10 @@
-"""Which derivative is reported: the held one, unless a bump refutes it.
+"""The derivative that is reported: the held one, unless a bump refutes it.
 
 All inputs of a run are tested together: separate tests of twenty inputs at 5 % would falsely refute
 one per run. Holm's procedure (1979) falsely refutes any in at most 1 % of all runs. A refuted held
-derivative is replaced by the bump. One that is not refuted may still be slightly wrong: the
-reaction is then added as far as it exceeds its own error (James and Stein's shrinkage) or reduces
-noise (a control variate), and the interval includes the rest.
+derivative is replaced by the bump. A derivative that is not refuted may still be slightly wrong:
+the reaction is then added as far as it exceeds its own error (James and Stein's shrinkage) or
+reduces noise (a control variate), and the interval includes the rest.
 """
 
 from collections.abc import Collection, Mapping
@@ -187,7 +187,7 @@ def _through(
 
 
 def _weight(reaction: Reaction) -> float:
-    """How much of the reaction is added to the held derivative."""
+    """The share of the reaction that is added to the held derivative."""
     value, error = reaction.estimate
     shrunk = max(0.0, 1 - (error / value) ** 2) if value else 0.0
     if reaction.extra > error / 2:  # curvature, not noise

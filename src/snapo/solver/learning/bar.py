@@ -1,5 +1,5 @@
-"""A line with the progress of a training and the time left, where someone looks: in a terminal or
-in a notebook. Elsewhere, as in a file, a test or a pipe, nothing is written."""
+"""A line with the progress of a training and the time left, in a terminal or in a notebook.
+Elsewhere, as in a file, a test or a pipe, nothing is written."""
 
 import os
 import shutil
@@ -14,20 +14,20 @@ WIDTH, OFTEN = 20, 0.2  # of the bar; seconds between two lines
 
 
 class ProgressLine:
-    """The line of one training; `write` replaces it, and removes it where the text is empty."""
+    """The line of one training; `write` replaces it, and removes it if the text is empty."""
 
     def __init__(self, write: Callable[[str], None] | None):
         self.write, self.last = write, 0.0
         self.first: tuple[int, float] | None = None
 
     def tell(self, text: str) -> None:
-        """Shows a text in place of the line."""
+        """Replaces the line by a text."""
         if self.write is not None:
             with suppress(OSError, ValueError):  # a closed terminal stops no training
                 self.write(text)
 
     def step(self, done: int, steps: int, value: float) -> None:
-        """Shows how far a training has come, and the best value so far."""
+        """Shows the progress of a training and the best value so far."""
         now = time.perf_counter()
         self.first = self.first or (done, now)  # the step before it has compiled
         if self.write is None or now - self.last < OFTEN:
@@ -54,7 +54,7 @@ def shown(wanted: bool | None) -> Iterator[ProgressLine]:
     """The line during the work of the block.
 
     `wanted`: True and False show and hide it; None shows it in a terminal and in a notebook, unless
-    the environment has SNAPO_BAR=0, for notebooks that no one watches.
+    the environment has SNAPO_BAR=0, for notebooks that run unattended.
     """
     hidden = wanted is False or (wanted is None and os.environ.get(VARIABLE) == "0")
     bar = ProgressLine(None if hidden else _notebook() or _terminal(wanted is True))
@@ -78,7 +78,7 @@ def _terminal(always: bool) -> Callable[[str], None] | None:
 
 
 def in_notebook() -> bool:
-    """Whether this is the kernel of a notebook; IPython in a terminal is none."""
+    """Whether this is the kernel of a notebook; IPython in a terminal is not."""
     if "ipykernel" not in sys.modules:
         return False
     from IPython.core.getipython import get_ipython  # pyright: ignore[reportMissingImports]

@@ -2,30 +2,30 @@
 
 When to clip, and at which bound, is decided from the gradients of training and measured adjoints.
 
-Most simulators need no clip, and it would bias their gradient. Where derivatives explode backwards
-in time, a few paths mislead training. The norms of the first gradients show this (see
-`is_chaotic`), or a jump of one norm above all earlier ones, at no extra cost. Only then are the
-paths' adjoints measured, with a memory of sqrt(T) steps, and bounded at the usual size of the
-largest on a path: a larger adjoint comes from chaos, or from a policy that training is leaving. The
-rule depends on no unit. Where gradients were far larger than they are now, Adam's memory of them
-would keep its steps small for the rest of the run: it is reset.
+Most simulators need no clip, and it would bias their gradient. If derivatives explode backwards in
+time, a few paths mislead training. The norms of the first gradients show this (see `is_chaotic`),
+or a jump of one norm above all earlier ones, at no extra cost. Only then are the paths' adjoints
+measured, with a memory of sqrt(T) steps, and bounded at the usual size of the largest on a path: a
+larger adjoint comes from chaos, or from a policy that training is leaving. The rule does not depend
+on units. If gradients were far larger than they are now, Adam's memory of them would keep its steps
+small for the rest of the run, so it is reset.
 
 The bound uses the largest adjoint of the whole horizon: where a plant settles, its last steps have
-small adjoints, and a bound from them would remove the gradient of the approach. (A quadrotor at
--41.5 fell to -73 that way, and ends at -38.5 now.)
+small adjoints, and a bound from them would remove the gradient of the approach. (Such a bound took
+a quadrotor from -41.5 to -73; it now ends at -38.5.)
 
 Once adjoints no longer grow backwards in time, the bound is lifted: those that are still far larger
 than usual belong to important paths, such as those near ruin, and a rule trained with a bound on
 them takes too much risk.
 
-If the whole horizon is chaotic, training uses windows (`learning.windows`) that are not.
+If the whole horizon is chaotic, training uses windows that are not (`learning.windows`).
 
 On a chaotic horizon adjoints grow a hundredfold and more backwards in time, and differently on
-every path, so that a few paths dominate all others: the gradient is noise however it is clipped. On
-a plant that is merely unstable they grow equally on all paths. The norms of the first gradients
+every path, so that a few paths dominate all others: the gradient is noise, whatever the clipping.
+On a plant that is merely unstable they grow equally on all paths. The norms of the first gradients
 show the difference at no extra cost, since they jump up and down between steps in the chaotic case;
 only then are the adjoints of some paths measured. A window is 1.5 times as long as the time over
-which their largest stays near the usual one. The rule depends on no unit.
+which their largest stays near the usual one. The rule does not depend on units.
 """
 
 import math
@@ -69,7 +69,7 @@ def is_chaotic(norms: Sequence[float], paths: int = MANY) -> bool:
 
 
 def fell_for_good(norms: Sequence[float]) -> bool:
-    """Whether gradients fell for good: training leaves the chaotic region by itself."""
+    """Whether gradients fell permanently: training leaves the chaotic region by itself."""
     result = np.asarray(norms, float)
     return bool(np.median(result[-USUAL:]) * GROWTH < np.median(result[:USUAL]))
 
@@ -88,7 +88,7 @@ def window_length(norms: np.ndarray) -> int | None:
 
 
 def grows(norms: np.ndarray) -> bool:
-    """Whether adjoints of these norms [T, N] grow a hundredfold on their way back."""
+    """Whether adjoints of these norms [T, N] grow a hundredfold backwards in time."""
     size = np.sqrt(np.mean(_finite(norms) ** 2, axis=1))
     return bool(size[-1] * GROWTH < size.max())
 
@@ -150,7 +150,7 @@ def is_held_down(norms: Sequence[float], since: int, forget: float) -> bool:
 
 def clip_level(norms: np.ndarray) -> float | None:
     """The bound for `engine.Clip` from norms [T, N] of a short memory; None if the usual path has
-    no finite one."""
+    no finite bound."""
     median = float(np.median(np.where(np.isfinite(norms), norms, np.inf).max(0)))
     return median if 0 < median < np.inf else None
 

@@ -7,15 +7,14 @@ deviation that do not depend on decisions, as those of prices, demands and times
 decisions affect are left unchanged: under an untrained policy their range differs from that under a
 trained one.
 
-This matters where many numbers are decided, each of which has to distinguish states: a battery of
-24 powers a day earns 95 % of its bound instead of 84 %. With few, a regulator, a pendulum and a
-cart train well without it.
+This matters if many numbers are decided, each of which has to distinguish states: a battery of
+24 powers a day earns 95 % of its bound instead of 84 %. With few decisions, a regulator, a pendulum
+and a cart train well without scaling.
 
 It also matters for optimal stopping. Stopping without regard to the state is worse than waiting, so
-the first steps lower the hazard everywhere. Where features are small, the hazard vanishes before
-the network distinguishes states, and training never recovers: a max-call of five shares ended at
-its European value, 23.10 instead of 26.14, with one seed of three, and at 26.14 with scaled
-features.
+the first steps lower the hazard everywhere. If features are small, the hazard vanishes before the
+network distinguishes states, and training never recovers: a max-call of five shares ended at its
+European value, 23.10 instead of 26.14, with one seed of three, and at 26.14 with scaled features.
 
 A policy with a memory sees past observations, or internal numbers: the former are scaled like the
 present observation, the latter are left unchanged.
@@ -49,8 +48,8 @@ class FeatureScale(NamedTuple):
     """Mean and deviation of every feature; 0 and 1 if a decision moves it.
 
     A network's first layer has weights for unscaled features. Training moves those for scaled
-    features, which are equivalent: `scaled` and `plain` are inverse to each other. So do all first
-    layers of a policy that has several.
+    features, which are equivalent: `scaled` and `plain` are inverse to each other. The same applies
+    to all first layers of a policy that has several.
     """
 
     mean: tuple[float, ...]
@@ -92,10 +91,11 @@ def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.nd
 
 
 def networks(policy: Policy) -> list[Network | None]:
-    """The networks of a policy that see the features; None instead of each that is not drawn.
+    """The networks of a policy that see the features; None instead of each that was not drawn at
+    random.
 
-    Empty for a policy without any, such as a rule, and if they are unknown: for the stages of a
-    chain, or a user-defined class.
+    Empty for a policy without networks, such as a rule, and if they are unknown: for the stages of
+    a chain, or a user-defined class.
     """
     if isinstance(policy, LastObservations):
         return networks(policy.policy)
@@ -150,7 +150,7 @@ def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
 
 
 def fixed(problem: Problem) -> FeatureScale | None:
-    """Over time and paths, of the features that no decision moves; None if there is none."""
+    """The scale over time and paths of features that no decision affects; None if there is none."""
     moved = _moved(problem)
     if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
         return None

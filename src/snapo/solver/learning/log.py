@@ -24,7 +24,7 @@ from .starts import describe
 
 
 def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Progress:
-    """With the adjoints of the trained rule, where a user set window, clip or keep and nothing else
+    """Adds the adjoints of the trained rule, if a user set window, clip or keep and nothing else
     measured them."""
     values = isinstance(training.window, int), progress.clip is not None, progress.keep < 1
     if progress.growth is not None or not any(values):
@@ -36,8 +36,8 @@ def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Pr
 
 
 def start_notes(progress: Progress) -> tuple[str, ...]:
-    """Which start went on, and where training restarted; by how much adjoints grow, if they do,
-    and how training went back; the steps that broke."""
+    """Sentences on the start that continued, on restarts, on the growth of adjoints and the
+    response of training, and on steps that failed."""
     raced = (describe(progress.raced),) if progress.raced else ()
     if progress.redrawn:
         raced = (*raced, describe_idle(progress.redrawn, progress.history))
@@ -59,7 +59,7 @@ def _slowed(steps: tuple[int, ...]) -> str:
 
 
 def went_back(progress: Progress) -> str:
-    """One sentence: windows, a bound or a decay of adjoints, and the step from which on."""
+    """One sentence: windows, a bound or a decay of adjoints, and the first step with it."""
     history = progress.history
     if progress.window is not None:
         since = _before(record.window > 0 for record in history)

@@ -1,8 +1,8 @@
 """The step of the optimiser, compiled once: AdamW with warm-up and cosine decay, and an average.
 
 On windows several updates are made in each step of training, and their gradients change from one
-window to the next: there the rate follows the steps, not the updates, and Adam's second moment
-forgets after a hundred updates instead of a thousand.
+window to the next: there the rate depends on the steps, not the updates, and Adam's second moment
+has a memory of a hundred updates instead of a thousand.
 """
 
 from functools import lru_cache
@@ -40,7 +40,7 @@ class Plan(Protocol):
 
 
 def schedule(plan: Plan) -> optax.Schedule:
-    """The rate of every step: up in the warm-up, then down to zero by a cosine."""
+    """The rate of every step: it rises in the warm-up, then falls to zero by a cosine."""
     warmup = min(plan.warmup, max(0, plan.steps - 1))
     return optax.warmup_cosine_decay_schedule(
         0.0 if warmup else plan.learning_rate,
@@ -104,7 +104,7 @@ def memory(scale: FeatureScale | None) -> float:
 
 
 def updater(plan: Plan, updates: int = 1, scale: FeatureScale | None = None):
-    """The compiled update: ascend, and move the average along; with a scale, in its numbers."""
+    """The compiled update: an ascent step and the new average; with a scale, in scaled numbers."""
     numbers = _Numbers(plan.steps, plan.learning_rate, plan.warmup, plan.average, plan.decay)
     ascend = _ascent(numbers, updates, memory(scale))
     parts: list[Parts] = []

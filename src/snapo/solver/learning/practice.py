@@ -5,7 +5,7 @@ so that both engines support them, derivatives are pathwise, and values and vali
 the user's simulator, are not affected.
 
 A decision that explores is (1 - share) times that of the policy plus share times a point drawn
-anywhere in its set (`Actions.explore`). The share falls to 0 in a straight line over the steps in
+anywhere in its set (`Actions.explore`). The share falls linearly to 0 over the steps in
 which the temperature falls: the last quarter of the steps trains on the policy only.
 """
 
@@ -89,8 +89,7 @@ class MoreNoise(Scenarios):
 
 
 def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
-    """The setting that this problem does not support, and the reason; None if it can have
-    all."""
+    """The setting that this problem does not support, with the reason; None if it supports all."""
     simulator = problem.simulator
     if training.spread != 1 and not simulator.initial_noise_size:
         return "spread", (
@@ -109,7 +108,7 @@ def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
 def perturbed_problem(problem: Problem, training: TrainingPlan) -> Problem:
     """The problem used in training: the problem itself if nothing is perturbed.
 
-    **Raises:** `ValueError` for settings that this problem cannot have.
+    **Raises:** `ValueError` for settings that this problem does not support.
     """
     if result := refused(problem, training):
         key, why = result

@@ -26,9 +26,9 @@ INTERRUPTED = "interrupted"  # status of a training that Ctrl-C has ended
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C in work of which a part is done.
+    """Ctrl-C during work that is partly done.
 
-    - `result`: that part: the `Progress` of a training, a `Solution`, the tables of a run's part.
+    - `result`: the part done: a `Progress`, a `Solution`, or the tables of a run's part.
     - `notes`: sentences on callbacks that failed after the interrupt.
     """
 
@@ -38,7 +38,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class Record(NamedTuple):
-    """One line of the training history; `exact` and `best` as of the last validation.
+    """One line of the training history; `exact` and `best` are those of the last validation.
 
     `window`: the length of the windows for backpropagation; 0: the whole horizon.
     `exact_error`: the standard error of `exact`, in the line of its validation; 0 elsewhere.
@@ -61,7 +61,7 @@ class Record(NamedTuple):
 
 
 class Round(NamedTuple):
-    """What a race of several starts compared at one step: the exact value of each that was there.
+    """A comparison of several starts at one step: the exact value of each start that was left.
 
     `values`: (number of the start from 0, value), the best one first.
     """
@@ -81,9 +81,9 @@ class Progress:
     """The complete state of the training loop, from which a stopped run can continue.
 
     `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
-    steps / 2, steps: whenever a run stops, the first is from its second quarter, or its middle.
-    `window`, `critic`: the length and the critic of training on windows, specified or chosen.
-    `clip` is the current bound, if any, and `keep` the share; `since` the step at which the
+    steps / 2, steps: so that, whenever a run stops, the first is from its second quarter or its
+    middle. `window`, `critic`: the length and the critic of training on windows, specified or
+    chosen. `clip` is the current bound, if any, and `keep` the share; `since` the step at which the
     optimiser began, or restarted after exploding gradients. `growth`: the adjoints, where they were
     measured. `dual`: the prices of the problem's limits. `raced`: the rounds in which starts were
     dropped, if there were several. `slowed`: the steps that failed, after each of which the rate is
@@ -192,8 +192,8 @@ def initial_progress(
 
 
 def may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
-    """Whether a rate that the problem chose may have led training astray: its first step did not
-    break, nor its first value."""
+    """Whether an automatic learning rate may have caused the failure: the first step and the first
+    value were finite."""
     available = progress.step > 0 and np.isfinite(progress.best_value)
     return available and "learning_rate" in training.automatic and len(progress.slowed) < MAX_SLOWED
 
@@ -209,7 +209,7 @@ def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> P
 def begin_again(
     problem: Problem, training: TrainingPlan, progress: Progress, policy: Policy
 ) -> Progress:
-    """Continues from another start, which the next validation values; the best so far is kept."""
+    """Continues from another start, which the next validation values; keeps the best so far."""
     if progress.scale is not None:
         policy = progress.scale.plain(policy)
     moved = _begun_with(problem, training, progress, policy, progress.step)
@@ -237,7 +237,7 @@ def _begun_with(
 def last_calls(
     callbacks: Sequence[Callable[[Progress], object]], progress: Progress
 ) -> tuple[str, ...]:
-    """Calls the callbacks after an interrupt. One that fails loses nothing: its error is a note."""
+    """Calls the callbacks after an interrupt; the error of one that fails becomes a note."""
     notes = []
     for callback in callbacks:
         try:
@@ -249,6 +249,6 @@ def last_calls(
 
 
 def stopped(progress: Progress) -> Progress:
-    """The end that a callback asks for."""
+    """The end of training that a callback requests."""
     going = progress.status == "training"
     return replace(progress, status="stopped early") if going else progress

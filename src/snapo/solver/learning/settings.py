@@ -3,27 +3,27 @@
 Paths, steps, rates and shares that are not specified are chosen from the problem.
 
 A path of many steps contains many decisions, so fewer paths are as informative; and a training step
-over a short horizon is cheap, so there is time for more steps. Work counts the products of a
-network over a path: horizon times parameters. It is the same on every machine.
+over a short horizon is cheap, so there is time for more steps. The work of a path is measured by
+the products of its network, horizon times parameters, and so is the same on every machine.
 
 More steps allow a higher learning rate, which falls to zero at the end; wider layers need a lower
 one, since all their weights move at once. A `Stop`, also in a `Product`, keeps the usual rate: its
-features are scaled, and a put ended at 4.459 with the higher one, at 4.472 without.
+features are scaled, and a put ended at 4.459 with the higher rate, and at 4.472 with the usual one.
 
-Where many numbers are decided, one of them may get stuck at a limit where its gradient is zero: a
-battery that always discharges at midnight, when it is empty. There are two remedies. A tenth of
-every decision is drawn at random at first, which visits states that the rule does not. And weights
-decay, to a quarter over all steps of any training, since no gradient opposes the decay there. Ten
-batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with the decay only, 95.7
-to 97.7 % with both; of the first five with exploration only, one earned 94.4 %. Twelve stocks of
-known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with both; .45 and .48 %
-with a decay of .2, seven times as large.
+If many numbers are decided, one of them may get stuck at a limit where its gradient is zero: for
+example, a battery that always discharges at midnight, when it is empty. There are two remedies. A
+tenth of every decision is drawn at random at first, which visits states that the rule does not. And
+weights decay, to a quarter over all steps of any training, since no gradient opposes the decay
+there. Ten batteries earned, relative to the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with
+the decay only, 95.7 to 97.7 % with both; of the first five with exploration only, one earned 94.4
+%. Twelve stocks of known optimum, over 3,840 steps, cost 0.13 % too much with neither and 0.17 %
+with both; 0.45 and 0.48 % with a decay of 0.2, seven times as large.
 
 A `Choice`, `Integers` or `Stop` decides between few values, so that the initial weights matter
 more: training begins from several of them and continues with the better half (`starts`).
 
-A rule fitted to the best mean is at the optimum up to the error of its fit, and the smooth problem
-that training climbs has another one: in the examples of a store, a swing contract, a battery, a
+A rule fitted to the best mean is at the optimum up to the error of its fit, but the smooth problem
+used in training has another optimum: in the examples of a store, a swing contract, a battery, a
 park and loan and a plant, 20 to 120 steps gained nothing, or 0.03 % (battery); the store's 120
 steps lost 128 ± 54 of 78,377. A few small steps show whether more would gain anything (`FITTED`).
 """
@@ -233,7 +233,7 @@ def resolve_auto(
 ) -> TrainingPlan:
     """The training with all "auto" settings resolved from the problem.
 
-    `fresh`: the policy's networks were drawn for it, so that others may be.
+    `fresh`: whether the policy's networks were drawn for it, so that others may be drawn.
     """
     if isinstance(training, TrainingPlan):
         return training

@@ -7,7 +7,7 @@ validation paths, common to all. The last one continues like a run with one star
 They run one after another: the paths of one start occupy all cores, so that several at once would
 take as long and need more memory; and all of them share the kernels of the first one.
 
-A policy that does as a rule does: a warm start for `solve`.
+A policy that imitates a rule: a warm start for `solve`.
 """
 
 from collections.abc import Callable
@@ -92,7 +92,7 @@ def imitate(
 
     **Arguments:**
 
-    - `rule`: a policy without a memory. `policy`: as in `solve`; it may have one.
+    - `rule`: a policy without a memory. `policy`: as in `solve`; it may have a memory.
     - `training`: by default 300 steps with 128 paths.
     """
     without_memory(rule, "imitate")
@@ -142,7 +142,7 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
 def race(
     started: list[Progress], steps: int, run: Callable[[Progress, int], Progress]
 ) -> tuple[Progress, tuple[Round, ...]]:
-    """The start that is left, and the rounds in which the others fell out.
+    """The start that is left, and the rounds in which the others were dropped.
 
     - `started`: the starts before their first step.
     - `steps`: the steps of a whole run; `run(progress, until)` trains up to step `until` and

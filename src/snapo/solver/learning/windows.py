@@ -1,8 +1,8 @@
 """Training on windows of the horizon: short adjoints, and a critic for the time after it.
 
-Through hundreds of steps of an unstable system an adjoint grows without limit. A window cuts it,
-and a window by itself is short-sighted: its last decisions ignore their consequences. So
-every window but the last ends with the value of its final state,
+Through hundreds of steps of an unstable system an adjoint grows without limit. A window limits this
+growth, but by itself it is short-sighted: its last decisions ignore their consequences. So every
+window but the last ends with the value of its final state,
 
     E[ outputs of the window + critic(observation at its end, share of the horizon left) ],
 

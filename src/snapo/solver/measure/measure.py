@@ -92,8 +92,8 @@ class MeasuredRun(NamedTuple):
 
 
 def measure(run: MeasuredRun) -> dict[str, Any]:
-    """The reported policy with value, smoothing gap, sensitivities and how training ended, as
-    fields of a `Solution`."""
+    """The reported policy with its value, smoothing gap, sensitivities and the outcome of training,
+    as fields of a `Solution`."""
     problem, training, engine = run.problem, run.training, run.engines.evaluate
     objective, evaluation = problem.objective, run.evaluation
     source, controls = problem.sources.evaluation, problem.simulator.control_variates()

@@ -42,7 +42,7 @@ class Evaluation:
 
     - `paths`: fresh scenarios for the value.
     - `sensitivity_paths`: for the derivatives with decisions held fixed; `smooth_paths`: for those
-      through the smooth policy, and 0 omits the change of held ones during training too.
+      through the smooth policy; 0 also omits the change of held derivatives during training.
     - `judge_paths`: maximum for bumps of every input, which test the held derivatives.
     - `search_paths`: maximum for the value around the policy, from which the part of every interval
       due to the policy is computed.
@@ -72,7 +72,7 @@ class Evaluation:
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
 
     def within(self, horizon: int) -> "Evaluation":
-        """The same with `fewer` long paths for all but the value."""
+        """The same with `fewer` paths, if they are long, for everything except the value."""
         counts = {name: fewer(getattr(self, name), horizon) for name in MINIMUM if name != "paths"}
         return replace(self, **counts)
 
@@ -86,14 +86,14 @@ MINIMUM = {
 class Effort(NamedTuple):
     """The number of paths that the derivatives of a policy may use in addition to its training.
 
-    The unit is one path that is valued. A training has valued and gone back over `steps * paths` of
+    The unit is one path that is valued. A training has valued and differentiated `steps * paths` of
     them; the surface around the policy, its margin and the bumps each value a third as many paths,
-    and more where a path is short. The numbers are chosen from the problem and the settings only,
-    never a clock: a run that is repeated has the same bits.
+    and more if a path is short. The numbers are chosen from the problem and the settings only,
+    never from a clock, so that a repeated run has the same bits.
 
     - `work`: the paths that may be valued for one purpose; `maximum`: paths on which it is done.
-    - `fewest`: paths on which it is done in any case. Those of a path of more than three months by
-      the hour are fewer: it has as many days as several shorter ones.
+    - `fewest`: paths on which it is done in any case. If a path has more than three months by the
+      hour, they are fewer: it has as many days as several shorter paths.
     """
 
     work: float
@@ -166,12 +166,12 @@ def select(
 ) -> Selection:
     """The start, unless the best of the candidates is above it by two errors.
 
-    A few of the paths suffice where the choice is clear. A candidate that is plainly below another
-    on these is not looked at again. Without a candidate of a finite value the first one is kept,
+    A few of the paths are sufficient if the choice is clear. A candidate that is clearly below
+    another on these is dropped. Without a candidate of a finite value the first one is kept,
     uncompared.
 
-    - `paths`: at most.
-    - `top`: a further candidate, `TOP`, made where the others may be above the start.
+    - `paths`: the maximum.
+    - `top`: a further candidate, `TOP`, if the others may be above the start.
     - `search`: whether its gain over the newest one is needed in any case.
     """
     source = fresh(problem.sources.validation)
@@ -278,7 +278,7 @@ def _same(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def fresh(source: Scenarios) -> Scenarios:
-    """Paths for the final choice, which nothing else uses where there are more."""
+    """Paths for the final choice, which are used for nothing else if there are enough."""
     if isinstance(source, Pseudo):
         return replace(source, stream=stream(VALIDATE, FINAL))
     return source

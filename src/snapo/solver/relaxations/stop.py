@@ -1,6 +1,6 @@
-"""The bound from above of any stopping problem, without input from its user.
+"""An upper bound for any stopping problem, without input from its user.
 
-The inner problem is to stop best with perfect foresight, with any number of rights (Rogers 2002;
+The inner problem is optimal stopping with perfect foresight and any number of rights (Rogers 2002;
 Haugh and Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each
 decision is charged the innovation in its earnings and in a fitted continuation value. Their
 expectations come from nested draws of one step: points of low discrepancy, shifted at random
@@ -172,7 +172,7 @@ class Relaxation(Protocol):
 
 @runtime_checkable
 class Relaxable(Protocol):
-    """A simulator that knows its relaxation."""
+    """A simulator that defines its relaxation."""
 
     def relaxation(self, problem: Problem) -> Relaxation: ...
 
@@ -188,7 +188,7 @@ def bounded(problem: Problem) -> bool:
 def relaxation_of(problem: Problem) -> Relaxation:
     """The relaxation of a simulator that has one, or of a problem whose only action is a `Stop`.
 
-    **Raises:** `ValueError` if there is none, with the reason.
+    **Raises:** `ValueError` if the problem has no relaxation, with the reason.
     """
     if isinstance(problem.simulator, Relaxable):
         return problem.simulator.relaxation(problem)

@@ -7,8 +7,8 @@ waiting. It is used only for penalties: its error widens a bound, and never make
 The earnings of every decision of a stopping problem, on states that the decisions do not move.
 
 A state is split in two: the weights of `Stop` (the rights left), and all else, which no decision
-may affect. Then one path's states serve every way of stopping: a step's earnings are computed for
-every number of rights left, with and without using one.
+may affect. Then the states of one path are valid for every stopping rule: a step's earnings are
+computed for every number of rights left, with and without using one.
 """
 
 from itertools import combinations_with_replacement
@@ -35,9 +35,9 @@ class NotStopping(ValueError):
 
 
 class Decisions(NamedTuple):
-    """A stopping problem: its parts, and where in the state the rights are.
+    """A stopping problem: its parts, and the position of the rights in the state.
 
-    - `rights`: how many there are; `right`: the number of their leaf in the flattened state.
+    - `rights`: the number of rights; `right`: the number of their leaf in the flattened state.
     - `values`: {output: its weight in the objective}.
     """
 
@@ -48,7 +48,7 @@ class Decisions(NamedTuple):
 
     def step(self, schedule, t: Array, state: PyTree, noise: Array) -> tuple[PyTree, Array]:
         """One path: the next state, and the earnings [rights + 1, 2] with 0, 1, … rights left,
-        of waiting and of using one. The rights within both states mean nothing."""
+        of waiting and of using one. The rights in both states are ignored."""
         simulator, now = self.problem.simulator, at(schedule.steps, t)
 
         def decided(left, use):
@@ -174,14 +174,14 @@ def exponents(numbers: int) -> list[tuple[int, ...]]:
 
 
 class Scale(NamedTuple):
-    """How the numbers [d] of one step are measured: minus `centre`, times `per`."""
+    """The scale of the numbers [d] of one step: minus `centre`, times `per`."""
 
     centre: Float[Array, " d"]
     per: Float[Array, " d"]
 
     @classmethod
     def of(cls, numbers: Float[np.ndarray, "paths d"]) -> "Scale":
-        """From a sample; a number that is the same on all paths counts as zero."""
+        """The scale of a sample; a number that is the same on all paths counts as zero."""
         centre, deviation = numbers.mean(0), numbers.std(0)
         varies = deviation > MINIMUM * np.maximum(np.abs(centre), 1.0)
         per = np.where(varies, 1 / np.where(varies, deviation, 1.0), 0.0)
@@ -225,7 +225,7 @@ def better(earnings: Float[Array, "left 2"], after: Float[Array, " left"]) -> Fl
 def basis_and_earnings(
     decisions: Decisions, schedule, t: Array, state: PyTree
 ) -> tuple[Array, Array]:
-    """One path: the numbers of the basis, and every decision's earnings where no noise comes."""
+    """One path: the numbers of the basis, and every decision's earnings without noise."""
     calm = jnp.zeros(decisions.problem.simulator.noise_size)
     _, earnings = decisions.step(schedule, t, state, calm)
     gain = earnings[-1, 1] - earnings[-1, 0]

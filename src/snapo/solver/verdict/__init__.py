@@ -1,4 +1,4 @@
-"""How a training ended: `convergence.ending` gives the word and the reasons to distrust a result.
+"""How a training ended: `convergence.ending` gives the keyword and reasons for distrust.
 
 `further` extrapolates the gain of more steps, and `constant` compares the policy with decisions
 that never change.

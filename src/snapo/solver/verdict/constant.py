@@ -1,6 +1,6 @@
 """Constant decisions: those of a trained rule, and those that it should beat.
 
-Also trainings that end at doing nothing: every path earns the same, whatever the noise.
+Also detects trainings that end at doing nothing: every path earns the same, whatever the noise.
 
 A store that never buys has nothing to sell, and one that never sells has no use for buying: the
 gradient there is zero, whichever of the two came first. Such a rule is detected by validations that
@@ -46,13 +46,13 @@ def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
 
 
 def caught(progress: Progress, training: TrainingPlan) -> bool:
-    """Whether training should restart: in the last two validations it does nothing."""
+    """Whether training should restart: in the last two validations the policy does nothing."""
     early = progress.step <= LAST * training.steps and progress.status == "training"
     return progress.unchanged >= 2 and early and len(progress.redrawn) < MAXIMUM
 
 
 def exploring(training: TrainingPlan, action: Actions) -> TrainingPlan:
-    """The training with more of every decision drawn, if decisions have bounds."""
+    """The training with a larger random share of every decision, if decisions have bounds."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     if not (bounded and action.exploration_size and training.cools):
         return training
@@ -71,7 +71,7 @@ def describe_idle(steps: Sequence[int], history: Sequence[Record]) -> str:
 
 
 def idle_advice(value: float) -> str:
-    """One sentence where the trained rule does nothing."""
+    """One sentence if the trained rule does nothing."""
     return (
         f"Every path earns the same ({value:,.6g}): the decisions make no use of the randomness. "
         "If that is not intended, try another seed, a wider exploration (exploration=0.4), or a "
@@ -99,7 +99,7 @@ class ConstantDecision(NamedTuple):
 
     @property
     def suffix(self) -> str:
-        """Its name behind a space, if it has one."""
+        """Its name after a space, if it has one."""
         return f" ({self.name})" if self.name else ""
 
     @property
@@ -141,7 +141,7 @@ def describe(constants: list[ConstantDecision], of: int) -> str:
 
 def never_taken(action: Actions, actions: np.ndarray) -> str:
     """A sentence on the options that no `Choice` of several ever takes in the recorded decisions
-    [T, paths, size]; empty if all are taken, or one only, which is a constant decision."""
+    [T, paths, size]; empty if all options are taken, or only one, which is a constant decision."""
     messages = []
     for name, first, size in _choices(action):
         idle = np.flatnonzero(actions[..., first : first + size].max((0, 1)) < 0.5)
@@ -168,7 +168,7 @@ def at_limit(constants: list[ConstantDecision]) -> bool:
 
 def constant_baselines(action: Actions, actions: np.ndarray) -> list[np.ndarray]:
     """Constant decisions [size] that a rule should beat: the mean of the decisions [T, paths, size]
-    that it takes, and where limits are finite the few decisions at all of them."""
+    that it takes, and, if limits are finite, the few decisions at all limits."""
     mean = actions.mean((0, 1))
     endpoints = [_ends(action, group, mean) for group in action.together()]
     if math.prod(map(len, endpoints)) > CORNERS:

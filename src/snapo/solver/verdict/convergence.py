@@ -1,4 +1,4 @@
-"""How a training ended, as a keyword, and reasons to distrust its result.
+"""The end of a training, as a keyword, and reasons to distrust its result.
 
 "trained" only means that all steps were taken. Here the policy is compared with the untrained one,
 with the one at half of training and with constant decisions on the same paths, in kernels that are
@@ -56,14 +56,14 @@ STILL, TELLS_NOT, NOTHING = "Still improving: ", "Too short to tell ", "Training
 
 
 class Ending(NamedTuple):
-    """The word, and sentences on the limits of the value and on remedies."""
+    """The keyword, and sentences on the limits of the value and on remedies."""
 
     word: str
     notes: tuple[str, ...] = ()
 
 
 class Gain(NamedTuple):
-    """By how much the objective is above that of another rule on the same paths."""
+    """The advantage of the objective over that of another rule on the same paths."""
 
     value: float
     error: float
@@ -105,7 +105,7 @@ def ending(
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
     - `held_paths`: the paths of the held derivatives; 0 leaves out the checks that need decisions.
     - `decisions` [T, held_paths, A] of that policy on these paths, where they were recorded before.
-    - `gradient`: the norm of the policy's gradient and that of its noise, if they are known.
+    - `gradient`: the norm of the policy's gradient and that of its noise, if known.
     """
     if not np.isfinite(value_of(problem.objective, exact)):
         return Ending("")
@@ -207,7 +207,7 @@ def _short(
     more: Further,
     gradient: tuple[float, float] | None,
 ) -> str:
-    """Why it is unknown whether a training has converged; empty if it has."""
+    """The reason why it is unknown whether a training has converged; empty if it has."""
     if too_short(training, progress.step):
         return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
     if not more.is_small:

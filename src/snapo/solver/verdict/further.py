@@ -4,11 +4,11 @@ The gain of more steps is that of the second half of a training, extrapolated.
 
 A training's rate rises in the warm-up and falls to zero, so that late steps hardly change whether
 or not there is something left to gain. Gains are therefore measured over the sum of the rates, the
-length that a training can move, and not over its steps. The shortfall is assumed inversely
+distance that a training can cover, and not over its steps. The shortfall is assumed inversely
 proportional to it: a training with a cosine schedule whose second half gained 1 would gain 2.25
 with as many further steps. Eight problems with a known optimum were between 1 and 4.
 
-Whether a decision acts as one of when to stop, although it is not written with `Stop`.
+Whether a decision is in effect a stopping decision that is not written with `Stop`.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ from ..learning.settings import TrainingPlan
 def ends_for_good(problem: Problem) -> bool:
     """Whether one extreme of the only decision takes a flag of the state from 1 to 0, or from 0 to
     1, permanently, while the other one leaves it unchanged: exercise of an option, closure of a
-    plant. From the initial state, with all noise zero.
+    plant. It is tested from the initial state, with all noise zero.
     """
     extremes = _extremes(problem.action)
     if extremes is None:
@@ -104,12 +104,12 @@ class Further(NamedTuple):
 
     @property
     def improving(self) -> bool:
-        """Whether that is much, and significant."""
+        """Whether this gain is large and significant."""
         return self.late > SIGNIFICANT * self.late_error and self.more > SHARE * self.size
 
     @property
     def is_small(self) -> bool:
-        """Whether it is significantly small, in either direction."""
+        """Whether the gain is significantly small, in either direction."""
         wide = SIGNIFICANT * self.times * self.late_error
         return bool(abs(self.more) <= SHARE * self.size and wide <= UNSURE * self.size)
 
@@ -138,9 +138,9 @@ def too_short(training: TrainingPlan, step: int) -> bool:
 
 
 def restless(norm: float, noise: float, path: float, size: float) -> bool:
-    """Whether the policy's gradient is surely not zero, and could still bring something.
+    """Whether the policy's gradient is significantly not zero, so that a gain is possible.
 
-    Without noise nothing shows it: at a bend of the smooth value it is not zero either.
+    Without noise this cannot be decided: at a kink of the smooth value it is not zero either.
     """
     available = np.isfinite([norm, noise]).all() and noise > 0
     return bool(available and norm > SETTLED * noise and norm * path > MATTERS * size)

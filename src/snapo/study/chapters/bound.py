@@ -29,7 +29,7 @@ class BoundInterval:
 
 @dataclass(frozen=True)
 class ValueBounds:
-    """The row of a `snapo.Bound`; lower is the value of the run, upper that and the gap."""
+    """The row of a `snapo.Bound`; `lower` is the value of the run, `upper` adds the gap."""
 
     lower: BoundInterval
     upper: BoundInterval
@@ -76,7 +76,7 @@ def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> Va
 
 
 def value_bounds(run: RunFiles) -> Section:
-    """The section; of a run without bounds, how to get them."""
+    """The section; for a run without bounds, a sentence on how to compute them."""
     section = BOUND(run)
     if BOUND.name in run.parts or BOUND.of(run) is not None:
         return section
@@ -87,7 +87,7 @@ def value_bounds(run: RunFiles) -> Section:
 def optimum(run: RunFiles, cost: bool = False) -> str:
     """The bound as a sentence for the first screen; empty if there is none, or it is too wide.
 
-    `cost`: whether the value is minus a cost, of which the bound is the least possible one.
+    `cost`: whether the value is minus a cost, so that the bound is a minimum cost.
     """
     result = BOUND.of(run)
     top = finite(result.upper.high) if result else None

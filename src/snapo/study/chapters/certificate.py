@@ -75,7 +75,7 @@ def largest(problem: Problem) -> float:
 
 
 def round_off(problem: Problem) -> float:
-    """By how much a limit may be missed in arithmetic, in the largest unit of the inputs."""
+    """The allowed violation of a limit by round-off, in the largest unit of the inputs."""
     return ROUND_OFF * largest(problem)
 
 
@@ -91,14 +91,14 @@ def certificate(
 ) -> Chapter[Any]:
     """The chapter "certificate": bumps, limits, the smoothing gap and the policy's gradient.
 
-    Bumps are made at the inputs, and near them too where most paths are at kinks; inputs whose
+    Bumps are made at the inputs, and also near them if most paths are at kinks; inputs whose
     derivative is correct only in the mean are tested by their move. Limits are those of the
     simulator's `slack`.
 
     **Arguments:**
 
     - `bump_paths`: the paths of the differences.
-    - `tolerance`: by how much a limit may be missed; `near`: the problem at a small distance from
+    - `tolerance`: the allowed violation of a limit; `near`: the problem at a small distance from
       kinks.
     - `problem_of`: the problem to certify.
     - `result`: the class of the result, with the further fields that `more` returns.

@@ -26,7 +26,7 @@ STATUS = {
 
 
 def headline(run: RunFiles) -> Section:
-    """The value that a reader came for."""
+    """The value of the run as the headline of its report."""
     value, unit = run.result.value, run.unit
     if value is None:
         return Section("value", "Value", "Value", [why_missing(run, "training")])

@@ -1,8 +1,8 @@
-"""Methods side by side: one contract, on the same paths, by every method that there is for it.
+"""Methods side by side: one contract, on the same paths, by every available method.
 
     snapo solve --ladder
 
-A bound from below never exceeds one from above: where two methods are in the wrong order by three
+A bound from below never exceeds one from above: if two methods are in the wrong order by three
 standard errors, one of them is wrong, and the run warns of it.
 """
 
@@ -53,7 +53,7 @@ class MethodRow:
 
     - `standard_error`: the standard error of sampling, or the last move of a grid; None for an
       exact one.
-    - `seconds`: that it took. `share`: the share of the extrinsic value, from the intrinsic value
+    - `seconds`: its duration. `share`: the share of the extrinsic value, from the intrinsic value
       by day (0) to the lattice, or without one to the policy (1).
     - `difference`: to the trained policy, on the same paths.
     """
@@ -96,7 +96,7 @@ class Estimated(NamedTuple):
 class ValuationMethod(NamedTuple):
     """A method: its name, its meaning, and a function: [N] by path, or one value.
 
-    It raises `ValueError` with the reason where it has no value.
+    The function raises `ValueError` with the reason if there is no value.
     """
 
     name: str

@@ -56,7 +56,7 @@ class BandSeries:
 
     @property
     def constant(self) -> float | None:
-        """Its number where that is equal at every step of every path; None if it varies."""
+        """Its number if it is the same at every step of every path; None if it varies."""
         lines = self.lines
         if not {"mean", "p01", "p99"} <= lines.keys():
             return None

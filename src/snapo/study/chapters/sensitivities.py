@@ -65,12 +65,12 @@ class ReportedInterval:
 class InputMove(ReportedInterval):
     """The effect on the value when all numbers of an input move together; None if unknown.
 
-    - `words`, `group`: of the input; `numbers`: how many it has.
+    - `words`, `group`: those of the input; `numbers`: its number of entries.
     - `amount`, `unit`: by how much every number moves, in the unit of the trade; `amount` is None
       if each moves by `share` of itself.
     - `effect`, `low`, `high`: the effect to first order, with the reported derivative and its 95 %
-      interval, of whose half-width `sampling` is due to finitely many paths and `policy` to the
-      policy's error; `source`: see `solver.derivatives.interval.Reported`.
+      interval, `sampling` and `policy`: the parts of the half-width due to the finite number of
+      paths and to the policy's error; `source`: see `solver.derivatives.interval.Reported`.
     - `held`, `held_error`: with the decisions held fixed; `smooth`, `smooth_error`: through the
       policy's reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to
       the size of this move, where it is along the same direction; `more`, `less`: of the move and

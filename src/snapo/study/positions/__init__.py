@@ -1,8 +1,8 @@
-"""Where the inputs of a case are in its files, as their readers recorded it; other numbers there.
+"""The positions of a case's inputs in its files, as recorded by their readers, to write others.
 
-A case that is written is read again, and must contain exactly these numbers (next to them, where
-it converts a number and no float becomes this one): so the case that a page writes is the one that
-it valued, whatever the domain.
+A case that is written is read again, and must contain exactly these numbers (or the nearest ones,
+if it converts a number and no float gives exactly this one). So the case that a page writes is the
+one that it valued, in every domain.
 """
 
 import tempfile
@@ -66,9 +66,9 @@ class ChangedCase(NamedTuple):
 class InputPositions:
     """The positions of a case's inputs.
 
-    - `of`: gives the inputs of a case by name, if the domain gives them; else they are found
+    - `of`: returns the inputs of a case by name, if the domain defines it; else they are found
       among its records.
-    - `case`: the records, where they are read already.
+    - `case`: the records, if they were read already.
     """
 
     def __init__(
@@ -85,8 +85,8 @@ class InputPositions:
 
     @property
     def movable(self) -> dict[str, Input]:
-        """The inputs as a user moves them: instead of one that is made from other numbers of the
-        case, these numbers."""
+        """The inputs as a user moves them: an input that is made from other numbers is replaced by
+        these."""
         return movable(self.inputs, self.case)
 
     @cached_property

@@ -89,8 +89,8 @@ class Files:
 
 
 def read_files(folder: Path, tables: Mapping[str, Any]) -> Files:
-    """The case whose tables were read from `folder`, with the CSVs that they name, and those that
-    cells of these name."""
+    """The case whose tables were read from `folder`, with the CSVs that they name, and those named
+    in cells of these CSVs."""
     available = {file.name for file in case_files(folder) if file.suffix.lower() == ".csv"}
     requested = {value for _, value in _leaves(tables, ()) if isinstance(value, str)} & available
     sheets: dict[str, Sheet] = {}
@@ -117,7 +117,7 @@ def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
 
     Days that share the line of their month stay there while they are equal; else each has a line.
 
-    **Raises:** `CaseError` for a number that no file has, or that is in a file which is no CSV.
+    **Raises:** `CaseError` for a number that no file has, or whose file is not a CSV.
     """
     changes: dict[PlainPosition, dict[str, float]] = {}
     for i, (position, label) in enumerate(zip(entry.positions, entry.labels)):
@@ -156,8 +156,8 @@ def _plain(position: FilePosition, number: float) -> Iterator[tuple[PlainPositio
 
 
 def readable(entry: CaseInput, numbers: np.ndarray) -> np.ndarray:
-    """The numbers that are read after `with_numbers` has written these. Where a case converts a
-    number, it is the nearest one that a float in its files can represent."""
+    """The numbers that are read after `with_numbers` has written these. If a case converts a
+    number, the result is the nearest one that a float in its files can represent."""
     pairs = zip(entry.positions, numbers.ravel().tolist())
     return np.array(
         [at.read(at.inverse(x)) if isinstance(at, ConvertedNumber) else x for at, x in pairs]

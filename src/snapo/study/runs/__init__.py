@@ -1,1 +1,1 @@
-"""The runs of a case: every one is in a folder of its own in `runs`, `run` points to the latest."""
+"""The runs of a case: each has its own folder in `runs`, and `run` points to the latest."""

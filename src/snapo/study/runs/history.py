@@ -136,8 +136,8 @@ def _changes(changes: Sequence[Difference]) -> Iterator[str]:
 def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> list[str]:
     """Removes the runs with these names, or all but the last `keep`; returns their names.
 
-    A name may be its last four letters. Those that are running, and the one to which `run` points,
-    are kept in any case. Where the latest is removed, `run` points to the one before it.
+    The last four letters of a name are sufficient. Runs in progress, and the run to which `run`
+    points, are kept in any case. If the latest is removed, `run` points to the one before it.
 
     **Raises:** `CaseError` if there is no such run, or it is running; then nothing is removed.
     """

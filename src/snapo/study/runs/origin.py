@@ -1,4 +1,4 @@
-"""Where a run comes from, as its report says: case, date, machine, and the run before it."""
+"""The origin of a run, for its report: case, date, machine, and the run before it."""
 
 import datetime
 import os

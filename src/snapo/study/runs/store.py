@@ -3,9 +3,9 @@
 mine/runs/2026-11-25T1530-7f3a     one run: when it began, by the clock on the wall, and four digits
 mine/run                           a symbolic link to the latest one (a text file without links)
 
-The latest is the last that came to its end with its numbers in order; while there is none, the last
-that began. A run that writes holds a lock of the operating system on a file, which a killed process
-gives back.
+The latest is the last run that finished with valid numbers or, if there is none, the last that
+began. A run that writes holds a lock of the operating system on a file, which is released if the
+process is killed.
 """
 
 import datetime
@@ -150,13 +150,13 @@ def _is_run(folder: Path) -> bool:
 
 
 def is_good(folder: Path) -> bool:
-    """Whether a run came to its end with its numbers in order."""
+    """Whether a run finished with valid numbers."""
     result = run_folder.read_table(folder / run_folder.RESULT) or {}
     return result.get("status") in GOOD
 
 
 def point_to(folder: Path) -> bool:
-    """Makes `run` point to a run in `runs`, unless a better one is there; whether it does now."""
+    """Makes `run` point to a run in `runs`, unless a better one is there; True if it does."""
     home = home_of(folder)
     if home is None:
         return False
@@ -260,7 +260,7 @@ def is_busy(folder: Path) -> bool:
 def working_in(folder: Path) -> Iterator[None]:
     """Only this process writes into a run folder.
 
-    **Raises:** `CaseError` if another one does.
+    **Raises:** `CaseError` if another process does.
     """
     missing = [item for item in (folder, *folder.parents) if not item.exists()]
     try:

@@ -1,1 +1,1 @@
-"""The questions that only a controlled plant answers."""
+"""The chapters of results that only a controlled plant has."""

@@ -35,7 +35,7 @@ STARTS = 2000
 class Baseline:
     """A rule: its `value`, and the advantage of the trained policy over it on the same paths.
 
-    - `less`, `less_error`: the policy's value minus that of the rule, and its standard error.
+    - `less`, `less_error`: the value of the policy minus that of the rule, and its standard error.
     """
 
     name: str
@@ -120,7 +120,7 @@ BASELINES = Chapter("rivals", "Comparison with classical rules", Baselines, meas
 class TwinReward:
     """Episodes of the policy in an environment of Gymnasium: mean reward and standard error.
 
-    - `starts`: episodes, whose starts are those of `reset(seed=0)`, `reset(seed=1)` …
+    - `starts`: the number of episodes, which start from `reset(seed=0)`, `reset(seed=1)` …
     """
 
     name: str

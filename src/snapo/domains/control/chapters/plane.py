@@ -34,12 +34,12 @@ EMPTY = np.zeros(0)
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane of two states; all empty for a plant of one number.
+    """The plane of two states; all fields are empty for a plant with one number.
 
     - `states`, `units`, `turn`: of [across, up]; `turn`: whether it is an angle.
     - `across`, `up` [CELLS]: the points of the map.
-    - `action` [CELLS, CELLS]: the decision of the first step at (up, across), where these two are
-      all the states, else empty.
+    - `action` [CELLS, CELLS]: the decision of the first step at (up, across), if the plant has no
+      other states, otherwise empty.
     - `paths` [P][2][T + 1]: the two states of some paths.
     """
 
@@ -86,7 +86,7 @@ def measure(run: StudyRun) -> Plane:
 
 
 def _pair(plant: Plant, states: list[str]) -> list[str]:
-    """The two states of the picture: an angle with its speed where there is one."""
+    """The two states of the picture: an angle with its speed if there is one."""
     return list(plant.portrait) if plant.portrait else states[:2]
 
 
@@ -113,7 +113,7 @@ def _decisions(problem: Problem, policy: Policy, names, across, up) -> np.ndarra
 
 
 def show(run: RunFiles, plane: Plane) -> Sequence[Block]:
-    """A phase portrait; behind it the map of the policy where these are all the states."""
+    """A phase portrait, on the map of the policy if the plant has no other states."""
     if not plane.states:
         return [Text("The plant has only one state.")]
     count = len(plane.paths)

@@ -14,7 +14,7 @@ class CartPole(CartPoleKind, Plant):
     With the angle a from upright and h = m l / 2,
     (M + m) x'' + h (a'' cos a - a'^2 sin a) = u - friction x',
     (m l^2 / 3) a'' + h x'' cos a = h g sin a;
-    one step of Runge and Kutta of order 4. Masses and limits are those of Deisenroth and
+    one Runge-Kutta step of order 4. Masses and limits are those of Deisenroth and
     Rasmussen, PILCO (2011). A step costs position^2 + angle 2 (1 - cos a) + speed^2 + spin^2 +
     force^2, each with its weight.
     """

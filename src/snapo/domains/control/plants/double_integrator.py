@@ -1,4 +1,4 @@
-"""A mass on a line, pushed by a bounded force to its place."""
+"""A mass on a line, pushed to its target by a bounded force."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ class DoubleIntegrator(DoubleIntegratorKind, Plant):
     """position' = position + speed dt, speed' = speed + force dt / mass.
 
     The cost of a step is position^2 + speed^2 + force^2, each with its weight; the terminal state
-    costs `final` times its own. Where the force has no effective bound, the best rule is linear.
+    costs `final` times its own. If the bound on the force has no effect, the best rule is linear.
     """
 
     def drive(self, p, action):

@@ -11,7 +11,8 @@ from .plant import Plant
 
 
 class LinearQuadratic(LinearQuadraticKind, Plant):
-    """x' = A x + B u + G z with z standard normal; a step costs x'Q x + u'R u, the end x'Q_T x.
+    """x' = A x + B u + G z with z standard normal; costs are x'Q x + u'R u by step, x'Q_T x at the
+    end.
 
     Without `limit` the best rule is linear, and value and derivatives are known in closed form:
     see `regulator.py`. With it, every action lies between -limit and limit.

@@ -19,11 +19,11 @@ class MountainCar(MountainCarKind, Plant):
     speed' = clip(speed + power a - gravity cos(3 position)), position' = clip(position + speed'),
     speed' = 0 if it runs into the left wall. A step costs 0.1 a^2 until the car arrives.
 
-    The exact reward gives no hint of the goal. In training the goal counts as reached by energy:
-    each step ends the episode with a probability that is 1/2 where the energy, v^2 / 2 + gravity
-    sin(3 x) / 3, slightly exceeds the energy needed for the hill, and falls off below over a width
-    set by the temperature; `alive` is the probability of not having arrived. With this energy the
-    next swing arrives.
+    The exact reward gives no hint of the goal. In training, energy decides whether the goal is
+    reached: each step ends the episode with a probability that is 1/2 where the energy, v^2 / 2 +
+    gravity sin(3 x) / 3, slightly exceeds the energy needed for the hill, and decreases below it
+    over a width set by the temperature; `alive` is the probability of not having arrived. With this
+    energy the next swing reaches the goal.
     """
 
     def initial(self, constants, noise):

@@ -24,7 +24,8 @@ PlantState = dict[str, Array]
 
 
 class Plant(PlantKind, Simulator):
-    """One path of a controlled plant. A subclass has its equations; its kind is a base of it.
+    """One path of a controlled plant. A subclass has the equations, and the description of its kind
+    as a base class.
 
     **Attributes:**
 
@@ -85,7 +86,7 @@ class Plant(PlantKind, Simulator):
     def cost(
         self, w: PlantValues, p: PlantValues, state: PlantState, u: Float[Array, " m"]
     ) -> PlantState:
-        """The cost of a step by part, on the state before it."""
+        """The cost of a step by part, from the state before it."""
 
     def final_cost(self, w: PlantValues, p: PlantValues, state: PlantState) -> PlantState:
         """The cost of the terminal state by part."""
@@ -113,7 +114,7 @@ class Plant(PlantKind, Simulator):
         return {}
 
     def hand_rules(self, p: PlantValues) -> dict[str, Policy]:
-        """Classical rules of only this plant, by name."""
+        """Classical rules for this plant only, by name."""
         return {}
 
     def from_twin(self, p: PlantValues, observed: np.ndarray) -> np.ndarray:
@@ -183,7 +184,7 @@ class Plant(PlantKind, Simulator):
         return {**state, MEASURED: observed}  # pyright: ignore[reportReturnType]
 
     def disturbed(self, now, state: PlantState, noise: Float[Array, " noise"]) -> PlantState:
-        """The state with this step's disturbances: a deviation, or a matrix, times normals."""
+        """The state with the disturbances of this step: a deviation, or a matrix, times normals."""
         state, used = dict(state), 0
         for name in self.disturbed_parts:
             n = dict(self.sizes)[name]

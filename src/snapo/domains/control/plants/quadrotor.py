@@ -1,4 +1,4 @@
-"""A quadrotor in the plane: two rotors, brought to hover at a place."""
+"""A quadrotor in the plane: two rotors, which learn to hover at a target."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,1 +1,1 @@
-"""The questions to a run: each file has its measure, its result and its section."""
+"""The chapters of a run: each file has a measurement, its result and its section."""

@@ -1,7 +1,7 @@
-"""Methods side by side, of a contract with one level, and one flow or two opposite ones.
+"""Methods side by side, for contracts with one level and one flow, or two opposite flows.
 
-With flat volumes over products it is a `gas_storage.ladder.rolling.FlatContract`, which rolling
-intrinsic and least-squares Monte Carlo read.
+With flat volumes over products such a contract is a `gas_storage.ladder.rolling.FlatContract`,
+which rolling intrinsic and least-squares Monte Carlo read.
 """
 
 from dataclasses import replace
@@ -35,7 +35,7 @@ from .reference import measure as measure_reference
 
 
 def no_flat_volumes(layout: ContractLayout) -> str:
-    """Why the volumes of a contract have no flat ones over products; "" if they do."""
+    """The reason why a contract has no flat volumes over products; "" if it has."""
     if layout.indexed:
         return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()
@@ -209,7 +209,7 @@ class EnergyMethods(ContractMethods):
 
     @property
     def of_value(self) -> bool:
-        """Whether least squares are those of the fitted value: of several levels or modes."""
+        """Whether the row of least squares is the fitted value: with several levels or modes."""
         return bool(no_flat_volumes(self.layout)) or self.intraday
 
     @property
@@ -222,7 +222,7 @@ class EnergyMethods(ContractMethods):
         return f"{rule}: the policy of this run is the same" if same else rule
 
     def least_squares(self) -> np.ndarray:
-        """Of a contract with several levels or modes those of the fitted value."""
+        """For a contract with several levels or modes, the earnings of the fitted value."""
         if self.of_value:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()

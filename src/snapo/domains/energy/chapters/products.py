@@ -1,5 +1,5 @@
-"""Deltas by traded product, of a daily contract; vega by delivery month, of any contract; gamma by
-pair of products or months, of a contract on one commodity."""
+"""Deltas by traded product for daily contracts, vega by delivery month for all contracts, and gamma
+by pair of products or months for contracts on one commodity."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ VEGA = replace(vega.VEGA, measure=measure_vega)
 
 
 def check_gamma(case: EnergyCase) -> None:
-    """Refuses a contract whose gamma is not known.
+    """Refuses a contract whose gamma is not available.
 
     **Raises:** `CaseError` for prices of several commodities.
     """

@@ -22,8 +22,7 @@ class Intrinsic:
 
 @dataclass(frozen=True)
 class ExactValue:
-    """The exact value, and by how much it still changes on finer grids; None without an exact
-    value."""
+    """The exact value, and its remaining change on finer grids; None without an exact value."""
 
     dynamic_programming: float | None = None
     dynamic_programming_error: float | None = None
@@ -36,8 +35,8 @@ def measure_intrinsic(run: StudyRun) -> Intrinsic:
 
 
 def measure(run: StudyRun) -> ExactValue:
-    """The lattice in one or two price factors, where they are the whole process, and no schedule is
-    a part of the state; there is none of three prices."""
+    """The lattice in one or two price factors, if the process has no others and no schedule is part
+    of the state; None for three prices."""
     problem = run.setup.problem
     factors = factors_of(problem)
     if factors is None or not factors.exact or isinstance(problem.simulator, IntradaySimulator):
@@ -48,8 +47,8 @@ def measure(run: StudyRun) -> ExactValue:
 
 
 def around(problem: Problem) -> tuple[float, float] | None:
-    """The exact values that a contract with schedules and trades is between: of schedules that are
-    never left, and without auctions; None for other contracts."""
+    """The exact values below and above that of a contract with schedules and trades: with schedules
+    that are always kept, and without auctions; None for other contracts."""
     if not isinstance(problem.simulator, IntradaySimulator):
         return None
     layout = problem.simulator.layout

@@ -31,7 +31,7 @@ class MethodValue:
 
 @dataclass(frozen=True)
 class MethodValues:
-    """All of them."""
+    """The values by all methods."""
 
     value_ladder: tuple[MethodValue, ...] = ()
 

@@ -231,9 +231,9 @@ def bumps(
     powers: tuple[ChargeTable, DischargeTable],
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
-    """The least energy and cycles that keep volumes, halfway too, on the common measure of
-    all and of `others`, on whose multiples methods have their nodes; of at least 1 %. None if they
-    are more than `WIDEST`."""
+    """The smallest moves of energy and cycles, at least 1 %, after which all volumes are still
+    multiples of their common measure with `others`, also halfway: nodes are such multiples. None if
+    they exceed `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
     limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]
     measure = common_measure(

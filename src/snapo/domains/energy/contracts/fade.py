@@ -3,7 +3,7 @@
     E_after <= max(E_before, energy - by x n),    n = max(ceil(taken / every) - 1, 0)
 
 `taken` is counted over the whole life of the store. n rises when more than a multiple of `every` is
-taken. The limit binds only charging: energy above it may stay in store, and can be taken.
+taken. The limit applies only to charging: energy above it may stay in store, and can be taken.
 """
 
 from typing import Annotated
@@ -41,8 +41,9 @@ class StoreFade(TreeRecord):
     taken: Float[np.ndarray, ""]
 
     def reach(self, count: int, stored: Array, charge: Array, discharge: Array) -> Array:
-        """No less than can be taken in `count` steps, if one stores no more than `charge` or takes
-        no more than `discharge`: whole steps, so that it has the common divisor of the volumes."""
+        """An upper limit on the energy taken in `count` steps, each of which stores at most
+        `charge` or takes at most `discharge`: a number of whole steps, so that it has the common
+        divisor of the volumes."""
         steps = (stored / charge + count) * charge / (charge + discharge)
         return discharge * xp.minimum(xp.ceil(steps), count)
 
@@ -50,7 +51,7 @@ class StoreFade(TreeRecord):
 def read_fade(where: TableContext, raw: dict, energy: float) -> StoreFade:
     """The table `fade` of a store of `energy` MWh.
 
-    **Raises:** `CaseError` if nothing were left of the energy when it falls for the first time.
+    **Raises:** `CaseError` if the first fall would leave no energy.
     """
     table = where.nested(FadeTable, raw, FADE)
     by = float(table.by.values[0])

@@ -93,7 +93,7 @@ class ParkAndLoanTable(CaseTable):
 class ParkAndLoanContract(EnergyContract):
     """The terms of a park and loan; see `ParkAndLoanTable`.
 
-    - `limits`: most parked and most on loan; `rates`: most delivered and most taken; `fees`: the
+    - `limits`: largest park and largest loan; `rates`: largest delivery and withdrawal; `fees`: the
       fees of a unit parked and of one on loan, by day; each index [T].
     - `turn`: initial and completion fee; `cash_out`: of a unit parked and on loan, None: no such
       balance is left; index [].

@@ -3,11 +3,11 @@
     earnings = sum over hours on of discount x (q S - (idle + rate q) (G + e c) - o q)
                - sum over starts of discount x (money + fuel (G + e c))
 
-S is the price of power, G that of the fuel, c that of emissions, e of which a unit of fuel needs,
-which may move as the others do (`gas_storage/prices/trio.py`); q is the power of an hour on,
-between two limits. A start belongs to the last class whose hours off have passed. Modes are the
-hours off so far, up to those of the last class, and the hours on so far, up to `min_up`; with a
-ramp the latter are combined with the power of the hour, see `ramp.py`.
+S is the price of power, G that of the fuel, c that of a certificate of emissions, which may also be
+random, and e is the number of certificates for a unit of fuel (`gas_storage/prices/trio.py`); q is
+the power of an hour on, between two limits. A start belongs to the last class whose hours off have
+passed. Modes are the hours off so far, up to those of the last class, and the hours on so far, up
+to `min_up`; with a ramp the latter are combined with the power of the hour, see `ramp.py`.
 """
 
 from collections.abc import Mapping
@@ -147,10 +147,10 @@ def layout_of(
     counted: bool,
     steps: PowerSteps | None = None,
 ) -> tuple[ContractLayout, tuple[int, ...], tuple[bool, ...], tuple[int, ...]]:
-    """Modes and moves; of each move the class where it is a start (else -1), whether it is on, and
-    its power by number of a step (0 if it is off or there are no steps).
+    """Modes and moves; for each move its class if it is a start (else -1), whether the plant is on,
+    and the index of its power (0 if it is off or there is no ramp).
 
-    - `off`: the hours off from which each class of starts holds; `counted`: whether starts are.
+    - `off`: the hours off from which a class of starts applies; `counted`: whether starts count.
     - `first`: whether the plant is on before the first hour, and for how many hours.
     """
     longest = max(min_down, *off, 1)

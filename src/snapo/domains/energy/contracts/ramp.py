@@ -7,7 +7,7 @@ differences of two of them: at a corner every power is min, max, top or that bef
 plus a whole number of ramps. These are also the best powers where later prices are not known. By
 induction backwards, the value is convex in the power of the hour before between neighbouring steps,
 as maxima and means of convex functions are; the best next power is then a step, or one ramp away
-from the power before, which from a step is a step. So no step between them is needed.
+from the power before, which is a step if that power is one. No other powers are needed.
 """
 
 from itertools import count
@@ -21,13 +21,13 @@ LOW, HIGH, RAMP, BEFORE = np.eye(4, dtype=int)  # min, max, ramp, power before t
 
 
 class PowerStep(NamedTuple):
-    """A power: so many times `min`, `max`, `ramp`, and the power before the first hour."""
+    """A power as multiples of `min`, `max`, `ramp` and the power before the first hour."""
 
     parts: tuple[int, ...]
 
     @property
     def name(self) -> str:
-        """Such as "min + 2 ramp"."""
+        """The power as text, such as "min + 2 ramp"."""
         *limits, ramps = (self.parts[i] for i in (0, 1, 3, 2))
         text = [name for name, part in zip(("min", "max", "before"), limits) if part]
         if not text:
@@ -40,11 +40,11 @@ class PowerStep(NamedTuple):
 class PowerSteps(NamedTuple):
     """All steps of a plant.
 
-    - `steps`; `of_before`: the one before the first hour, -1 if the plant is off.
+    - `steps`; `of_before`: the step before the first hour, -1 if the plant is off.
     - `at_ends` [steps]: whether a plant may start at it and stop from it.
     - `next` [steps]: the steps that can follow each.
-    - `conditions`: rows that, times (min, max, ramp, before), are at least zero as long as the
-      other fields hold.
+    - `conditions`: rows whose products with (min, max, ramp, before) are at least zero as long as
+      the other fields are valid.
     """
 
     steps: tuple[PowerStep, ...]
@@ -55,7 +55,7 @@ class PowerSteps(NamedTuple):
 
 
 def power_steps(low: float, high: float, ramp: float, before: float | None) -> PowerSteps:
-    """The steps of these limits; none if the ramp never binds, as it is at least `high`."""
+    """The steps for these limits; none if the ramp, at least `high`, never binds."""
     if ramp >= high:
         return PowerSteps((), -1, (), (), (_plain(RAMP - HIGH),))
     numbers = np.array([low, high, ramp, before or 0.0])

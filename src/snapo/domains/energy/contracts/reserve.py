@@ -2,12 +2,12 @@
 
     earnings of a step in reserve = discount x price x MW;  no flow,  low <= energy in store <= high
 
-The MW are those that can be called either way: the smaller of the power that may be bought and of
-that which may be sold. Calls themselves are not modelled: on average they are taken to cancel, and
-to be paid for apart. Prices of reserve are known today.
+The MW are those that can be called either way: the smaller of the powers that may be bought and
+sold. Calls themselves are not modelled: it is assumed that they cancel on average and are paid
+separately. Prices of reserve are known today.
 
-With blocks of several steps a block is in reserve from its first step to its last one: modes say
-whether it is.
+With blocks of several steps a block is in reserve from its first step to its last one: its mode
+shows this.
 """
 
 from dataclasses import replace
@@ -58,7 +58,7 @@ class ReserveTable(CaseTable):
 class SoldReserve(TreeRecord):
     """The terms of reserve.
 
-    - `price`: index [] or [T]; `stock` [2]: least and most energy in store.
+    - `price`: index [] or [T]; `stock` [2]: minimum and maximum energy in store.
     - `first_steps`, `last_steps` [T]: whether a step is the first, or the last one, of a block.
     """
 
@@ -69,7 +69,7 @@ class SoldReserve(TreeRecord):
     moves: tuple[tuple[int, int], ...] = field(static=True)
 
     def added(self, terms: StepTerms, earned: Array) -> StepTerms:
-        """Terms with the moves in reserve; `earned` [T]: by each of them."""
+        """Terms with the moves in reserve; `earned` [T]: the earnings of each of them."""
         fixed = xp.stack([xp.zeros_like(earned), *[earned] * len(self.moves)], axis=1)
         return terms._replace(fixed=fixed, of_moves=self._limits(terms))
 
@@ -125,7 +125,7 @@ def read_reserve(
 ) -> SoldReserve:
     """The table `reserve` of a store of `energy` MWh; blocks are those of the auctions, or hours.
 
-    **Raises:** `CaseError` where the store cannot hold the least energy, or a price is missing.
+    **Raises:** `CaseError` if the store cannot hold the minimum energy, or a price is missing.
     """
     table = where.nested(ReserveTable, raw, RESERVE)
     low, high = (float(x) for x in table.stock)

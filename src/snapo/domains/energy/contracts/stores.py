@@ -6,10 +6,10 @@
                (out_k (1 - fuel out) - in_k (1 + fuel in)) S - costs
 
 A day is two steps at one price: first the flow of the first store, then that of the second one. In
-between `joint flow` counts what flowed. The inventories from which all limits can be kept are those
-within limits of each and of their sum: such sets stay so when the flows of a day, a set of the same
-kind, are added to them (generalised polymatroids; A. Frank, E. Tardos, "Generalized polymatroids
-and submodular flows", Mathematical Programming 42 (1988), 489-563).
+between, `joint flow` counts the net flow so far. The inventories from which all limits can be kept
+form a set with limits on each inventory and on their sum. Such sets keep this form when the flows
+of a day, a set of the same kind, are added to them (generalised polymatroids; A. Frank, E. Tardos,
+"Generalized polymatroids and submodular flows", Mathematical Programming 42 (1988), 489-563).
 """
 
 from collections.abc import Mapping, Sequence
@@ -47,10 +47,10 @@ SUMS = {
 class Store(TreeRecord):
     """The terms of one store on T days.
 
-    - `inventory`: index []; `limits`: least and most in store, index [T + 1]; `end`: owed at the
-      end, index [], None if any inventory is allowed and worthless.
-    - `rates`: most injected and most withdrawn, before `factors` [T, 2]; `costs`, `fuel`: of both;
-      `holding`: the cost of a unit in store, None if it is free; each index [T].
+    - `inventory`: index []; `limits`: minimum and maximum in store, index [T + 1]; `end`: the
+      inventory owed at the end, index [], None if any inventory is allowed and worthless.
+    - `rates`: largest injection and withdrawal, before `factors` [T, 2]; `costs`, `fuel`: those of
+      both; `holding`: the cost of a unit in store, None if it is free; each index [T].
     """
 
     inventory: CaseInput
@@ -64,7 +64,7 @@ class Store(TreeRecord):
 
 
 class FeasibleSets(NamedTuple):
-    """Limits of each inventory, and of their sum, from which all limits can be kept; each tight."""
+    """Tight limits of each inventory and of the sum, within which the contract can be met."""
 
     low: Array
     high: Array
@@ -73,7 +73,7 @@ class FeasibleSets(NamedTuple):
 
 
 class DailyFlows(NamedTuple):
-    """The most that each store takes in and gives out on a day, and that both do."""
+    """The largest injection and withdrawal on a day, of each store and of both together."""
 
     into: Array
     out: Array
@@ -257,8 +257,9 @@ def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> Fe
 
 
 def layout_of(names: Sequence[str], unit: str, joint: bool, transfers: bool) -> ContractLayout:
-    """The inventories and, with joint limits, the joint flow of the day; a flow in and out of each
-    store. Without transfers the first store decides whether the day is one of injections."""
+    """The inventories and, with joint limits, the joint flow of the day; and one flow into and one
+    out of each store. Without transfers the first store decides whether the day is one of
+    injections."""
     levels = [Level(name, unit) for name in names] + [Level(JOINT_FLOW, unit)] * joint
     flows = []
     for k, name in enumerate(names):

@@ -47,7 +47,7 @@ class StoresTable(CaseTable):
 
 
 class NamedTable(NamedTuple):
-    """The table of a store: its name, the table, its place in messages."""
+    """The table of a store: its name, the table, and its name in messages."""
 
     name: str
     table: ContractTable
@@ -190,7 +190,7 @@ def _read_store(
     today: float | None,
     key: tuple[str | int, ...],
 ) -> Store:
-    """The store on these days; `today`: what is in store, which the case gives under `key`."""
+    """The store on these days; `today`: the inventory, which the case has under `key`."""
     name, table, where = opened
     limits = read_limits(where, table, days)
     low, high = limits.min_inventory, limits.max_inventory

@@ -3,10 +3,10 @@
     earnings = sum over days of discount x q (S - strike),   strike a number, or factor I + add
                - sum over years of discount x shortfall x max(annual minimum - taken, 0)
 
-with least <= q <= most on each day and, over each contract year, at most the annual maximum, and at
-least its minimum where that is firm. I is the month-ahead index, see `gas_storage.prices.index`.
-Source: P. Jaillet, E. Ronn, S. Tompaidis, "Valuation of commodity-based swing options", Management
-Science 50 (2004).
+with minimum <= q <= maximum on each day and, over each contract year, at most the annual maximum,
+and at least its minimum if that is firm. I is the month-ahead index, see
+`gas_storage.prices.index`. Source: P. Jaillet, E. Ronn, S. Tompaidis, "Valuation of commodity-based
+swing options", Management Science 50 (2004).
 """
 
 import datetime
@@ -47,11 +47,11 @@ class SwingContract(EnergyContract):
     - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
     - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up from last year;
-      `older`: from the year before, None if units are lost after one year; `carry_max`,
-      `carried`: the most that is carried forward, and the amount by which this year's minimum is
-      lower. None without that clause.
+      `older`: from the year before, None if units are lost after one year; `carry_max`, `carried`:
+      the maximum that is carried forward, and the amount by which this year's minimum is lower.
+      None without that clause.
     - `sign`: 1 if the volume is bought at the strike, -1 if it is sold.
-    - `at_strike`: whether what is short is paid at the strike of the last day.
+    - `at_strike`: whether the shortfall is paid at the strike of the last day.
     - `firm`: whether the minimum is met on every path; `most_rights`: 0 without rights.
     """
 
@@ -232,7 +232,7 @@ def _number(at: NumbersOf, number: CaseInput | None) -> Array:
 def layout_of(
     unit: str, limited: bool, rest: int | None, indexed: bool = False, banks: int = 0
 ) -> ContractLayout:
-    """Levels, flows and moves; `rest`: days after a right that is used, None without rights.
+    """Levels, flows and moves; `rest`: days of rest after the use of a right, None without rights.
 
     With balances between years, `banks`, there are limits and no rights.
     """

@@ -329,9 +329,9 @@ def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
 
 
 def year_ends(where: TableContext, table: SwingTable, days) -> np.ndarray:
-    """[T] whether a day is the last of its contract year; the last day of all always is.
+    """[T] whether a day is the last of its contract year; the last decision day always is.
 
-    A year that begins on 29 February begins on 1 March where there is no such day.
+    A year that begins on 29 February begins on 1 March in other years.
     """
     first = table.start
     if table.year_begins is not None:

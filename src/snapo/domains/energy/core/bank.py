@@ -5,14 +5,14 @@ A period ends where the counted level restarts. The balances Z_1 to Z_N of the b
 comes from k periods ago. Z_1 is positive for volumes to be made up, and negative for those carried
 forward, which are lost after one period; the others are not negative, and Z_N is lost after this
 period. The oldest are made up first. With the minimum m of a period, x+ = max(x, 0), O_k the sum
-of Z_j+ over j > k, and O_0 that of all:
+of Z_j+ over j > k, and O_0 the sum over all j:
 
     own minimum        m - (-Z_1)+
     made up            u(Q) = (Q - m)+ - (Q - m - O_0)+,   Q the volume of the period so far
     of age k           u_k(Q) = (Q - m - O_k)+ - (Q - m - O_k - Z_k+)+
     balances after it  share x (m - (-Z_1)+ - Q)+ - min((Q - m - O_0)+, limit), and Z_k+ - u_k(Q)
 
-The first O_0 units above the minimum are those made up: each earns `refund` as well. All
+The first O_0 units above the minimum are those made up, and each of them also earns `refund`. All
 functions are linear between multiples of a common measure of m, the balances, `limit` and the
 volumes.
 """
@@ -40,7 +40,7 @@ class Bank(NamedTuple):
         return Bank(*(x[t] for x in self))
 
     def owed(self, balances: Sequence[Any], positive: Callable) -> Any:
-        """The own minimum of a period."""
+        """The minimum of a period itself, less the units carried forward to it."""
         return self.minimum - positive(-balances[0])
 
     def made_up(self, counted: Any, balances: Sequence[Any], positive: Callable) -> Any:

@@ -1,4 +1,4 @@
-"""The five things that a contract tells the core: levels, modes, moves, cash and names.
+"""The five parts of a contract that the core uses: levels, modes, moves, cash and names.
 
 Everything else reads only these: feasible moves, the simulator of one path, the policy, the
 lattice, the fitted value, the bound. A contract is a module of inputs with one method, `terms`, and
@@ -9,9 +9,9 @@ that begin in its mode, and each flow of that move takes a volume from an interv
     earnings of a step  = move's money + move's index I + volume (price S + index I + money)
                           + money of the levels
 
-S is the spot price, and I, of an indexed contract, the index of its prices: of a month, or the
-spot price of a second commodity. Levels may be negative; their money is linear on each side of
-zero (`LevelMoney`).
+S is the spot price, and I, of an indexed contract, the index of its prices: the index of a month,
+or the spot price of a second commodity. Levels may be negative; their money is linear on each side
+of zero (`LevelMoney`).
 
 All money is a present value. Limits hold after each step; a level that `restarts` is then
 settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
@@ -53,8 +53,8 @@ class ContractMove(NamedTuple):
     """A passage through one step.
 
     - `name`: in reports; `before`, `after`: modes.
-    - `flows`: indices of those that may flow, at most one of them on a step of a method that
-      compares volumes; the others are zero.
+    - `flows`: indices of those that may flow; a method that compares volumes uses at most one in a
+      step. The others are zero.
     - `changes`: the changes of each level, for all flows.
     """
 
@@ -71,7 +71,7 @@ class ContractLayout(NamedTuple):
     - `indexed`: whether its cash depends on an index as well as on the spot price.
     - `banks`: how many of its last levels are balances of a bank of the first one, by age, see
       `bank.py`.
-    - `reported`: names of moves of which a path counts how often they are made.
+    - `reported`: names of the moves that a path counts.
     - `sums`: the weights of the levels in joint limits, see `Promises`.
     - `fixed_volumes`: whether each move fixes the volume of its flow (`StepTerms.fixed_volume`),
       which has no effect on a level.
@@ -88,7 +88,7 @@ class ContractLayout(NamedTuple):
     fixed_volumes: bool = False
 
     def plain(self) -> tuple:
-        """The same in plain tuples, as a file of a policy holds it."""
+        """The layout as plain tuples, for the file of a policy."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
         flags = self.indexed, self.banks, self.reported
         more = (self.sums, True) if self.fixed_volumes else (self.sums,) if self.sums else ()
@@ -103,7 +103,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def every_move(self) -> tuple[ContractMove, ...]:
-        """The moves; of a contract without any, that in which everything may flow."""
+        """The moves; for a contract without any, the move in which everything may flow."""
         none = (0.0,) * len(self.levels)
         everything = ContractMove("", ONLY, ONLY, tuple(range(len(self.flows))), none)
         return self.moves or (everything,)
@@ -111,7 +111,7 @@ class ContractLayout(NamedTuple):
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """(move, flow) of every volume that a policy decides; a flow without effect on the levels
-        has the same volume in all moves, listed with the first of them."""
+        has the same volume in all moves, and is listed with the first move."""
         result: list[tuple[int, int]] = []
         for m, move in enumerate(self.every_move):
             decided = [flow for _, flow in result if not any(self.flows[flow].effects)]
@@ -130,14 +130,14 @@ class ContractLayout(NamedTuple):
 
     @property
     def choices(self) -> tuple[int, ...]:
-        """The numbers of the moves of modes in which there are others."""
+        """The numbers of the moves in each mode that has more than one."""
         before = [move.before for move in self.moves]
         return tuple(m for m, mode in enumerate(before) if before.count(mode) > 1)
 
     @property
     def decisions(self) -> tuple[tuple[int, ...], ...]:
-        """The places in an action of each decision: a share, which no move fixes, or the weights of
-        the moves of a mode, of which one is made."""
+        """The positions of each decision in an action: a share that no move fixes, or the weights
+        of the moves of a mode, one of which is made."""
         before, count = [self.moves[m].before for m in self.choices], len(self.pairs)
         shares = () if self.fixed_volumes else tuple((i,) for i in range(count))
         return shares + tuple(
@@ -147,7 +147,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def signs(self) -> tuple[int, ...]:
-        """[levels] 1, or -1 for one that flows move against the first level that they move."""
+        """[levels] 1, or -1 if flows move the level against the first level that they move."""
         signs = np.ones(len(self.levels), int)
         for flow in self.flows:
             touched = np.flatnonzero(flow.effects)
@@ -179,7 +179,7 @@ class Promises(NamedTuple):
     After each step, in each mode, `weights` times the levels is at least `minimum`. A flow with an
     effect on the sum raises it.
 
-    The minimum that they serve is `owed` where a level restarts, and is met on every path. Methods
+    Their purpose is a minimum, `owed` when a level restarts, which every path meets. Methods
     that compare values charge a missed unit more than any unit costs.
 
     With `missed` the sums of the layout are joint limits: they limit the flows that lower them, and
@@ -214,10 +214,10 @@ def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
 
 class MoveLimits(NamedTuple):
     """Limits of the levels after each move, those of the step or within them. A move whose `low` is
-    above its `high` is closed on the step.
+    above its `high` is not allowed in the step.
 
-    They make the value jump between levels, so that methods need nodes on them and look at every
-    volume from node to node.
+    They make the value jump between levels, so that methods need nodes on them and compare all
+    volumes from node to node.
     """
 
     low: Float[Array, "T moves levels"]
@@ -228,15 +228,15 @@ class FallingLimit(NamedTuple):
     """The limit of the first level falls as the last one rises, by `by` when the last one gets
     beyond a multiple of `every`.
 
-    It binds flows that raise the first level, from wherever that is. The value jumps at multiples.
+    It limits flows that raise the first level, at any level. The value jumps at multiples.
     """
 
     every: Float[Array, " T"]
     by: Float[Array, " T"]
 
     def falls(self, counted: Any, near: Any, xp: Any) -> Any:
-        """How often the limit fell at a row, the last level `counted` up to a multiple or `near`
-        beyond it."""
+        """The number of falls of the limit at a row, if the last level is `counted` up to a
+        multiple or `near` above it."""
         return xp.maximum(xp.ceil((counted - near) / self.every) - 1, 0.0)
 
 
@@ -244,7 +244,7 @@ class Intraday(NamedTuple):
     """Trades of differences from a schedule, see `intraday.py`; in units of a market.
 
     - `half_spread`: money for each unit of the difference; `discount`: its discount factor.
-    - `sold`: units sold for each unit of a flow, negative where they are bought.
+    - `sold`: units sold for each unit of a flow, negative if they are bought.
     """
 
     half_spread: Float[Array, " T"]
@@ -261,7 +261,7 @@ class StepTerms(NamedTuple):
     - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
     - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
-      none. `fixed_volume`: that of the flow of a move, None if policies decide the volumes.
+      none. `fixed_volume`: the volume of the flow of a move, None if policies decide the volumes.
     - `promises`, `bank`, `of_levels`, `intraday`, `of_moves`, `falling`: None without any.
     """
 
@@ -292,13 +292,13 @@ class StepTerms(NamedTuple):
 
 
 class StepPrices(NamedTuple):
-    """Prices of one step: the spot price, and the index where there is one."""
+    """Prices of one step: the spot price, and the index if there is one."""
 
     spot: Any
     index: Any = None
 
     def unit(self, terms: StepTerms, place: Any) -> Any:
-        """The earnings of a unit of a flow; `place`: where it is in the leaves of `terms`."""
+        """The earnings of a unit of a flow; `place`: its index in the leaves of `terms`."""
         cash = terms.price[place] * self.spot + terms.money[place]
         return cash if terms.index is None else cash + terms.index[place] * self.index
 
@@ -307,7 +307,7 @@ class StepPrices(NamedTuple):
         return np.asarray(self.unit(terms, (t, slice(None), None)))
 
     def move(self, terms: StepTerms, row: Any) -> Any:
-        """The earnings of a move, for all flows; `row` as the place of `unit`."""
+        """The earnings of a move, for all flows; `row`: like `place` of `unit`."""
         money = terms.fixed[row]
         if terms.fixed_index is None:
             return money
@@ -328,14 +328,14 @@ class Terms(NamedTuple):
 
 
 class EnergyContract(TreeRecord):
-    """What is agreed. As it is read it has the numbers of the case, in a simulator it has none."""
+    """The terms agreed. When read, it has the numbers of the case; in a simulator it has none."""
 
     layout: AbstractVar[ContractLayout]
 
     @abc.abstractmethod
     def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
         """The numbers; `at`: those of an input where they are used. `paid` [T]: discount factors
-        of the commodity; `settled` [T]: of money that is owed when the step is over, a day later.
+        of the commodity; `settled` [T]: those of money that is paid a day after the step.
         """
 
     @abc.abstractmethod
@@ -344,7 +344,7 @@ class EnergyContract(TreeRecord):
         mode; "a.b" is a key of a table. `index`: the index of the first step, where it was fixed
         before.
 
-        **Raises:** `ValueError` if no case begins so.
+        **Raises:** `ValueError` if no case can begin in this way.
         """
 
     @property
@@ -354,8 +354,8 @@ class EnergyContract(TreeRecord):
         return None
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
-        """The prices that its cash depends on, from those of the case: here the same.
+        """The prices that its cash depends on, from those of the case; by default the same.
 
-        **Raises:** `CaseError` if it cannot be priced so; `where`: the table `[contract]`.
+        **Raises:** `CaseError` if these prices are not supported; `where`: the table `[contract]`.
         """
         return prices

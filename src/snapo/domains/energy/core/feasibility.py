@@ -1,8 +1,8 @@
 """Levels from which all obligations can be met, and the volumes that lead to such levels.
 
-Each level has an interval at the start of every step: backwards from the end, those from which
-some move reaches the interval of the next step. Levels are looked at one by one, so a contract must
-not have obligations on one level that only another one limits.
+Each level has an interval at the start of every step: backwards from the end, the levels from which
+some move reaches the interval of the next step. Levels are treated one by one, so a contract must
+not have an obligation on one level that is limited only by another.
 """
 
 import functools
@@ -30,7 +30,7 @@ class Intervals(NamedTuple):
 
 
 def intervals(layout: ContractLayout, steps: StepTerms) -> Intervals:
-    """An empty one has its low above its high, and so have all before it."""
+    """An empty interval has its low above its high, and so have all intervals before it."""
     least, most = changes(layout, steps)
 
     def back(successor, row):
@@ -49,7 +49,7 @@ def intervals(layout: ContractLayout, steps: StepTerms) -> Intervals:
 
 
 def changes(layout: ContractLayout, steps: StepTerms) -> tuple[Array, Array]:
-    """[T, levels] the least and the most that a step may change each level by."""
+    """[T, levels] the smallest and the largest change of each level in a step."""
     least, most = [], []
     for move in layout.every_move:
         low = high = xp.broadcast_to(xp.asarray(move.changes), steps.low.shape)
@@ -76,7 +76,7 @@ def charged(steps: StepTerms, forward: Array) -> StepTerms:
 
 
 class FeasibleVolumes(NamedTuple):
-    """Volumes of the flows of a move: the forced volume of each, and the most.
+    """Volumes of the flows of a move: the forced and the maximum volume of each.
 
     `up_to`: the volumes at which a falling limit falls, between both; None without one.
     """
@@ -88,8 +88,8 @@ class FeasibleVolumes(NamedTuple):
     def at(self, k: int, share: Array) -> Array:
         """The volume of flow k: this share of its feasible volume, added to the forced one.
 
-        A share on one side of the volume at which a limit falls remains there, so that a held
-        decision does not pass it: the derivatives are those of a share of that side.
+        A share on one side of the volume at which a limit falls remains there, so that a decision
+        held fixed does not pass it; its derivatives are those on that side.
         """
         forced, free = self.forced[k], self.most[k] - self.forced[k]
         if self.up_to is None:
@@ -184,8 +184,8 @@ def _range(
 def volumes_by_move(
     layout: ContractLayout, now: Any, levels: Array, smooth, scale
 ) -> list[FeasibleVolumes | None]:
-    """[moves] `volumes` of each; None for one without flows. It is the same for all moves whose
-    flows have no effect on the levels."""
+    """[moves] `volumes` of each move; None for a move without flows. They are the same for all
+    moves whose flows have no effect on the levels."""
     shared: dict[tuple[int, ...], FeasibleVolumes] = {}
     result: list[FeasibleVolumes | None] = []
     for i, move in enumerate(layout.every_move):
@@ -209,7 +209,7 @@ def of_fixed_moves(
 
 
 def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None:
-    """(step, level) at which no decision can keep the limits; None if all can be met.
+    """(step, level) at which no decision meets the limits; None if all limits can be met.
 
     The step is -1 if only the start is the reason.
     """

@@ -1,10 +1,10 @@
 """The gains of the units of a feasible volume, from the rows of a table of unit values.
 
 The value of one more unit of a volume is constant between the rows of the table and changes at
-them. A line through a few units would put the last one that gains between rows, where no best
-volume ends; without volatility, 0.1 to 0.7 % of the value would be lost. Where volumes are
-longer than a row, the last row that gains is therefore searched for; where the value jumps between
-levels, the row up to which all together gain most.
+them. A line through a few units would put the last profitable unit between rows, where the best
+volume never lies; without volatility, 0.1 to 0.7 % of the value would be lost. If volumes are
+longer than a row, the last profitable row is therefore searched for; if the value jumps between
+levels, the row with the largest total gain up to it.
 """
 
 import functools
@@ -39,9 +39,9 @@ class VolumeGains(NamedTuple):
 class FlowRows(NamedTuple):
     """The rows along a flow from levels `start`, in the table of a step.
 
-    `pair`: of a move and the flow, whose `effects` on the levels are not all zero; `banks`: so many
-    last levels are balances, between whose rows values are linear; `signs`: the signs of the
-    layout.
+    `pair`: of a move and the flow, whose `effects` on the levels are not all zero; `banks`: the
+    number of last levels that are balances, between whose rows values are linear; `signs`: the
+    signs of the layout.
     """
 
     table: UnitValues
@@ -248,6 +248,6 @@ def _between(position: Array, count: int) -> tuple[Array, Array]:
 
 
 def position_of(table: UnitValues, levels: Array) -> Array:
-    """[levels] where levels are, in rows."""
+    """[levels] the position of the levels, in rows."""
     rows = table.rows
     return (levels - rows.low) * (1 / jnp.where(rows.spacing > 0, rows.spacing, 1.0))

@@ -2,18 +2,19 @@
 
 At an auction the flows of all steps up to the next one are scheduled, at forward prices. In each
 step the flows may still differ: the difference is sold at the spot price minus half a spread, or
-bought at the spot price plus it. With the units sold s of the schedule, m of the flows,
+bought at the spot price plus it. With s the units sold by the schedule and m those sold by the
+flows,
 
     earnings of a step = s F(auction, step) + (m - s) S - half spread x |m - s| + other money.
 
 The schedule is feasible: flows that begin from the levels at the auction, and keep all limits.
 Since E[S | auction] = F, it earns on average nothing over the spot price. Without a spread the
-value is therefore that without auctions, and at any spread it is between that and the value of a
-schedule that is never left.
+value therefore equals that without auctions; with any spread it lies between that and the value of
+a schedule that is always kept.
 
-The action has three shares of each volume: scheduled, at the forward price; and wanted where a
-unit is worth the spot price minus and plus a multiple of the half spread. The flow is the
-scheduled volume, moved to the nearer of the other two where it is not between them.
+The action has three shares of each volume: the share scheduled at the forward price, and the best
+shares if a unit has the spot price minus, or plus, a multiple of the half spread. The flow is the
+scheduled volume, moved to the nearer of the other two volumes if it is not between them.
 """
 
 from dataclasses import fields, replace
@@ -60,7 +61,7 @@ class IntradaySimulator(EnergySimulator):
     **Arguments:** those of `EnergySimulator`, and
 
     - `auction`: the prices at the auctions, `formed`.
-    - `scheduled_values`: the fitted value of the contract that never leaves its schedules.
+    - `scheduled_values`: the fitted value of the contract that always keeps its schedules.
     """
 
     auction: PriceProcess | None = None
@@ -188,7 +189,7 @@ class IntradaySimulator(EnergySimulator):
 class IntradayPolicy(UnitValuePolicy):
     """The same rule for the schedule and for both prices of a trade.
 
-    The observation has those of the three, one after the other.
+    The observation has the entries for the three, one after the other.
     """
 
     def __init__(self, layout: ContractLayout, features: int, **settings: Any):
@@ -205,9 +206,9 @@ def simulator_kind(case: Any) -> type[EnergySimulator]:
 
 
 def without_trades(problem: Problem, scheduled: bool) -> Problem:
-    """The contract without auctions, or one whose schedules are never left (`scheduled`).
+    """The contract without auctions, or (`scheduled`) one that always keeps its schedules.
 
-    Its exact value is above, or below, that with auctions and trades.
+    Their exact values are above and below that with auctions and trades.
     """
     simulator = problem.simulator
     assert isinstance(simulator, IntradaySimulator)

@@ -23,8 +23,8 @@ class Head(NamedTuple):
     - `units` [pairs, SEGMENTS, 2]: gains of units of each feasible volume, see `VolumeGains`.
     - `positions` [pairs, SEGMENTS - 1]: between segments, as shares of the free volume.
     - `room` [pairs]: the free volume, over the largest volume of a step.
-    - `base` [choices]: gain of each move without its free volume, over price and volume scale;
-      those that are not open are far below. Empty where there is no choice.
+    - `base` [choices]: gain of each move without its free volume, over price and volume scale; very
+      low for moves that are not allowed. Empty if there is no choice.
     """
 
     units: Array
@@ -34,7 +34,7 @@ class Head(NamedTuple):
 
     @classmethod
     def of(cls, observation: Array, layout: ContractLayout) -> "Head":
-        """From the start of an observation."""
+        """The head, read from the start of an observation."""
         pairs, size = len(layout.pairs), head_size(layout)
         sizes = np.cumsum([pairs * 2 * SEGMENTS, pairs * (SEGMENTS - 1), pairs])
         units, positions, room = jnp.split(observation[: sizes[-1]], sizes[:-1])
@@ -60,7 +60,7 @@ def head(
     prices: StepPrices,
     free: Array,
 ) -> Head:
-    """The gains of one step at one state; `free` [moves]: which are open."""
+    """The gains of one step at one state; `free` [moves]: which are allowed."""
     # Products with inverses that all paths share: divisions take a third of a step's time.
     size, per_price = constants.volume_scale, 1 / constants.price_scale
     per_size, per_money = 1 / size, 1 / (constants.price_scale * size)

@@ -1,8 +1,8 @@
 """The policy of all contracts: the fitted value of a unit of each level and mode, and a network.
 
-A volume flows while a unit earns more than it takes of the value of the levels; a move is made
-where it gains most. The network corrects the value of a unit of each level, how it changes with the
-volume, and the value of each mode.
+A volume flows while a unit earns more than it costs in the value of the levels; the move with the
+largest gain is made. The network corrects the value of a unit of each level, how it changes with
+the volume, and the value of each mode.
 """
 
 from typing import Any
@@ -114,7 +114,7 @@ class UnitValuePolicy(Policy):
 
     @property
     def simplest(self) -> "UnitValuePolicy":
-        """Without a network that adds nothing."""
+        """The policy without a network, if the network adds nothing."""
         return without_idle_network(self)
 
 

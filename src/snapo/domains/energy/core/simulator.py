@@ -102,7 +102,7 @@ class EnergySimulator(PricedSimulator):
         )
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
-        """With the scales of features of these inputs."""
+        """The simulator with the scales of features of these inputs."""
         # No volume depends on factors of discount.
         undiscounted: Any = np.ones(self.horizon)
         terms_of, at = with_numpy(self.contract.terms), partial(in_numpy, values)

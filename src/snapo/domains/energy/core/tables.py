@@ -17,7 +17,7 @@ from ...gas_storage.policy.value_table import Reading, functions
 
 
 class LevelRows(NamedTuple):
-    """Where rows lie: `low` and `spacing` of each level [levels]."""
+    """The positions of the rows: `low` and `spacing` of each level [levels]."""
 
     low: Array
     spacing: Array
@@ -30,11 +30,11 @@ class UnitValues(NamedTuple):
     - `moves` [moves, rows …, n]: for the mode and the levels to which a move leads, relative to the
       first move of its mode; None if there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow; the last row that gains is
-      found in that number of searches. None if one row is enough, since no volume is longer.
+      found in that number of searches. None if no volume spans more than one row.
     - `between`: the same for levels between rows: the number of searches for the last piece between
       two rows of any level that gains. Then `units` is None.
-    - `every` [pairs, rows]: the volume of a row, where the value jumps between levels: of so many
-      rows, all are compared. Then both others are None.
+    - `every` [pairs, rows]: the volume of a row, if the value jumps between levels: all of these
+      rows are compared. Then both others are None.
     """
 
     rows: LevelRows
@@ -46,7 +46,7 @@ class UnitValues(NamedTuple):
     every: Array | None = None
 
     def read(self, factors: Array) -> Array:
-        """[n] the functions of the factors: polynomials, hinges where the table has them, times
+        """[n] the functions of the factors: polynomials, hinges if the table has them, times
         the exponential; the constant."""
         size, count = self.slopes.shape[-1], self.reading.whiten.shape[-2]
         plain = len(powers(count))
@@ -69,7 +69,7 @@ class UnitValueTable(eqx.Module):
 def nearest_row(table: Array, k: int, position: Array, dims: tuple[int, ...]) -> Array:
     """The row of `table` [tables x rows …, n] at a position of whole numbers [levels] in table k.
 
-    All tables are read from one array: a part of it would be copied for every step.
+    All tables are read from one array: a slice of it would be copied for every step.
     """
     return table[row_number(k, position, dims)]
 
@@ -83,8 +83,8 @@ def row_number(k: int, position: Array, dims: tuple[int, ...]) -> Array:
 
 
 def along(position: Array, effects: tuple[float, ...], first: bool) -> Array:
-    """The row from which a flow starts: that at or behind a position in its direction; of the last
-    unit, that before it."""
+    """The row from which a flow starts, at or behind a position in its direction; for the last
+    unit, the row before it."""
     ahead = jnp.asarray([1.0 if effect >= 0 else -1.0 for effect in effects])
     touched = jnp.asarray([1.0 if effect else 0.0 for effect in effects])
     directed = position * ahead
@@ -123,8 +123,8 @@ class Surprises(eqx.Module):
 def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
     """The value at the start of a step minus its expectation for the start of the next one.
 
-    Summed over the steps, and less `first`, it is the sum of the innovations. The value is 0 when
-    the last step is over.
+    Summed over the steps, minus `first`, it is the total innovation. The value is 0 after
+    the last step.
     """
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
     size = row.now.coefficients.shape[-1]
@@ -134,7 +134,7 @@ def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
 
 
 def at_end(first: Array) -> Array:
-    """The end's part of the sum."""
+    """The part of the sum at the end."""
     return -first
 
 

@@ -2,7 +2,7 @@
 
 The steps between the two dates are those that the policy plans at forward prices.
 
-A contract has only the keys with which a case begins in a state (`EnergyContract.keys_at`).
+A contract supplies only the keys of a case that begins in a state (`EnergyContract.keys_at`).
 """
 
 import copy
@@ -137,7 +137,7 @@ def explained_change(
     flows: Any = None,
     cash: float | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value; `cash`: the cash of the days between, as it was.
+    """The parts of the change of value; `cash`: the actual cash of the days between.
 
     **Raises:** `CaseError` if the second run cannot follow the first one.
     """

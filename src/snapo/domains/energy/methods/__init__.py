@@ -1,1 +1,1 @@
-"""The methods of valuation: each reads levels, modes, moves and cash, and exists once."""
+"""The methods of valuation: each reads levels, modes, moves and cash, and serves all contracts."""

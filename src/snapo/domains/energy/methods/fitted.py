@@ -40,15 +40,15 @@ class FittedContract:
 
     @property
     def available(self) -> AnyRegression:
-        """The regression that it is the result of."""
+        """The regression that gave it."""
         return regression_of(self.basis)
 
 
 def backwards(
     layout: ContractLayout, schedule: Any, factors: GaussianFactors, grid: ContractGrid
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """The fitted value of a schedule with NumPy leaves, which has a step: from the end to today,
-    each step's number and coefficients [modes, nodes, K] at its start."""
+    """The fitted value of a schedule (NumPy leaves, at least one step): the number of each step,
+    from the last to the first, with the coefficients [modes, nodes, K] at its start."""
     terms, horizon = schedule.steps.terms, len(grid.steps)
     basis = basis_of(factors, priced=False)
     available, size = regression_of(basis), basis.size

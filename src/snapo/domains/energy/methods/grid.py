@@ -1,11 +1,11 @@
-"""Nodes of the levels of a contract, and every way from the nodes of one step to those of the next.
+"""Nodes of the levels of a contract, and all moves from the nodes of a step to the next nodes.
 
-Values are linear between nodes. Where flows, limits and starts have a common measure, nodes are its
+Values are linear between nodes. If flows, limits and starts have a common measure, nodes are its
 multiples, and all volumes that a best decision can take lead from node to node: values there are
 exact, neither raised nor lowered. A single level without a practical measure has its breakpoints as
 nodes: all levels to which extreme flows lead from the start and from the limits, forwards and
-backwards. Only where these are too many are nodes evenly spaced, and values between them linear
-(`exact` is false then: they are approximate, and no bound).
+backwards. Only if there are too many of these, nodes are evenly spaced and values between them
+linear (`exact` is false then: they are approximate, and no bound).
 """
 
 import math
@@ -71,7 +71,7 @@ def grid_of(
 ) -> ContractGrid:
     """The grid of a schedule with NumPy leaves; `parts`: the parts of the measure, for a finer one.
 
-    `apart` [levels]: a coarse grid suffices, and its nodes are at least so far apart.
+    `apart` [levels]: a coarse grid is sufficient, with nodes at least this far apart.
     """
     terms, found = schedule.steps.terms, schedule.steps.intervals
     start = np.asarray(schedule.constants.start, float)
@@ -231,7 +231,7 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
 
 
 def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
-    """[T + 1] of a level: start, and after each step, before settling; feasible and reachable."""
+    """The reachable feasible range [T + 1] of a level: today, then after each step, unsettled."""
     horizon = len(terms.low)
     low, high = np.empty(horizon + 1), np.empty(horizon + 1)
     low[0] = high[0] = first = last = start[i]

@@ -1,6 +1,6 @@
-"""Idle levels: those of which no plan reaches a limit, so that nothing depends on them.
+"""Idle levels: levels whose limits no plan can reach, so that nothing depends on them.
 
-They have one node. With a node for each of their volumes, grids of the other levels were coarser.
+They have one node. With a node for each volume, the grids of other levels would be coarser.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ NEAR = 1e-9  # of the largest volume
 def idle_levels(
     layout: ContractLayout, terms: StepTerms, intervals: Any, start: np.ndarray
 ) -> tuple[bool, ...]:
-    """[levels] whether a level is idle; none is where levels have money or joint obligations."""
+    """[levels] whether a level is idle; none is if levels have money or joint obligations."""
     if layout.banks or terms.promises is not None or terms.of_levels is not None:
         return (False,) * len(layout.levels)
     numbers, count = (layout, terms, intervals), len(layout.levels)

@@ -1,7 +1,7 @@
-"""The value at forward prices: on the nodes where these are exact, else by a linear program.
+"""The value at forward prices: on the nodes if these are exact, otherwise by a linear program.
 
 Between coarse nodes a value is too low by 0.1 to 9 %. With one move, no money of levels and no
-joint obligations the best volumes at known prices are a linear program, which needs no nodes.
+joint obligations, a linear program gives the best volumes at known prices, without nodes.
 """
 
 from typing import Any

@@ -1,9 +1,9 @@
 """The exact value: dynamic programming in the levels, modes and one or two price factors.
 
 With a month-ahead index the nodes are those of the spot price's factor f and of the index's g.
-Within a month g stays: a step is the transition of f at each node of g. Into a month g becomes f of
-the day before, so that the value there is read at g = f, by a cubic spline between nodes of g, and
-no longer depends on the old g.
+Within a month g is constant: a step is the transition of f at each node of g. At the start of a
+month g becomes f of the day before, so that the value there is read at g = f, by a cubic spline
+between nodes of g, and no longer depends on the old g.
 """
 
 from collections.abc import Callable
@@ -32,8 +32,9 @@ TODAY = 15  # Gauss-Hermite nodes of g on the first date
 
 
 class IndexTransition(NamedTuple):
-    """From the nodes of a date to those of the next: `fast` [from, to] weights of f; `read`
-    [from, to] those of g' = f, where g is renewed; `nodes`: how many of g there are before."""
+    """The transition from the nodes of a date to those of the next: `fast` [from, to] weights of f;
+    `read` [from, to] those of g' = f, where g is renewed; `nodes`: the number of nodes of g
+    before."""
 
     fast: np.ndarray
     read: np.ndarray | None
@@ -51,7 +52,7 @@ class IndexTransition(NamedTuple):
 
 
 class FirstDate(NamedTuple):
-    """From the valuation date to the nodes of the first date."""
+    """The transition from the valuation date to the nodes of the first date."""
 
     weights: np.ndarray
 
@@ -78,14 +79,14 @@ class IndexGrid:
         return np.sqrt(self.of.covariance[:, 1, 1])
 
     def index_nodes(self, t: int) -> np.ndarray:
-        """The nodes of g on a date: one where it is fixed today."""
+        """The nodes of g on a date: one if it is fixed today."""
         deviation = self._deviations[t]
         if deviation <= 1e-12:
             return np.zeros(1)
         return np.linspace(-1, 1, self.slow | 1) * SLOW_REACH * deviation
 
     def columns(self, t: int) -> int:
-        """Their number on a date."""
+        """The number of nodes of g on a date."""
         return len(self.index_nodes(t)) * len(self.fast.fast)
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
@@ -97,14 +98,14 @@ class IndexGrid:
         return np.repeat(self.of.index.price(self.of, t, self.index_nodes(t)), len(self.fast.fast))
 
     def after(self, t: int) -> IndexTransition:
-        """From a date to the next."""
+        """The transition from a date to the next."""
         nodes, fast = self.index_nodes(t), self._fast(t + 1, self.fast.fast)
         if not self.of.index.carry[t + 1, 1, 0]:
             return IndexTransition(fast, None, len(nodes))
         return IndexTransition(fast, _read(self.index_nodes(t + 1), self.fast.fast), len(nodes))
 
     def start(self) -> FirstDate:
-        """From the valuation date, where all factors are 0, to the first date."""
+        """The transition from the valuation date, where all factors are 0, to the first date."""
         (deviation, _), (below, rest) = self.of.shock[0]
         variance = below**2 + rest**2
         shocks, probabilities = gauss_hermite(np.sqrt(variance), TODAY)
@@ -147,8 +148,8 @@ class PairGrid:
 
     @classmethod
     def made(cls, of: GaussianFactors, spacing: float, slow: int) -> "PairGrid":
-        """`spacing` of the spot price's, in deviations of the shock of a step; `slow`: how many of
-        the second."""
+        """`spacing` of the spot price's nodes, in deviations of the shock of a step; `slow`: the
+        number of nodes of the second."""
         return cls(of, factor_grid(of._replace(index=None), (0, 1), spacing, slow))
 
     def columns(self, t: int) -> int:
@@ -164,11 +165,11 @@ class PairGrid:
         return np.repeat(self.of.index.price(self.of, t, self.both.slow), len(self.both.fast))
 
     def after(self, t: int) -> PairTransition:
-        """From a date to the next."""
+        """The transition from a date to the next."""
         return PairTransition(self.both.after(t))
 
     def start(self) -> PairTransition:
-        """From the valuation date, if both factors are 0, to the first date."""
+        """The transition from the valuation date, if both factors are 0, to the first date."""
         return PairTransition(self.both.start())
 
 
@@ -247,8 +248,8 @@ def _factor_grid(
 
 
 def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> Refined:
-    """The value, each of its grids halved until that moves it by less than 0.001 %, or 0.005 % with
-    two commodities."""
+    """The value; the spacing of each grid is halved until the value changes by less than 0.001 %,
+    or 0.005 % with two commodities."""
     index = None if factors is None else factors.index
     slow, enough = (SLOW, ENOUGH) if index is None or index.renewed else PAIR
     of_levels = partial(lattice, layout, schedule, factors, slow=slow)

@@ -1,6 +1,6 @@
 """The common measure of the volumes of a contract: the largest of which all are multiples.
 
-And the widths between nodes where that measure is too small.
+Also the spacing of nodes if that measure is too small.
 """
 
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
 
 
 def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
-    """The largest volume of which all of a level are multiples; one for levels of the same flow."""
+    """The common divisor of all volumes of a level; the same for levels of one flow."""
     result: list[float | None] = [None] * len(layout.levels)
     for group in joined_levels(layout):
         volumes: set[float] = set()
@@ -55,9 +55,9 @@ def joined_levels(layout: ContractLayout) -> list[set[int]]:
 
 
 def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
-    """Between evenly spaced nodes, at most so many: a multiple of the common measure, if there is
-    one. Levels that share flows have the same width, so that a flow goes from node to node in all
-    of them; between nodes the value would be interpolated. `apart`: the least width of each
+    """The spacing of at most so many even nodes: a multiple of the common measure, if there is one.
+    Levels that share flows have the same width, so that a flow goes from node to node in all of
+    them; between nodes the value would be interpolated. `apart`: the smallest spacing of each
     level."""
     widths = [1.0] * len(widest)
     for group in joined_levels(layout):
@@ -76,11 +76,11 @@ def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -
 
 
 def banked_widths(visited, measures, apart, nodes: float) -> list[float]:
-    """Between nodes of a counted level and of its balances, where their product is too large.
+    """The spacing of a counted level and its balances, if they have too many nodes together.
 
-    Flows move only the counted level, so that its nodes are multiples of the measure where it has
-    few enough. Balances change once a period, and have as many nodes as `nodes` of all steps
-    allow. `visited`: the least and the most of all levels at all steps.
+    Flows move only the counted level, so that its nodes are multiples of the measure if there are
+    few enough. Balances change once a period, and have as many nodes as `nodes` of all steps allow.
+    `visited`: the minimum and maximum of all levels at all steps.
     """
     unit = measures[0] or 0.0
     widest = [float(np.max(high - low)) for low, high in visited]
@@ -105,7 +105,7 @@ def _times(counts: list[float], nodes: float) -> float:
 
 
 def common_measure(volumes: Iterable[float]) -> float | None:
-    """The largest number of which all are multiples; None if they are no simple fractions."""
+    """The largest number of which all are multiples; None if they are not simple fractions."""
     sizes = [abs(x) for x in volumes if x]
     fractions = [Fraction(x).limit_denominator(DIGITS) for x in sizes]
     if not sizes:

@@ -1,4 +1,4 @@
-"""Ways from the nodes of one step to those of the next: a volume of a move from each node."""
+"""Passages from the nodes of one step to those of the next: a volume of a move from each node."""
 
 from itertools import product
 from typing import Any, NamedTuple
@@ -12,10 +12,10 @@ from .corners import corners
 class Passage(NamedTuple):
     """A volume along a flow, from some nodes of a step to nodes after it.
 
-    - `flow`: its index, -1 for none; `volume`: how much.
+    - `flow`: its index, -1 for none; `volume`: its volume.
     - `rows`, `goals`: from a block of nodes to one of the same shape, a slice of each level.
-    - `weights` [corners, rows, 1]: where it ends between nodes. `rows` are then numbers of nodes,
-      and `goals` [corners, rows] those around each end.
+    - `weights` [corners, rows, 1]: the weights of the nodes around its end, if that is not a node.
+      `rows` are then numbers of nodes, and `goals` [corners, rows] those around each end.
     """
 
     flow: int

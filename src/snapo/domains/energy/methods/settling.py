@@ -16,12 +16,12 @@ positive = partial(np.maximum, 0.0)
 class Settling(NamedTuple):
     """The end of one step.
 
-    - `arrive`: the number of the node of the next step for each node after; `lost`: the
-      money that settling takes there.
-    - `corners`: such nodes and their weights, where balances are between nodes.
-    - `held`: money of the nodes before and after a step, which earns the second minus the first:
-      money of the levels, and of the units made up so far; None without either.
-    - `missed` [modes, nodes after]: the charge for joint limits that are not kept; None without.
+    - `arrive`: the number of the node of the next step for each node after; `lost`: the money lost
+      there.
+    - `corners`: the nodes and their weights, if balances lie between nodes.
+    - `held`: the money of the levels, and of the units made up so far, at the nodes before and
+      after a step; the step earns the change. None if there is no such money.
+    - `missed` [modes, nodes after]: the charge for violated joint limits; None without limits.
     """
 
     arrive: np.ndarray
@@ -82,7 +82,7 @@ def settling(
 
 
 def _missed(terms: StepTerms, t: int, after) -> np.ndarray | None:
-    """[modes, nodes after] the charge for joint limits that are not kept after step t."""
+    """[modes, nodes after] the charge for joint limits that are violated after step t."""
     promises = terms.promises
     if promises is None or promises.missed is None:
         return None
@@ -110,7 +110,7 @@ def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarr
 
 
 def ranges_of_balances(terms: StepTerms, start: np.ndarray, low: np.ndarray, high: np.ndarray):
-    """For each balance [T + 1] the lowest and the highest one at the start of each step.
+    """For each balance, the lowest and the highest number at the start of each step, [T + 1].
 
     `start` [balances]; `low`, `high` [T + 1]: of the counted level, at the start and after each
     step.

@@ -1,7 +1,7 @@
-"""Tables of the fitted value on a path: the value of a unit of each volume, the control variate.
+"""Tables of the fitted value on a path: the value of a unit of each volume, and control variate.
 
-They are filled while the value is fitted, step by step from the end: of its coefficients only those
-of two steps are in memory. Those of a year by the hour would take 0.5 GB.
+They are filled while the value is fitted, step by step from the end: only the coefficients of two
+steps are in memory. All coefficients of an hourly year would take 0.5 GB.
 """
 
 import math
@@ -25,7 +25,7 @@ SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate
 
 
 class ValueTables(NamedTuple):
-    """Unit values, from which a policy starts; the control variate, None with other risks."""
+    """Unit values, from which a policy starts; and the control variate, None with other risks."""
 
     unit_values: UnitValueTable
     surprises: Surprises | None
@@ -41,9 +41,9 @@ def value_tables(
 ) -> ValueTables:
     """The tables of the fitted value of a schedule with NumPy leaves, which has a step.
 
-    A policy searches for the last row that gains where best volumes end on rows, and elsewhere for
-    the last piece between rows; where the value jumps it compares all rows. `like`: a table with
-    the same search, whatever the grid.
+    If the best volumes lie on rows, a policy searches for the last profitable row, otherwise for
+    the last piece between rows; if the value jumps, it compares all rows. `like`: a table whose
+    search is used, whatever the grid.
     """
     terms, search = schedule.steps.terms, "units" if grid.exact else "between"
     if terms.jumps:
@@ -146,7 +146,7 @@ class _UnitRows:
     def _after(self, t: int, later: np.ndarray) -> np.ndarray:
         """[modes, nodes after, n] coefficients after a step, as expected before the next one.
 
-        Where there is a choice of moves, with the hinges: polynomials without them lose 0.5 to
+        If there is a choice of moves, with the hinges: polynomials without them lose 0.5 to
         0.8 % of a few rights. For volumes they gain nothing, and take three times as long.
         """
         end, available, constant = self.grid.steps[t].end, self.available, self.basis.constant

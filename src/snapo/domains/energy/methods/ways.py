@@ -1,8 +1,8 @@
-"""The best move and volume from each node in machine code, with the bits of NumPy's loop.
+"""The best move and volume from each node in machine code, with the same bits as NumPy's loop.
 
 A way is a volume of a move from one node: money of the move, plus the volume times the earnings of
-a unit, plus the value where it ends, a weighted sum of nodes. Code takes some columns at a time, so
-that their values stay in the fastest cache, and the best so far in registers.
+a unit, plus the value where it ends, a weighted sum of nodes. The code treats some columns at a
+time, so that their values stay in the fastest cache, and the best values so far in registers.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ NOTHING = "0xFFF0000000000000"  # minus infinity
 class Ways(NamedTuple):
     """All ways of one step, in the order of the nodes where they begin, of all modes.
 
-    - `first` [nodes + 1], `corner` [ways + 1]: the first way of each node, and corner of each way.
+    - `first` [nodes + 1], `corner` [ways + 1]: the first way of a node, the first corner of a way.
     - `move`, `flow` [ways], `volume` [ways]; `node`, `weight` [corners]: where they end.
     """
 
@@ -50,7 +50,7 @@ class Ways(NamedTuple):
 
 
 class StepWays:
-    """The ways of steps with the same passages, made when they are first needed."""
+    """The ways of steps with the same passages, computed when first needed."""
 
     def __init__(
         self, layout: ContractLayout, passages: Passages, before: list[int], after: list[int]
@@ -63,7 +63,7 @@ class StepWays:
         return ways_of(*self.parts).best
 
     def serve(self, columns: int) -> bool:
-        """Whether machine code is available for them, and there are enough columns to use it."""
+        """Whether machine code is available for them and there are enough columns for it."""
         from snapo.lanes.machine.pipeline import available  # late, as above
 
         return columns >= WIDTH and bool(self.parts[0].flows) and available()
@@ -72,7 +72,7 @@ class StepWays:
 def ways_of(
     layout: ContractLayout, passages: Passages, before: list[int], after: list[int]
 ) -> Ways:
-    """The ways of the passages of a step between numbers of nodes of each level."""
+    """The ways of a step from its passages, with the numbers of nodes of each level."""
     source, target = (np.arange(np.prod(x, dtype=int)).reshape(x) for x in (before, after))
     starts, numbers, volumes, sizes, goals_of, weights_of = ([np.zeros(0, int)] for _ in range(6))
     for m, (move, of_move) in enumerate(zip(layout.every_move, passages)):

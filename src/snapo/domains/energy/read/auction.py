@@ -28,8 +28,8 @@ class AuctionTable(CaseTable):
 
 
 def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
-    """The hours, each decided at its auction; the same without `auction` in the table `[contract]`,
-    here `table`.
+    """The hours, each decided at its auction; unchanged without `auction` in `table`, the table
+    `[contract]`.
 
     **Raises:** `CaseError` if the times of the auctions are not allowed.
     """
@@ -68,8 +68,8 @@ def auction_of(instant: datetime.datetime, zone: ZoneInfo, at: int, step: int) -
     """The last auction at or before the beginning of an hour, both in UTC.
 
     `at`: the hour of one of the auctions of each day; `step`: hours between them by the local
-    clock. An hour that the clock shows twice has two auctions, if it has one; one that the clock
-    skips is its next hour.
+    clock. If an hour that the clock shows twice has an auction, it has two; an auction in a skipped
+    hour is in the next one.
     """
     local = instant.astimezone(zone)
     back = datetime.timedelta(hours=(local.hour - at) % step)

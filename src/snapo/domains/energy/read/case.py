@@ -101,7 +101,7 @@ class ContractKind(NamedTuple):
 
     `hourly`: whether its steps are hours of the local calendar, not days; `pair`: whether its cash
     depends on two commodities; `steps`: the steps of a day, at one price; `opened`: its table with
-    those of other files that it names.
+    the tables of other files that it names.
     """
 
     table: type[CaseTable]
@@ -195,7 +195,7 @@ class EnergyCase:
 
     - `kind`: the kind of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
-      [T]: in years; `first_step`: steps from the valuation date to the first.
+      [T]: in years; `first_step`: steps from the valuation date to the first one.
     - `products`: the traded products; None if the case names none.
     - `scheduled`: the prices at auctions, of a contract that trades differences from its schedules
       intraday; else None, and `model` is the prices of all decisions.
@@ -333,7 +333,7 @@ def _by_steps(market: GasMarket, count: int) -> GasMarket:
 def decision_days(
     where: TableContext, start: datetime.date, end: datetime.date, valuation: datetime.date
 ) -> tuple[datetime.date, ...]:
-    """The days on which the contract may still act, seen from the valuation date."""
+    """The remaining decision days of the contract, from the valuation date on."""
     first = max(start, valuation)
     if end <= first:
         message = f"the first day without a decision must come after {first}"

@@ -84,7 +84,7 @@ class Hours:
 
     @property
     def nominated(self) -> None:
-        """No flow is fixed days before its hour."""
+        """0: no flow is fixed days before its hour."""
         return None
 
     @property
@@ -173,10 +173,10 @@ def hourly_curve(
 
 
 def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
-    """[T] the row of each hour, by its local time; an hour that comes twice has two rows in order.
+    """[T] the row of each hour, by its local time; an hour that occurs twice has two rows.
 
-    **Raises:** `CaseError` for an hour without a price, and for a row from the first to the last
-    hour that is a second price of its hour, or of no hour.
+    **Raises:** `CaseError` for an hour without a price, and for a row between the first and the
+    last hour that repeats an hour, or belongs to none.
     """
     rows, file = read_rows(reference, FIELDS), reference.name
     by_hour: dict[str, list[Row]] = {}

@@ -65,8 +65,8 @@ class PairModelTable(CaseTable):
 def read_pair_market(
     section: TableContext, table: PairMarketTable, hours: Hours, unit: str
 ) -> tuple[GasMarket, tuple[CaseInput, ...]]:
-    """Power by the hour, with the rates; and the prices of gas and of certificates, where they
-    trade, of each hour, by the hour or day."""
+    """The prices of power by the hour, with the rates; and the prices of gas and of certificates,
+    if they trade, in each hour (they have a price by the hour or day)."""
     power = section.nested(PowerMarketTable, table.power, FIRST)
     inner = TableContext(section.file, f"{section.name}.{FIRST}", section.notes)
     curve = hourly_curve(inner, power.forward_curve, hours, unit, f"{FIRST}_curve")

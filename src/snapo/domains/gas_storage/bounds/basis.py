@@ -2,12 +2,12 @@
 
 Products of normalised Hermite polynomials he_n = He_n / sqrt(n!) in whitened factors y, and hinges
 (y - k)+ in the fast one, since every decision leaves a kink there; all times the exponential g of
-the factors that move all prices in proportion (a martingale of mean 1). Next to such an exponential
-is the constant: proportional costs do not scale with it.
+the factors that move all prices in proportion (a martingale of mean 1). In addition to such an
+exponential there is a constant, since proportional costs do not scale with it.
 
     Y(t + 1) = R Y(t) + noise,   E[he_a(Y(t + 1)) | Y(t)] = sum over |b| = |a| of M[a, b] he_b(Y(t))
 
-with M = rho^a on the diagonal where the factors are independent (Mehler's formula); otherwise M
+with M = rho^a on the diagonal if the factors are independent (Mehler's formula); otherwise M
 follows from the generating function exp(s.y - s.s / 2), whose expectation is that at R' s. With
 mean m and deviation s of y(t + 1), E[(y(t + 1) - k)+] = s phi(d) + (m - k) Phi(d), d = (m - k) / s.
 """
@@ -77,15 +77,15 @@ class PolynomialBasis:
         return self._assemble(result, self._level(states, days))
 
     def expected(self, states: np.ndarray, first: int = 0) -> np.ndarray:
-        """[days, K, paths] expectations, given the factors, of the functions a day later."""
+        """[days, K, paths] conditional expectations of the functions a day later."""
         days = np.arange(first, first + len(states))
         ahead = self.ahead_of_whitened(self._whitened(states, days), days)
         return self._assemble(ahead, self._level(states, days))
 
     def increments(self, states: np.ndarray) -> np.ndarray:
-        """[T + 1, K, paths] functions minus their expectation a day before: of mean zero, given it.
+        """[T + 1, K, paths] functions minus their conditional expectation a day before.
 
-        `states` [T + 1, F, paths]. The first row is against the valuation date.
+        `states` [T + 1, F, paths]. The first row is relative to the valuation date.
         """
         functions = self.functions(states)
         functions[1:] -= self.expected(states[:-1])
@@ -157,7 +157,8 @@ class PolynomialBasis:
     def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
         """[T, levels, n] of the expectation a day before of polynomials [T, levels, n].
 
-        Of the dates after the first, times the exponential; then the constant, if there is one.
+        They are for the dates after the first, times the exponential; then comes the constant, if
+        any.
         """
         size, moves = len(self.powers), self._moves[1:]
         plain = after[:, :, :size]
@@ -168,8 +169,8 @@ class PolynomialBasis:
     def same_days(self) -> np.ndarray:
         """[T + 1] the first date with the same functions, expectations and exponential.
 
-        A factor that reverts soon has the same deviation on all days but the first: a year by the
-        hour has some hundred different ones.
+        A factor that reverts fast soon has a constant deviation: a year by the hour has some
+        hundred different ones.
         """
         dates = len(self._turn)
         after = np.minimum(np.arange(dates) + 1, dates - 1)
@@ -277,7 +278,7 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> PolynomialBasis:
 
 
 def hinges(count: int) -> np.ndarray:
-    """[hinges] where they are for so many factors, in standard deviations of the fast one."""
+    """[hinges] their positions for this number of factors, in deviations of the fast one."""
     return ALONE if count == 1 else FEW
 
 

@@ -1,8 +1,8 @@
-"""A day of a store in machine code, with the bits of `day_grid.best_value` in NumPy.
+"""A day of a store in machine code, with the same bits as `day_grid.best_value` in NumPy.
 
-Code takes some columns at a time, so that their values stay in the fastest cache. Of one block of
-columns and one direction of flow, scratch memory has rows: the value after the day minus that of
-the gas, at each node; maxima of 2, 4, 8 … nodes that follow one another; and minus infinity.
+The code treats some columns at a time, so that their values stay in the fastest cache. For one
+block of columns and one direction of flow, scratch memory has these rows: the value after the day
+minus that of the gas, at each node; maxima of 2, 4, 8 … consecutive nodes; and minus infinity.
 """
 
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ class SideCode(NamedTuple):
     - `maxima` [maxima, 2]: each is the larger of two rows.
     - `window` [n, 2]: the largest value at a node within reach is the larger of two rows.
     - `endpoints` [n, 4], `shares` [n, 2]: rows left and right of both limits of the reach, and the
-      share of the way to the right.
+      weight of the right one.
     - `bends` [bends, 3]: cell, next node, and the node met; `bend_numbers` [bends, 2]: share of
       the way to the right, and inventory without any flow.
     """
@@ -55,7 +55,7 @@ TABLE = (*HEAD, *(f"{side}_{name}" for side in ("buy", "sell") for name in SIDE)
 class DayFlows:
     """Both directions of flow of a day between `rows` nodes and `size` nodes after it.
 
-    - `buy`, `sell`: the reach of each; and its bends, if a value above is computed.
+    - `buy`, `sell`: the reach of each, with its bends if an upper value is computed.
     - `sides`: the same for machine code, made when it is first needed.
     """
 
@@ -96,7 +96,7 @@ def best_value(
 
 
 def serves(columns: int) -> bool:
-    """Whether machine code can be made here, and there are enough columns to use it."""
+    """Whether machine code can be made here and there are enough columns for it."""
     from snapo.lanes.machine.pipeline import available  # late, as above
 
     return columns >= WIDTH and available()

@@ -55,15 +55,15 @@ class DayGrid(NamedTuple):
 def day_grids(
     schedule, interpolation: Interpolation, inventories: int, bends: bool = True
 ) -> list[DayGrid]:
-    """All T days; the value of the best flow is linear between nodes where that is possible.
+    """All T days; the value of the best flow is linear between nodes if that is possible.
 
     Without `bends` the grids are for values of the best flow, not for values above them.
 
-    Only inventories that the one in store can become. See `breakpoints` of the references for
-    contracts with constant rates. Of others there are `inventories` points from 0 to the largest
-    inventory. Ratchet rows are nodes, and so are the inventories where the intrinsic value bends
-    most: those that just can be emptied or filled in time keep their bend whatever prices do, and
-    a bend between nodes costs most.
+    Only inventories that can be reached from the present one. See `breakpoints` of the references
+    for contracts with constant rates. For other contracts there are `inventories` points from 0 to
+    the largest inventory. Ratchet rows are nodes, and so are the inventories where the intrinsic
+    value bends most: inventories that can just be emptied or filled in time have a bend at all
+    prices, and a bend between nodes causes the largest error.
     """
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)
@@ -89,10 +89,10 @@ def largest_rate(schedule) -> float:
 
 
 def spacing_of(schedule, inventories: int, widest: float) -> float:
-    """The spacing of the regular nodes: where it can, a part of the largest flow, which then ends
+    """The spacing of the regular nodes: if possible a divisor of the largest flow, which then ends
     on a node.
 
-    `widest`: the widest interval of inventories that the one in store can become.
+    `widest`: the widest interval of inventories that can be reached from the present one.
     """
     spacing, rate = widest / (inventories - 1), largest_rate(schedule)
     parts = round(rate / spacing) if spacing > 0 else 0

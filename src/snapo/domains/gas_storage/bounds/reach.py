@@ -12,7 +12,7 @@ GridRows = slice | np.ndarray  # numbers of rows: a slice where they follow one 
 
 
 class ReachableLevels(NamedTuple):
-    """The ends of the day that one direction of flow reaches, by start-of-day node.
+    """The end-of-day inventories that one direction of flow reaches, by start-of-day node.
 
     - `inside`: (k, rows, first, last) in groups: 2^k nodes from `first` and 2^k nodes up to `last`
       cover all nodes within reach.
@@ -24,7 +24,7 @@ class ReachableLevels(NamedTuple):
 
 
 class Bends(NamedTuple):
-    """Inventories between nodes where an end of the reach meets a node: the value may bend there.
+    """Inventories between nodes whose reach has a node as endpoint: the value may bend there.
 
     Sorted by cell, which lies between nodes `left` and `right`; `share` of the way to the right,
     `target` the node met, `keep` the inventory without any flow. `cells` are those with bends,
@@ -72,7 +72,7 @@ def bends(
     nodes: np.ndarray,
     after: np.ndarray,
 ) -> tuple[Bends | None, Bends | None]:
-    """Of buying and of selling; `reached`: see `flow_ends`.
+    """The bends of buying and of selling; `reached`: see `flow_ends`.
 
     The inventories from which a full flow ends exactly at a node, before limits apply; the
     value is linear between nodes."""

@@ -1,4 +1,4 @@
-"""The regression of values of a store on a basis: all of it that does not depend on prices.
+"""The regression of values of a store on a basis: the part that does not depend on prices.
 
 Nodes, functions and normal equations follow from the price factors only; the latest are cached.
 """
@@ -43,7 +43,7 @@ class Recent(Generic[T]):
         self._known: tuple[tuple[Hashable, T], ...] = ()
 
     def of(self, key: Hashable, make: Callable[[], T]) -> T:
-        """The result for this key, made where it is not among the last."""
+        """The result for this key, made if it is not among the last."""
         others = tuple(item for item in self._known if item[0] != key)
         results = next((result for available, result in self._known if available == key), None)
         if results is None:
@@ -74,8 +74,8 @@ class RegressionDay(NamedTuple):
 
     - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
     - `ahead` [K, Q]: the expected functions of the next date (zero on the end date).
-    - `plain` [K, n]: coefficients of the functions as the best ones without hinges.
-    - `drift` [K, n]: those of `ahead`.
+    - `plain` [K, n]: coefficients of the best approximations without hinges of the functions.
+    - `drift` [K, n]: of `ahead`.
     """
 
     fit: np.ndarray
@@ -118,11 +118,11 @@ class Regression:
         return product(coefficients, self.day(t).ahead)
 
     def plain(self, t: int) -> np.ndarray:
-        """[K, n] see `RegressionDay`."""
+        """The array [K, n] of the day; see `RegressionDay`."""
         return self.day(t).plain
 
     def drift(self, t: int) -> np.ndarray:
-        """[K, n] see `RegressionDay`."""
+        """The array [K, n] of the day; see `RegressionDay`."""
         return self.day(t).drift
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
@@ -176,11 +176,11 @@ class SpikeRegression:
         return _both(coefficients, self.inner.day(t).ahead, self.basis.regression[1])
 
     def plain(self, t: int) -> np.ndarray:
-        """[K, n] see `RegressionDay`."""
+        """The array [K, n] of the day; see `RegressionDay`."""
         return np.kron(self.inner.plain(t), np.eye(COUNT))
 
     def drift(self, t: int) -> np.ndarray:
-        """[K, n] see `RegressionDay`."""
+        """The array [K, n] of the day; see `RegressionDay`."""
         return np.kron(self.inner.drift(t), self.basis.regression[2])
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:

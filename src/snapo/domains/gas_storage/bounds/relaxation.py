@@ -31,8 +31,8 @@ class Hindsight:
     """The penalised store of a schedule (NumPy leaves).
 
     - `fitted_value`: the V of the penalty, None for none (perfect foresight).
-    - `inventories`: points of the grid from 0 to the largest inventory. Between them the value
-      is held from above (`best_value`): a coarse grid gives a higher bound and never a low one.
+    - `inventories`: points of the grid from 0 to the largest inventory. Between them the value is
+      bounded from above (`best_value`): a coarse grid only gives a higher bound.
     """
 
     def __init__(
@@ -67,9 +67,9 @@ class Hindsight:
     def charged(
         self, inventory: np.ndarray, states: np.ndarray, scale: PenaltyScale = 1.0
     ) -> np.ndarray:
-        """[paths] the penalties on the way of these inventories [T + 1, paths]: of mean zero.
+        """[paths] the penalties along these inventories [T + 1, paths]; their mean is zero.
 
-        Where each inventory was decided without foresight.
+        This requires that each inventory was decided without foresight.
         """
         if states.shape[2] > BLOCK:
             blocks = [slice(i, i + BLOCK) for i in range(0, states.shape[2], BLOCK)]
@@ -164,7 +164,7 @@ def path_of(rollout, name: str):
 
 
 def spots_on_paths(process: PriceProcess, prices, rollout) -> np.ndarray:
-    """[T + 1, N] spot prices of a rollout; NaN-free also where the end date needs none.
+    """[T + 1, N] spot prices of a rollout; NaN-free also if the end date needs none.
 
     `prices`: the prepared schedule of the process.
     """

@@ -1,9 +1,9 @@
-"""Functions of Gaussian factors and spikes: every product of one of each.
+"""Functions of Gaussian factors and spikes: all products of one function of each.
 
-Those of spikes y are exponentials exp(k y), whose expectation is known: spikes that die out lift
-the prices of the days ahead by such factors. E[exp(k y(t + 1)) | y(t)] = E[exp(k J)]
-exp(k decay y(t)). As both are independent, so are the regressions, and a regression on the products
-is the Kronecker product of one in the factors and one in the spikes.
+The functions of spikes y are exponentials exp(k y), because decaying spikes raise the prices of the
+next days by such factors. Their expectation has a formula: E[exp(k y(t + 1)) | y(t)] = E[exp(k J)]
+exp(k decay y(t)). Factors and spikes are independent, so the regressions are too, and a regression
+on the products is the Kronecker product of one in the factors and one in the spikes.
 """
 
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ RARE = 0.05  # least weight of the nodes above 0, of that at 0
 class SpikeBasis:
     """Products of the functions of `inner`, of the factors, and of exponentials of the spikes.
 
-    It has the members of a `PolynomialBasis` that values are read by. Coordinates are the factors,
-    then y; the function of a pair has the number of the first times how many there are of the
-    second, plus that of the second.
+    It has the members of a `PolynomialBasis` that are needed to evaluate values. Coordinates are
+    the factors, then y; pair (i, j) is the function number i times the number of exponentials, plus
+    j.
     """
 
     inner: PolynomialBasis
@@ -52,7 +52,7 @@ class SpikeBasis:
 
     @property
     def size(self) -> int:
-        """K, how many there are."""
+        """K, the number of functions."""
         return self.inner.size * COUNT
 
     @property
@@ -62,7 +62,7 @@ class SpikeBasis:
 
     @property
     def parts(self) -> np.ndarray:
-        """[K] see `PolynomialBasis.parts`."""
+        """The array [K]; see `PolynomialBasis.parts`."""
         return np.repeat(self.inner.parts, COUNT)
 
     @property
@@ -77,7 +77,7 @@ class SpikeBasis:
 
     @cached_property
     def plain_first(self) -> np.ndarray:
-        """The same of those without hinges."""
+        """The same expectations of the functions without hinges."""
         return np.kron(self.inner.plain_first, self.spikes.first_moment(self.exponents))
 
     def increments(self, states: np.ndarray) -> np.ndarray:
@@ -94,7 +94,7 @@ class SpikeBasis:
         return result
 
     def linear(self) -> tuple[np.ndarray, ...]:
-        """As of a `PolynomialBasis`; then [T + 1, n] the exponents of the functions, and of their
+        """As for a `PolynomialBasis`; then [T + 1, n] the exponents of the functions, and of their
         expectation a day before."""
         rows = np.ones((len(self.of.decay), 1))
         return (

@@ -1,10 +1,10 @@
 """Fitted value iteration: the value of gas as functions of Gaussian price factors, day by day.
 
-Its marginal values are the baseline of a policy. The expectation of the fitted value has hinges;
-after a day's noise they are smooth, and their best polynomials replace them, so that a policy has
-few numbers to compute.
+Its marginal values are the baseline of a policy. The expectation of the fitted value has hinges
+that a day's noise has smoothed; polynomials approximate them, so that a policy computes few
+numbers.
 
-Its daily innovations are a control variate. Against the value of the store before its price is
+Its daily innovations are a control variate. Relative to the value of the store before its price is
 known, they have a mean of zero for every policy (Rogers, Mathematical Finance 12 (2002); Andersen
 and Broadie, Management Science 50 (2004)), and remove most of the variance where the fit is good.
 """
@@ -102,10 +102,11 @@ def fit_value(
 def fit_value_table(
     schedule, factors: GaussianFactors, interpolation: Interpolation
 ) -> FittedValue:
-    """The same on half as many nodes, and none at bends: where slopes over many nodes are enough.
+    """The grid with half as many nodes, none of them at bends, if slopes over many nodes are
+    sufficient.
 
-    A policy that reads it loses nothing (of the flagship store less than 1e-5 of its value), but a
-    bound from above would: that takes `fit_value`.
+    A policy that reads it loses almost nothing (for the flagship store less than 1e-5 of its
+    value), but an upper bound would become wider: it uses `fit_value`.
     """
     rate = largest_rate(schedule)
     passed = A_DAY * volume_scale(schedule) / rate if rate else INVENTORIES
@@ -188,9 +189,9 @@ INNOVATION_LEVELS = 16
 class InnovationTable(NamedTuple):
     """The value on T days and on the end date, as functions of inventory and price factors.
 
-    - `low`, `high`: [T + 1] the interval of the levels, evenly spaced; beyond it the ends hold.
+    - `low`, `high`: [T + 1] the interval of the levels, evenly spaced; constant beyond it.
     - `now`: [T + 1, levels, n] coefficients of the functions of `FittedMarginal`; present values.
-    - `ahead`: [T, levels, n] those of its expectation a day before, on the next date's levels.
+    - `ahead`: [T, levels, n] of its expectation a day before, on the next date's levels.
     - `first`: its expectation on the valuation date.
     - `whiten`, `common`, `shift`, exponents: [T + 1, …], as in `FittedMarginal`.
     """

@@ -27,8 +27,8 @@ TRIES = 16  # at finding inputs nearby that still can be met
 def off_ties(problem: Problem) -> Problem:
     """The problem at slightly moved inputs, if the contract can still be met.
 
-    With round numbers a store fills or empties on the very day that its rates allow, and a full
-    one without losses stays exactly full: kinks on every path.
+    With round numbers a store is filled or emptied exactly at the end of a day, and a full store
+    without losses stays exactly full: kinks on every path.
     """
     for seed in range(TRIES):
         moved = nudged(problem, seed)
@@ -40,7 +40,7 @@ def off_ties(problem: Problem) -> Problem:
 
 @dataclass(frozen=True)
 class Homogeneity:
-    """The sum of forward times delta (`left`), value plus costs (`right`), and `error`, theirs."""
+    """The sum of forward times delta (`left`), value plus costs (`right`), and their `error`."""
 
     left: Number
     right: Number

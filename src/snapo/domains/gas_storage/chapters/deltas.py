@@ -36,7 +36,7 @@ class DailyDeltas:
 
     - `discounted`: of the present value, with `low` and `high` of its 95 % interval and the
       `standard_error` of the held derivative; `undiscounted`: the volume of futures.
-    - `moved`: by how much it moved in the second half of training; `intrinsic`: of that plan.
+    - `moved`: its change in the second half of training; `intrinsic`: of the intrinsic plan.
     """
 
     discounted: Floats = floats()
@@ -50,7 +50,7 @@ class DailyDeltas:
 
 @dataclass(frozen=True)
 class MonthDelta:
-    """The delta of a delivery month, `month` as "2021-04", with the meanings of `DailyDeltas`.
+    """The delta of a delivery month, `month` as "2021-04"; fields as in `DailyDeltas`.
 
     - `sampling`, `policy`: the parts of the half-width of the discounted interval; `source`: see
       `solver.derivatives.interval.Reported`; `smooth`: through the policy's reaction.
@@ -180,7 +180,7 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
 
 
 def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
-    """Paints the monthly deltas into one `Axes`; also used by the separate picture."""
+    """Draws the monthly deltas into one `Axes`; also used for the separate picture."""
     columns = [(x.undiscounted, x.half_width, x.intrinsic) for x in months]
     values, halves, intrinsic = np.array(columns, np.float64).T
     options = {

@@ -85,7 +85,7 @@ class ProductGammas:
 
     @property
     def unit(self) -> str:
-        """Of a second derivative."""
+        """The unit of a second derivative."""
         return f"{self.volume_unit} per {self.currency}/{self.volume_unit}"
 
 

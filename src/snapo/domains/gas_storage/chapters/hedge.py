@@ -43,8 +43,8 @@ BY_PRODUCT = (
 class HedgeRow:
     """The money of the contract with one hedge; every number with its standard error.
 
-    - `value_at_risk`, `expected_shortfall`: by how much the 5 % quantile, and the mean of the paths
-      below it, are less than the mean.
+    - `value_at_risk`, `expected_shortfall`: the mean minus the 5 % quantile, and minus the mean of
+      the paths below it.
     - `not_hedged`: variance over that of the contract without a hedge; `traded`: mean volume of all
       trades; `cost`: the cost of the bid-offer, a present value.
     """
@@ -180,7 +180,7 @@ def _title(row: HedgeRow) -> str:
 
 
 def show(run: StorageRun, result: HedgeTables) -> Sequence[Block]:
-    """Deviations as bars, the table of all hedges, and that of their products."""
+    """Deviations as bars, and the tables of all hedges and of their products."""
     if not result.hedges:
         reason = f"No hedge was simulated, for {result.reason}."
         return [Text(reason)] if result.reason else [why_missing(run, HEDGE.name)]

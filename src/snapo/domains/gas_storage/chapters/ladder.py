@@ -1,4 +1,4 @@
-"""Methods side by side, of a store."""
+"""Methods side by side, for a store."""
 
 import abc
 from dataclasses import dataclass, replace
@@ -83,7 +83,7 @@ class ContractMethods(abc.ABC):
         return np.concatenate(spots, axis=-1), np.concatenate(states, axis=-1)
 
     def policy(self) -> np.ndarray:
-        """[N] its earnings minus the penalties on its way, whose mean is zero."""
+        """[N] the earnings of the policy minus its penalties, whose mean is zero."""
 
         def charged(draws, rollout) -> np.ndarray:
             return self.relaxation.charged(rollout, draws, self.scale)

@@ -1,7 +1,7 @@
 """Other sensitivities: vegas, shadow prices of the capacities, costs and rates, and sliders.
 
-At a limit the value of one unit more and of one unit less differ: an inventory that is exactly full
-can use more room, and must give up room that is taken away. Both shadow prices come from the exact
+At a limit the value of one unit more and of one unit less differ: a store that is exactly full can
+use more room, and loses gas if its room is reduced. Both shadow prices come from the exact
 simulator with the decisions held fixed, on the same paths, one unit up and one unit down.
 """
 

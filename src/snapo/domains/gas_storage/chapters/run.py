@@ -59,7 +59,7 @@ class StorageRun(RunFiles):
         return ENTRIES.validate_python(self.get("inputs", {}))
 
     def input_number(self, name: str, unit: str = "") -> ReportedInput:
-        """The metadata of the input `name`; a move of one unit where it has none."""
+        """The metadata of the input `name`; a move of one unit if it has none."""
         entry = self.inputs.get(name, InputEntry())
         move, factor = entry.move or 1.0, entry.trade_factor or 1.0
         plain = unit if unit not in ("", "1") else "unit"

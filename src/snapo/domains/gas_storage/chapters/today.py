@@ -106,7 +106,7 @@ def _decisions(
 
 
 def today(setup: Setup, policy: StoragePolicy) -> Today:
-    """The first day's decision at the forward price, by inventory in store; of the live page."""
+    """The first day's decision at the forward price, by inventory in store, for the live page."""
     problem, case = setup.problem, case_of(setup)
     here, stock = levels_of(problem.schedule)
     prices = triggers(problem, policy, np.zeros(len(stock), int), stock)

@@ -42,8 +42,7 @@ class IntrinsicValue:
 
 @dataclass(frozen=True)
 class Reference:
-    """The exact value, and by how much it still changes on finer grids; None without an exact
-    value."""
+    """The exact value, and its remaining change on finer grids; None without an exact value."""
 
     dynamic_programming: float | None = None
     dynamic_programming_error: float | None = None
@@ -60,7 +59,7 @@ def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicV
 
 
 def measure_reference(run: StudyRun) -> Reference:
-    """By dynamic programming, if the price process has a lattice."""
+    """The value by dynamic programming, if the price process has a lattice."""
     setup = run.setup
     lattice = factors(setup.problem)
     if lattice is None or not lattice.exact:
@@ -92,7 +91,7 @@ class CashFlow:
 
 @dataclass(frozen=True)
 class ContractValues:
-    """The value ladder from the lowest to the best method, and the spread of the earnings.
+    """The value ladder from the lowest to the highest value, and the spread of the earnings.
 
     - `break_even_fee`: per unit of working volume, paid today, at which the contract has no
       value; NaN without a working volume.

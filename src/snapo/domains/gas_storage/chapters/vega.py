@@ -4,8 +4,9 @@ The volatility s(d) of a delivery day d is that which the price model gives its 
 
     S(d) = F(d) exp(s(d) f(d) - s(d)^2 var f(d) / 2)
 
-all other days keep theirs. The vega of a month is the sum of the derivatives with respect to s(d)
-over its days, so that a volatility of all days has the sum over the months as its derivative.
+and the volatilities of all other days are unchanged. The vega of a month is the sum of the
+derivatives with respect to s(d) over its days, so that a volatility of all days has their sum as
+derivative.
 """
 
 from collections.abc import Sequence
@@ -44,8 +45,8 @@ TEXT = (
 class MonthVega:
     """The vega of a delivery month.
 
-    - `parameter`: the input; `factor`: its number where there are several, else 0.
-    - `month`: "2021-04", or "" of all months; `volatility`: the mean over its days.
+    - `parameter`: the input; `factor`: its number if there are several, else 0.
+    - `month`: "2021-04", or "" for all months; `volatility`: the mean over its days.
     - `vega`, `standard_error`: with the decisions held fixed, per `unit` of the volatility.
     - `points`: volatility points, or other units of a report, in a `unit`; `point`: their name.
     """
@@ -63,7 +64,7 @@ class MonthVega:
 
 @dataclass(frozen=True)
 class Vegas:
-    """By parameter, then by month, the sum of each parameter last."""
+    """The vegas by parameter, then by month, with the sum of each parameter last."""
 
     vega_by_month: tuple[MonthVega, ...] = ()
 
@@ -110,11 +111,11 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
 
 
 def by_date(problem: Problem, names: Sequence[str], count: int) -> Problem:
-    """The problem with a number of these inputs for each of `count` dates, of the same value, and
-    without other inputs.
+    """The problem with these inputs only, each with a separate number of the same value for each of
+    `count` dates.
 
-    A number that is used on all dates, or on some of them, becomes one for each; several factors
-    have one each for each date.
+    A number that is used on all dates, or on some of them, becomes one number for each date (for
+    each factor, if there are several).
     """
     values = {name: entry.value for name, entry in problem.inputs_by_name.items()}
     wide: dict[str, np.ndarray] = {}

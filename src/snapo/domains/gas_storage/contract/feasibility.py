@@ -32,7 +32,7 @@ class FeasibleDay:
     loss: float
 
     def rates(self, level: float, row: int | None = None) -> tuple[float, float]:
-        """Most withdrawal and injection at an inventory, or those of a row of step ratchets."""
+        """Largest withdrawal and injection at an inventory, or those of a row of step ratchets."""
         if row is None:
             row = max(bisect_right(self.levels, level) - 1, 0)
         if not self.linear or row == len(self.levels) - 1:
@@ -69,8 +69,8 @@ def check_feasible(case: StorageCase) -> None:
 def attainable(case: StorageCase) -> list[list[FlowInterval]]:
     """The inventories that can be in store at the start of each day and on the end date, [T + 1].
 
-    Seen forward from the inventory given; the demand of the end is applied to the last only.
-    **Raises:** `CaseError` if there are none.
+    They are computed forwards from the initial inventory; the rule for the end date applies only to
+    the last. **Raises:** `CaseError` if there are none.
     """
     sets = [_start(case)]
     tolerance = slack(case)
@@ -86,7 +86,7 @@ def attainable(case: StorageCase) -> list[list[FlowInterval]]:
 
 
 def slack(case: StorageCase) -> float:
-    """The volume that rounding may take from a limit that is met exactly."""
+    """The round-off of a volume that is allowed at a limit that is met exactly."""
     return 1e-9 * max(1.0, float(case.contract.max_inventory.used().max()))
 
 
@@ -126,7 +126,7 @@ def _pieces(day: FeasibleDay, interval: FlowInterval) -> Iterator[tuple[Corner, 
 
 
 def _moves(day: FeasibleDay, interval: FlowInterval, tolerance: float) -> Iterator[FlowInterval]:
-    """Where the inventory can be at the end of the day, from anywhere in `interval`."""
+    """The possible inventories at the end of the day, from anywhere in `interval`."""
     for piece in _pieces(day, interval):
         selected = _able(day, piece, tolerance)
         if selected is None:

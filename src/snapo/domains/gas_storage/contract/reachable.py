@@ -1,12 +1,12 @@
 """The inventories from which a contract can be met, as one interval of each day.
 
-For policies, and differentiable: backwards from the end, an inventory is feasible when some flow
-reaches a feasible one. Between ratchet rows every condition is linear in the inventory, so the
-feasible ones are an interval there; neighbouring intervals are joined and the longest is selected.
-That is the complete reachable set where I - withdrawal(I) and I + injection(I) do not decrease;
-where step ratchets break that, it is the largest interval in which every point is feasible.
+These are for policies, and differentiable: backwards from the end, an inventory is feasible when
+some flow reaches a feasible one. Between ratchet rows every condition is linear in the inventory,
+so the feasible ones are an interval there; neighbouring intervals are joined and the longest is
+selected. That is the complete reachable set where I - withdrawal(I) and I + injection(I) do not
+decrease; with step ratchets it may be only the largest interval of feasible points.
 
-JAX evaluates the formulas in a simulator, NumPy where a case is checked.
+JAX evaluates the formulas in a simulator, NumPy in a check of a case.
 """
 
 from typing import Any, NamedTuple
@@ -36,7 +36,7 @@ def reachable(
     end_high: Any,
     interpolation: str,
 ) -> tuple[Float[Array, " T+1"], Float[Array, " T+1"]]:
-    """Least and greatest inventory at the start of every day, and on the end date.
+    """Smallest and largest inventory at the start of every day, and on the end date.
 
     A day without a feasible continuation has least > greatest (and so have all days before it).
     """

@@ -1,10 +1,10 @@
-"""A gas-storage case as resolved data: frozen records of NumPy arrays, every date settled.
+"""A gas-storage case as resolved data: frozen records of NumPy arrays, with all dates resolved.
 
 T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
 without ratchets). Index T is the end date. Days are
 integers since the valuation date and may be negative for a payment that lies before it. A
-`CaseInput` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
-A simulator keeps contract and model without those numbers (see `snapo.problem.form`), and no more.
+`CaseInput` has the numbers as entered; the per-day array is `given.values[given.index]`. A
+simulator has only contract and model without these numbers (see `snapo.problem.form`).
 """
 
 import abc
@@ -30,9 +30,9 @@ from ..prices.process import PriceProcess
 
 
 class EndTerms(NamedTuple):
-    """Worth of the inventory left: linear between `levels`, plus `fraction` of its spot value.
+    """Value of the remaining inventory: linear between `levels`, plus `fraction` of its spot value.
 
-    `levels`, `values` [M] are zeros where no table is given; undiscounted, in currency.
+    `levels`, `values` [M] are zeros if no table is given; undiscounted, in currency.
     """
 
     levels: Float[Array | np.ndarray, " M"]
@@ -47,7 +47,7 @@ def _no_table() -> tuple[Any, Any]:
 class EndRule(TreeRecord):
     """A rule for the end date; prices and money are those of the end date, undiscounted.
 
-    As it is read it has the numbers of the case, and in a simulator it has none: `owed`,
+    When read, it has the numbers of the case; in a simulator it has none: `owed`,
     `needs_price` and `value_known` are for the reader and the study.
     """
 
@@ -76,7 +76,7 @@ class EndRule(TreeRecord):
 
     @abc.abstractmethod
     def value_known(self, inventory: float, price: float) -> float:
-        """The same in NumPy where price and inventory are known: no decision is left."""
+        """The same value in NumPy at a known price and inventory: no decision is left."""
 
 
 class LevelAtEnd(EndRule):
@@ -146,7 +146,7 @@ class ValueAtEnd(EndRule):
 
 
 class Ratchets(TreeRecord):
-    """How fast gas may move, by day and by inventory at the start of the day.
+    """The rates at which gas may move, by day and by inventory at the start of the day.
 
     Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
     "linear" the rates are interpolated between rows, with "step" those of the row at or below are
@@ -278,7 +278,7 @@ def storage_inputs(case: StorageCase) -> dict[str, Input]:
 
 
 def numbers_by_name(case: StorageCase) -> dict[str, CaseInput]:
-    """The same, unchanged."""
+    """{name: CaseInput} of the same numbers, as they are in the case."""
     return by_name(numbers_of(case))
 
 

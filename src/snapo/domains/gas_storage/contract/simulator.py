@@ -1,8 +1,8 @@
 """One path of a gas storage contract: prices, feasible flows, cash.
 
 The action is two fractions: of the injection and of the withdrawal that are feasible today
-beyond the forced flow. Feasible means within the day's rates and such that the inventory stays
-where the contract can still be met, so no penalty is needed.
+beyond the forced flow. Feasible means within the day's rates and such that the contract can still
+be met from the new inventory, so no penalty is needed.
 
 Signs: volumes are positive, `cash_flow` is received by the holder. Money is discounted to the
 valuation date.
@@ -37,7 +37,7 @@ from .terms import ContractTerms, Day, end_interval, inventory_limits, per_day
 class StorageSimulator(PricedSimulator):
     """The contract of a case; see `snapo.domains.gas_storage.contract.records` for its terms.
 
-    It holds no case: contracts of the same form differ only in arrays and inputs.
+    It contains no case: contracts of the same form differ only in arrays and inputs.
 
     **Arguments:**
 
@@ -48,7 +48,7 @@ class StorageSimulator(PricedSimulator):
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
     - `innovations`: the innovations of a fitted value of the store: the control variate
-      `value_surprise` instead of that of a hedge; its total is zero on average too.
+      `value_surprise` instead of that of a hedge; its total is also zero on average.
     - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
       rate.
     """
@@ -88,8 +88,8 @@ class StorageSimulator(PricedSimulator):
         return made.scaled(numbers)
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
-        """With the scales of features of these inputs: the mean size of forward prices, and the
-        largest volume that may move on a day."""
+        """The simulator with the scales of features of these inputs: the mean size of forward
+        prices, and the largest volume that may move on a day."""
         rows: Any = self.contract.ratchets
         size = self.process.price_scale(self.curve.in_numpy(values), values)
         rates = [

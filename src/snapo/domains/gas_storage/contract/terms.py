@@ -119,7 +119,7 @@ def end_interval(contract: Contract, at: NumbersOf) -> tuple[Any, Any]:
 def per_day(
     contract: Contract, at: NumbersOf, limits: InventoryLimits, low: Any, high: Any
 ) -> dict:
-    """The numbers of each `Day` that are the contract's; `low`, `high` [T + 1]: `reachable`."""
+    """The numbers of each `Day` that the contract has; `low`, `high` [T + 1]: `reachable`."""
     names = set(InventoryLimits._fields) & set(Day._fields)
     return {
         **{name: getattr(limits, name) for name in names},
@@ -148,7 +148,7 @@ def fixed_costs_value(case: StorageCase) -> float:
 def known_schedule(case: StorageCase) -> KnownSchedule:
     """The schedule of a case at its forward prices, in NumPy, without those of the price process.
 
-    As `StorageSimulator.prepare` of its inputs, up to rounding; one decision day or more is left.
+    It equals `StorageSimulator.prepare` of its inputs up to rounding, if a decision day is left.
     """
     contract, market, at = case.contract, case.market, CaseInput.used
     limits, curve = inventory_limits(contract, at), market.forward_curve.used()

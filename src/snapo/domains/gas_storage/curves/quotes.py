@@ -24,7 +24,7 @@ Weekday = Literal["monday", "tuesday", "wednesday", "thursday", "friday", "satur
 
 
 class QuotedCurveTable(CaseTable):
-    """How a daily curve is made from quotes."""
+    """The settings to make a daily curve from quotes."""
 
     smoother: Literal["daily", "spline"] = doc(
         "smoothness of the curve: of daily prices, or of a spline", "daily"
@@ -38,7 +38,7 @@ class QuotedCurve:
     """Quotes and the curve that is linear in them.
 
     - `file`: their file; `products`, `prices` [n]: those of the file that determine the curve.
-    - `source`: these quotes where they are in the file, and those that they imply.
+    - `source`: these quotes with their positions in the file, and the quotes that they imply.
     - `days`: those of the matrix; `matrix` [D, n]: the derivative of each day's price with respect
       to each quote.
     """

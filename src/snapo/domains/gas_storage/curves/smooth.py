@@ -1,4 +1,4 @@
-"""Smooth daily prices whose means over some periods are given: linear in those means.
+"""Smooth daily prices with prescribed means over some periods, linear in these means.
 
 The price of day d is s[d] g[d], with the factor s of the day (weekends are cheaper) and a smooth g:
 
@@ -28,7 +28,7 @@ POWERS = np.arange(DEGREE + 1)
 
 
 class Undetermined(ValueError):
-    """The periods leave a part of the curve open."""
+    """The periods do not determine the curve."""
 
 
 def prices_of_means(

@@ -47,7 +47,7 @@ class Started(NamedTuple):
 
 
 class CurveChange(NamedTuple):
-    """Forward prices of a market in both runs, [T]; `input`: their name, `market`: "" of one."""
+    """Forward prices of a market in both runs, [T]; `input`: their name, `market`: "" for one."""
 
     input: str
     market: str
@@ -129,8 +129,8 @@ class ChangeChain(abc.ABC):
 
     def time(self, setup: Setup, passed: int, cash: float) -> tuple[np.ndarray, Setup]:
         """Adds the part of a later date: `setup` is the first run's contract on it, with the state
-        that was planned, and `cash` that of the plan on the steps that `passed`. The shares of the
-        value then, and the setup on the paths of the parts."""
+        that was planned, and `cash` that of the plan on the steps that `passed`. Returns the shares
+        of the value then, and the setup on the paths of the parts."""
         first, case = self.first, self.first.case
         same = (case.evaluation, case.training.seed) == (
             self.second.case.evaluation, self.second.case.training.seed,
@@ -262,7 +262,7 @@ def measured_on(setup: Setup, source: Any) -> Setup:
 
 
 def models_between(before: Any, after: Any) -> Iterator[tuple[str, str, Any]]:
-    """(name, note, model) of each number of a price model that differs; of another kind, all."""
+    """(name, note, model) of each number of a price model that differs; all if the kind differs."""
     if equal(before, after):
         return
     leaves = [jax.tree.structure(x, is_leaf=is_input) for x in (before, after)]

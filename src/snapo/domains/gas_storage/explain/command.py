@@ -43,8 +43,7 @@ def explain(
     """Explains the change of value from the first run to the second one, and writes the parts.
 
     - `flows`: for a gas store, a CSV file of the flows on the days between, with columns
-      date,volume,price. `cash`: for other contracts, the cash flow of the days between as
-      it was.
+      date,volume,price. `cash`: for other contracts, the actual cash flow of the days between.
     - `out`: folder of the results, by default `explain` in that of the second run.
 
     **Raises:** `CaseError` if a run has no value, or the second one cannot follow the first;

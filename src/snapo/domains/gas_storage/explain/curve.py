@@ -45,7 +45,7 @@ class PeriodEffect(NamedTuple):
 
 
 class CurveEffect(NamedTuple):
-    """By period, and in total.
+    """The effects by period, and in total.
 
     - `before`, `after` [G]: shares of groups of paths in the values at both curves.
     - `error`: the error of the part of their difference that is beyond the second order.
@@ -114,7 +114,7 @@ def curve_effect(
 
 
 def _between(before: Setup, after: Setup, curves: Sequence[str]) -> list[Problem]:
-    """The problems with the first curves of `after`, one more each, but for the last."""
+    """The problems with the first curves of `after`, one more each, except the last one."""
     problem, result = before.problem, []
     for name in curves[:-1]:
         problem = problem.at({name: after.problem.inputs_by_name[name].value})

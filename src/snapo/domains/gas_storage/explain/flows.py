@@ -24,7 +24,8 @@ ROUNDED = 9  # decimals of a planned inventory: a limit is not passed by roundin
 class DayFlow(NamedTuple):
     """A day between the two valuation dates.
 
-    - `price`: forward price on the first date; `spot`: that of the flow, by default the same.
+    - `price`: forward price on the first date; `spot`: the spot price of the flow, by default
+      `price`.
     - `planned`, `taken`: net volume into the store.
     - `planned_cash`: the cash of the plan at the forward price; `forward_cash`, `cash`: of the flow
       taken at the forward price and at the spot price. All are net of costs, discounted to the
@@ -61,7 +62,7 @@ class PassedDays(NamedTuple):
 
 
 class TakenFlow(NamedTuple):
-    """A flow as it was: net volume into the store, and its price."""
+    """An actual flow: net volume into the store, and its price."""
 
     volume: float
     price: float
@@ -89,11 +90,11 @@ def passed_days(
 ) -> PassedDays:
     """The first `count` days of a case, after which `inventory` is in store.
 
-    Planned are the decisions of the policy at the forward prices. Without `flows` the difference of
-    the inventory to the plan is spread evenly over the days; of one day the flow taken is exact.
+    The plan is the policy's decisions at the forward prices. Without `flows` the difference of the
+    inventory to the plan is spread evenly over the days; for a single day the flow taken is exact.
 
     - `elapsed`: days from the valuation date of the case to the second one.
-    - `flows`: as they were, on all of these days.
+    - `flows`: the actual flows, on all of these days.
 
     **Raises:** `CaseError` if a day has no flow, or the flows do not lead to the inventory.
     """

@@ -28,7 +28,7 @@ def explained_change(
     flows: Mapping[datetime.date, TakenFlow] | None = None,
     cash: float | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value; `flows`: the flows of the days between, as they were.
+    """The parts of the change of value; `flows`: the actual flows of the days between.
 
     **Raises:** `CaseError` if the second run cannot follow the first one.
     """

@@ -28,7 +28,7 @@ FIXED = "snapo explain needs flows that are decided at delivery: leave this key 
 
 @dataclass(frozen=True, eq=False)
 class ValuedRun:
-    """A run that came to its end: its case, and the value in its result.json.
+    """A finished run: its case, and the value in its result.json.
 
     - `shares` [G]: the shares of independent groups of paths in the value, None if they are not
       saved.
@@ -47,7 +47,8 @@ class ValuedRun:
     def read(cls, folder: Path) -> "ValuedRun":
         """The run in a folder.
 
-        **Raises:** `CaseError` if its kind has no such parts, it has no value, or was changed.
+        **Raises:** `CaseError` if the run has no value, was changed, or is of a kind without such
+        parts.
         """
         record = run_folder.read(folder)
         domain = find(record["kind"], str(folder))
@@ -72,7 +73,7 @@ class ValuedRun:
         return run
 
     def check(self) -> None:
-        """**Raises:** `CaseError` if this run's change has no parts."""
+        """**Raises:** `CaseError` if the change of this run cannot be split."""
         case = self.case
         if not case.days:
             raise CaseError(str(self.file), "contract.end", case.end, "no decision is left")
@@ -172,8 +173,7 @@ class LaterPaths(Pseudo):
 def later_paths(
     source: Scenarios, earlier: Simulator, later: Simulator, passed: int
 ) -> LaterPaths | None:
-    """The paths of `earlier` after the first `passed` of its days; None if no shift gives
-    them."""
+    """The paths of `earlier` after the first `passed` of its days; None if no shift gives them."""
     if type(source) is not Pseudo:
         return None
     starts = [x.first_step if x.first_step <= x.initial_steps else 0 for x in (earlier, later)]

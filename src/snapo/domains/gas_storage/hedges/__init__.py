@@ -1,4 +1,4 @@
-"""Profit and loss of a contract and its hedge; which hedges there are."""
+"""Profit and loss of a contract and its hedge, and the list of hedges."""
 
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
@@ -12,7 +12,7 @@ class DailyHedge(NamedTuple):
     """Rebalanced on each day, in the `families` of [products].
 
     - `rule`: DELTAS: each product its exposure; MIN_VARIANCE: the first product of each family, so
-      that the variance of the next day is least.
+      that the variance of the next day is smallest.
     """
 
     rule: str

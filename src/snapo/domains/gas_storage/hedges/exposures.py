@@ -6,10 +6,11 @@ that the value moves with the price of the product as if they were fixed (the en
 
     volume of b on day t = E_t[sum over b of D(d) q(d) S(d)] / sum over b of D(d) F_t(d)
 
-for prices proportional to the curve; for shifted prices S + shift and F + shift take the places of
-S and F, for normal ones both are 1. The conditional expectation is a least-squares fit on one set
-of paths, after the flow of the day, by polynomials in the level and the price factors: no path is
-simulated inside a path. The part with the mean volumes of all paths is known and not fitted.
+for prices proportional to the curve; for shifted prices S + shift and F + shift replace S and F;
+for normal prices both are 1. The conditional expectation is a least-squares fit on one set of
+paths, after the flow of the day, by polynomials in the level and the price factors: no path is
+simulated inside a path. The part that is due to the mean volumes of all paths is known and not
+fitted.
 
 The exposure to factor k is the same sum with the sensitivity of ln F_{t+1}(d) to it as a weight.
 """
@@ -46,7 +47,7 @@ class StorePaths:
       curve, the price of the end last; `discount` [T + 1]: the discount of the payment for the gas
       of each of these dates.
     - `states` [T + 1, F, N] of the factors; `levels` [T + 1, N] at the start of each day and at the
-      end; `sold` [T + 1, N]: volume at the spot price, negative where bought.
+      end; `sold` [T + 1, N]: volume at the spot price, negative if bought.
     - `money` [N]: the present value of all payments.
     """
 

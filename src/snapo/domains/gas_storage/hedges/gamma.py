@@ -4,7 +4,7 @@
 
 The deltas are held derivatives (envelope theorem), each with the decisions that are best at its
 curve: with the same decisions on both sides cash is linear in prices, and gamma would be zero.
-Everything made from the inputs, such as the fitted value, is made again for every moved curve, and
+Everything made from the inputs, such as the fitted value, is recomputed for every moved curve, and
 all deltas are on the same paths.
 
 The bump. A delta jumps on a path where a decision changes: of N paths a share in proportion to h
@@ -14,13 +14,13 @@ option at the money whose price deviates by s the mean square error
     (s / 0.8 N h + (h / s)^4 / 36) gamma^2    is least at    h = s (11.25 / N)^(1/5),
 
 where the bias is half of the standard error (P. Glasserman, Monte Carlo Methods in Financial
-Engineering, Springer 2003, section 7.1). s is how far the spot price of a product moves on a path,
-about its mean over the product and half a month on either side: a common change of all prices
+Engineering, Springer 2003, section 7.1). s is the deviation of the spot price of a product on a
+path from its mean over the product and half a month on either side: a common change of all prices
 changes no decision.
 
 The two estimates of a pair, from a bump of either product, have the same limit for the best
-decisions. Their mean is reported, and half of their difference, beyond its sampling error, is by
-how much the policy may be wrong.
+decisions. Their mean is reported. Half of their difference, beyond its sampling error, is the
+possible error of the policy.
 """
 
 from collections.abc import Callable, Sequence
@@ -71,7 +71,7 @@ def price_rises(
     values: np.ndarray,
     steps_a_day: int = 1,
 ) -> list[PriceRise]:
-    """One for each period of these days of delivery.
+    """One product for each period of these days of delivery.
 
     `curve`: where the forward prices `values` [n] are used, on all steps of the simulator, of which
     a day has `steps_a_day`.
@@ -93,7 +93,7 @@ class GammaMatrix(NamedTuple):
     """The matrix [n, n] of n products, in units of volume per unit of price, present value.
 
     - `both` [B, n, n]: delta i for a bump of product j at [:, j, i], by block of paths.
-    - `bumps` [n]: of the prices.
+    - `bumps` [n]: the bumps of the prices.
     """
 
     both: np.ndarray
@@ -111,15 +111,15 @@ class GammaMatrix(NamedTuple):
 
     @property
     def policy(self) -> np.ndarray:
-        """By how much the policy may be wrong: half of the difference of both estimates, beyond its
+        """The possible error of the policy: half of the difference of both estimates, beyond its
         standard error."""
         apart = Estimate(self.both - self.both.transpose(0, 2, 1))
         excess = apart.value**2 - apart.standard_error**2
         return np.sqrt(np.maximum(excess, 0.0)) / 2
 
     def along(self, prices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[n] the matrix times prices [n], and its standard error: without costs zero, where prices
-        move in proportion to the curve and it is level within each product, since the value is
+        """[n] the matrix times prices [n], and its standard error: zero without costs, if prices
+        move in proportion to a curve that is level within each product, since the value is then
         homogeneous of degree one."""
         product = Estimate(self.symmetric.blocks @ prices)
         return product.value, np.hypot(1.0, BIAS) * product.standard_error

@@ -1,7 +1,7 @@
-"""Which products a hedge holds from one trading day to the next.
+"""The products that a hedge holds from one trading day to the next.
 
 A position is taken after the flow of the day. Each later day belongs to the shortest product of a
-set that contains it and still trades, and tomorrow to the day-ahead, where this is in the set. A
+set that contains it and still trades, and tomorrow to the day-ahead, if that is in the set. A
 product is closed on its last trading day, unless another one of the set then has its days.
 """
 
@@ -58,7 +58,7 @@ class Overnight:
         )
 
     def after(self, t: int) -> int:
-        """The next step on which something trades; the number of days where there is none."""
+        """The next step on which something trades; the number of days if there is none."""
         if self.trading is None:
             return t + 1
         return min((x for x in self.trading if x > t), default=len(self.products.days))
@@ -66,7 +66,7 @@ class Overnight:
     def nearest(self, t: int, families: Collection[str]) -> HeldProducts:
         """The first product of each family that is held.
 
-        In the last months, if nothing later trades, the balance of the month takes their place.
+        In the last months, if nothing later trades, the balance of the month replaces them.
         """
         first: dict[str, HeldProduct] = {}
         for row in self.held(t, families):

@@ -57,10 +57,10 @@ def backtest(
     """Operates the store of a case on the prices in a folder, and writes the results.
 
     - `history`: a folder with `spot.csv` and, if there are any, forward curves in `curves.csv`.
-    - `every`: days from one solution to the next, with the curve of its date; by default 30, and
-      where the model is estimated again, the dates of these estimates only. Without curves there is
-      one solution.
-    - `calibrate`: when the model is estimated again, as in [backtest], whose other keys count too.
+    - `every`: days from one solution to the next, with the curve of its date; by default 30 or, if
+      the model is estimated again, only the dates of these estimates. Without curves there is one
+      solution.
+    - `calibrate`: when the model is estimated again, as in [backtest], whose other keys also apply.
     - `hedge`: trades the hedges of [hedge] on each day with a curve.
     - `policy`: a run, whose trained policy decides; by default the fitted value, with which
       training begins.
@@ -92,7 +92,7 @@ def backtest(
 def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
     """The trained policy of a run, of the shape of `like`.
 
-    **Raises:** `CaseError` if the run has none of this shape.
+    **Raises:** `CaseError` if the run has no policy of this shape.
     """
     try:
         policy = load_policy(run / POLICY, Policy, like)

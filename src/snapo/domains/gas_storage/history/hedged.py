@@ -1,8 +1,8 @@
 """The hedges of a back-test: traded on each day with a curve, from the prices until then.
 
-Exposures are fitted on paths of the model of the last solution. On a day they are those of its
-inventory, price factors and curve. Positions are marked to the curve of each day and deliver at
-the spot price; money is discounted to the valuation date.
+Exposures are fitted on paths of the model of the last solution. Each day uses the exposures at its
+inventory, price factors and curve. Positions are marked to the curve of each day and deliver at the
+spot price; money is discounted to the valuation date.
 """
 
 import datetime
@@ -105,7 +105,7 @@ class HedgeBook:
         self._exposures = FittedExposures.of(paths, products)
 
     def trade(self, t: int, inventory: float, factors: np.ndarray) -> None:
-        """The end of step t: marks the positions and trades, after its flow.
+        """Marks the positions and trades at the end of step t, after its flow.
 
         `inventory` after it, `factors` [F] of the day.
         """

@@ -1,8 +1,8 @@
 """The Kalman filter of a Gaussian price model, one scalar price at a time, in plain JAX.
 
-The prices of a date are conditionally independent, so that each updates the state in turn. Nothing
-is inverted but a variance: a measurement error may be exactly zero, and a missing price is no
-update. Source: Durbin and Koopman (2012), "Time Series Analysis by State Space Methods", 6.4.
+The prices of a date are conditionally independent, so that each updates the state in turn. Only a
+variance is inverted: a measurement error may be exactly zero, and a missing price is not an update.
+Source: Durbin and Koopman (2012), "Time Series Analysis by State Space Methods", 6.4.
 """
 
 from typing import NamedTuple

@@ -95,7 +95,7 @@ def maximise(function: Callable[[Array], Array], start: Float[Array, " P"]) -> M
 
 @dataclass(frozen=True, eq=False)
 class HistoryEstimate:
-    """Parameters of the largest likelihood; P of them, in the order of the model's names.
+    """The P parameters with the largest likelihood, in the order of the model's names.
 
     - `numbers`, `errors` [P]: estimates and standard errors, in the parameters' own units.
     - `low`, `high` [P]: the 95 % interval; of positive ones it is symmetric in the logarithm.
@@ -143,7 +143,7 @@ def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
 
 
 def unknown(model: HistoryModel, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """[P] whether an interval is too wide to be of use.
+    """[P] whether an interval is too wide to be useful.
 
     A positive one: the upper end is over ten times the lower. A correlation: the interval is over
     half of the range from -1 to 1. A rate: not even its sign is certain, and it may be over 1 % a
@@ -223,7 +223,7 @@ def _states(model: HistoryModel, numbers: Array, history: History) -> Filtered:
 
 
 def padded(history: History) -> History:
-    """The history with dates without a price and without time after it, so that histories of
+    """The history, extended by dates without prices and without elapsed time, so that histories of
     almost the same length need one compilation."""
     more = -len(history.gap) % DATES
     rows: Any = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in history[:-1])
@@ -269,8 +269,7 @@ def _movement(calibration: Calibration, column: int) -> tuple[float, float]:
 
 
 def _vanishing(model: HistoryModel, maximum: Maximum, calibration: Calibration) -> str | None:
-    """The series whose measurement error tends to zero; None if no further series may be
-    exact."""
+    """The series whose measurement error tends to zero; None if no further series may be exact."""
     numbers = dict(zip(model.names, np.asarray(model.numbers(maximum.variables))))
     for i, name in enumerate(model.columns):
         deviation = numbers.get(f"deviation_{name}")

@@ -60,7 +60,7 @@ class ObservedMarket:
         return bool(self.curve_days) and self.curve_days[0] <= day
 
     def curve(self, day: datetime.date, days: Sequence[datetime.date]) -> np.ndarray:
-        """[n] the forward prices of days, as known on a day: of the last curve until then.
+        """[n] the forward prices of days, from the last curve known on a day.
 
         A day of delivery has the price of the shortest product with it; days before the first
         product have the spot price.
@@ -87,8 +87,8 @@ class ObservedMarket:
 
 @dataclass(frozen=True, eq=False)
 class StepCurves:
-    """The prices of a contract: on step t, [T + 1 - t] of the day, of later ones and of the
-    end date; of the valuation date before it, [T + 1], for -1.
+    """The prices of a contract: on step t, [T + 1 - t] for the day, later days and the end date.
+    Step -1 has the prices of the valuation date, [T + 1].
 
     - `days` [T], `end`: its dates; `end_price`: whether that of the end date counts.
     - `spots` [T + 1]: spot prices of the same dates.

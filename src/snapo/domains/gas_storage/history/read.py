@@ -143,7 +143,7 @@ def calibration_of(
 ) -> Calibration:
     """The calibration of a model of this kind on prices, with the settings of [history].
 
-    **Raises:** `CaseError` if there are too few prices, or one that the model cannot have.
+    **Raises:** `CaseError` if there are too few prices, or a price that the model does not allow.
     """
     normal = kind == "one-factor-normal"
     if not normal:

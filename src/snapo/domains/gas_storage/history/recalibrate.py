@@ -32,7 +32,7 @@ class DatedEstimate:
     """An estimate on a date, from the `prices` that were known then.
 
     - `parameters`: none if there are too few prices.
-    - `model`: the table of a case; `reason`: why the previous model is used, "" if it is not.
+    - `model`: the table of a case; `reason`: why the previous model is used, otherwise "".
     """
 
     date: datetime.date

@@ -117,7 +117,7 @@ def _names(record: type) -> tuple[str, ...]:
 
 
 def _estimate_rows(estimates: Sequence[DatedEstimate]) -> Iterator[tuple]:
-    """A row for each parameter; one without a parameter where there is no estimate."""
+    """A row for each parameter; one without a parameter if there is no estimate."""
     for x in estimates:
         about = x.date, x.prices, "no" if x.reason else "yes", x.reason
         for *numbers, unknown in x.parameters:

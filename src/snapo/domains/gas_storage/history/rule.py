@@ -1,8 +1,8 @@
 """A rule that decides on spot prices, day by day, without seeing later ones.
 
-A spot price is one number, and a model may have several factors. A Kalman filter finds their mean
-given all prices so far: the prices are exact and linear in the factors, so that its gains depend on
-the model only.
+A spot price is one number, and a model may have several factors. A Kalman filter gives their mean
+conditional on all prices so far: the prices are exact and linear in the factors, so that its gains
+depend on the model only.
 """
 
 import datetime
@@ -58,8 +58,8 @@ class DatedRule:
         """[1, F] the factors of the rule's day `t` from its spot price and its curve.
 
         `curve` [T + 1 - t]: the curve of the day and later ones. The spot price is met exactly; the
-        rest is the least-squares fit of the curve, nearest to the factors `before` [1, F] where it
-        leaves a choice.
+        rest is the least-squares fit of the curve, nearest to the factors `before` [1, F] if it is
+        not unique.
         """
         assert self.prices is not None and self.filter is not None
         loading, variance = self.prices.loadings(t)
@@ -87,7 +87,7 @@ class DatedRule:
 class DayResult(NamedTuple):
     """[N] the inventory after a day, volumes, and the cash, discounted as in the ledger.
 
-    `factors` [N, F]: their mean, given the prices until the day.
+    `factors` [N, F]: their mean conditional on the prices until the day.
     """
 
     inventory: np.ndarray
@@ -235,7 +235,7 @@ class RuleCash(NamedTuple):
 
 
 def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None) -> RuleCash:
-    """The rule on given spot prices [T + 1, N], from its first day to the end."""
+    """The rule on supplied spot prices [T + 1, N], from its first day to the end."""
     problem = rule.problem
     start = float(problem.schedule.constants.inventory) if inventory is None else inventory
     level, rows = np.full(spots.shape[1], start), []
@@ -250,7 +250,7 @@ def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None)
 
 
 def spot_filter(problem: Problem) -> SpotFilter | None:
-    """The filter of a problem; None if prices have other risks than Gaussian factors."""
+    """The filter of a problem; None if prices have risks other than Gaussian factors."""
     model = factors(problem)
     if model is None or not model.exact or model.spikes is not None:
         return None

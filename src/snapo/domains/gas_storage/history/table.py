@@ -49,7 +49,7 @@ class BacktestPlan(NamedTuple):
 
 
 def plan_of(file: Path, data: Any, notes: list[str]) -> BacktestPlan:
-    """The plan of the table [backtest], that of a case without one where `data` is None.
+    """The plan of the table [backtest]; if `data` is None, that of a case without the table.
 
     **Raises:** `CaseError` if a key is wrong.
     """

@@ -1,9 +1,9 @@
 """A contract seen through the products that trade: on each day of a period the same volume flows.
 
 The contract is a level (gas in store, volume taken) that a daily volume q changes by. In a period
-of a few days, the best flat q of a path is found exactly where the value after the period is
-concave in the level: its slope is constant between q = 0, the volume that is held already, and the
-limits. Elsewhere the limits themselves are tried too.
+of a few days, the best flat q of a path is found exactly if the value after the period is concave
+in the level: its slope is constant between q = 0, the volume that is held already, and the limits.
+Otherwise the limits are also tried.
 """
 
 from typing import NamedTuple
@@ -50,7 +50,7 @@ class FlatPeriod(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """`keep`, `minimum`, `maximum` and `cost` of a period, at levels that are no nodes."""
+    """`keep`, `minimum`, `maximum` and `cost` of a period, at levels between nodes."""
 
     keep: np.ndarray
     minimum: np.ndarray
@@ -115,7 +115,7 @@ def best(
 ) -> tuple[np.ndarray, np.ndarray]:
     """[rows, N] the value before the period and the best q, at levels with limits [rows, 1 or N].
 
-    `every`: whether the limits are tried too, as a value that is not concave needs.
+    `every`: whether the limits are also tried, for a value that is not concave.
     """
     first, last = np.minimum(slope.zero, 0.0), np.maximum(slope.zero, 0.0)
     parts = [

@@ -2,8 +2,8 @@
 
     F(t, T) = F(T) exp(s(T) D f(t) - s(T)' D C(t) D' s(T) / 2)
 
-with the decays D from t to T, and the covariance C(t) of the factors: the expected spot price. Of
-shifted prices F + shift moves so, and F(T) + s(T) D f(t) is that of normal ones.
+with the decays D from t to T, and the covariance C(t) of the factors: the expected spot price. For
+shifted prices this is the curve of F + shift; for normal prices the curve is F(T) + s(T) D f(t).
 """
 
 from dataclasses import dataclass

@@ -155,9 +155,9 @@ class DeskMethods:
             return np.concatenate(list(parts))
 
     def least_squares(self) -> Followed:
-        """The rule of a regression on other paths, on these.
+        """The rule of a regression on other paths, followed on these.
 
-        **Raises:** `ValueError` if prices have other risks than their factors'.
+        **Raises:** `ValueError` if prices have risks other than their factors.
         """
         factors = self._exact_factors
         basis = gaussian_basis(factors, priced=bool(np.any(self._end_price)))
@@ -178,6 +178,6 @@ class DeskMethods:
 
     @cached_property
     def _end_price(self) -> np.ndarray:
-        """How the value of a unit left depends on the price of the end."""
+        """The change of the value of a unit left with the price of the end."""
         one = np.ones((1, 1))
         return self.contract.final(one, 2.0 * one[0]) - self.contract.final(one, one[0])

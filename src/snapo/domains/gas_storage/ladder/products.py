@@ -176,7 +176,7 @@ class TradedProducts:
         return tuple(rows)
 
     def blocks(self, t: int) -> tuple[TradeBlock, ...]:
-        """The same without names."""
+        """The same products without names."""
         return tuple(row.block for row in self.named(t))
 
     def _trading(self, today: datetime.date) -> list[TradedProduct]:

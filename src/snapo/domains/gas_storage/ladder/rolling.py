@@ -1,4 +1,4 @@
-"""Rolling intrinsic: on each trading day the plan in traded products that gains most.
+"""Rolling intrinsic: on each trading day the best plan in traded products.
 
 On every path the store (or swing) is planned against that day's forward curve in the products that
 trade then, and the difference from the positions is traded at once. Each unit traded, also of a
@@ -39,8 +39,7 @@ NEAR = 1e-9
 class TradeBlock(NamedTuple):
     """Days from `first` to `after`, not included, that trade as one, or that do not trade yet.
 
-    - `spread`: half the bid-offer, for a unit; `lot`: volumes a day are multiples of it, 0 for
-      any.
+    - `spread`: half the bid-offer, for a unit; `lot`: volumes a day are multiples of it, 0 for any.
     """
 
     first: int
@@ -66,7 +65,7 @@ class FlatContract(Protocol):
         ...
 
     def reached(self, t: int) -> tuple[float, float]:
-        """The same after a step, before settling."""
+        """Lowest and highest level after a step, before settling."""
         ...
 
     def limits(
@@ -88,7 +87,7 @@ class FlatContract(Protocol):
         ...
 
     def end_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray | None:
-        """The same of levels at its end, before settling; None if there is none."""
+        """The money of levels at the end of a step, before settling; None if there is none."""
         ...
 
     def discount(self, first: int, after: int) -> np.ndarray:
@@ -96,7 +95,7 @@ class FlatContract(Protocol):
         ...
 
     def settled(self, t: int, levels: np.ndarray) -> np.ndarray | None:
-        """The cost of settling after a step, if the level is then set to zero; else None."""
+        """The cost of settling after a step, if the level is then set to zero; otherwise None."""
         ...
 
     def final(self, levels: np.ndarray, price: np.ndarray) -> np.ndarray:
@@ -211,7 +210,7 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
 
 
 class ForwardPosition(NamedTuple):
-    """Where paths are: `level` [N], volumes bought forward by day `held` [T, N], money so far."""
+    """State of paths: `level` [N], volumes bought forward by day `held` [T, N], money so far."""
 
     level: np.ndarray
     held: np.ndarray
@@ -226,7 +225,7 @@ class ForwardPosition(NamedTuple):
 
 
 class RollingPlan(NamedTuple):
-    """The prices of each period, what it should end at, and the value today [N]."""
+    """The prices of each period, its target at the end, and the value today [N]."""
 
     prices: list[tuple[Slopes, Peaks]]
     value: np.ndarray

@@ -2,9 +2,9 @@
 
 The network corrects the baseline's marginal value of gas at the end of the day, as a line in the
 inventory. Gas is injected while its value in store exceeds its cost, and withdrawn while its price
-exceeds its value in store: where the value crosses the price, clipped to the feasible. That is
-exact on fast storage too, gives the trigger prices at no cost, and loses almost nothing when it is
-made hard.
+exceeds its value in store: up to where the value crosses the price, clipped to the feasible flows.
+That is exact on fast storage too, gives the trigger prices at no cost, and loses almost nothing
+when it is made exact.
 
 The first `HEAD` numbers of the observation are those of the decision rule, the economics of today's
 flows; the others are features of order one for the network. Prices are divided by the case's mean
@@ -34,12 +34,11 @@ class Economics(NamedTuple):
     """Today's flows in money, prices in units of the mean forward price.
 
     `first_in`, `last_in`, `first_out` and `last_out` are the table's marginal values of gas at the
-    end of the day, as of its gas payment: of the first and the last unit of the most injection,
-    and of the most withdrawal. Where the value has a corner, a first unit in has the value of
-    the slope above it and a last one of the slope below; of units out it is the other way round.
-    `buy` is the cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and
-    `room_out` are the free flows in units of the largest rate, `level` the joint level of the slow
-    price factors.
+    end of the day, as of its gas payment: of the first and the last unit of the most injection, and
+    of the most withdrawal. If the value has a corner, a first unit in has the value of the slope
+    above it and a last one of the slope below; for withdrawn units it is the opposite. `buy` is the
+    cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and `room_out` are the
+    free flows in units of the largest rate, `level` the joint level of the slow price factors.
     """
 
     first_in: Array
@@ -156,12 +155,12 @@ class StoragePolicy(Policy):
 
     @property
     def value_rule(self) -> "StoragePolicy":
-        """The value table only, by a network that adds nothing: one program runs both."""
+        """The value table only, with a network that adds nothing, so that one program runs both."""
         return with_idle_network(self)
 
     @property
     def simplest(self) -> "StoragePolicy":
-        """Without a network that adds nothing."""
+        """The policy without a network, if the network adds nothing."""
         return without_idle_network(self)
 
     def marginal_value(self, observation) -> MarginalValue:

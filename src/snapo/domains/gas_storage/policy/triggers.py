@@ -24,15 +24,15 @@ SPOTS = 241  # spot prices tried for a trigger
 
 
 class Triggers(NamedTuple):
-    """Inject where the spot is below `injection`, withdraw above `withdrawal`; NaN if no spot
-    price of `spots_around` would make the policy do so."""
+    """Gas is injected at a spot price below `injection`, and withdrawn above `withdrawal`; NaN if
+    the policy does so at no spot price of `spots_around`."""
 
     injection: Float[np.ndarray, " n"]
     withdrawal: Float[np.ndarray, " n"]
 
 
 class TriggerDecision(NamedTuple):
-    """Volumes injected and withdrawn on a day, at given inventories: [n] each."""
+    """Volumes injected and withdrawn on a day, at these inventories: [n] each."""
 
     injection: np.ndarray
     withdrawal: np.ndarray
@@ -41,7 +41,7 @@ class TriggerDecision(NamedTuple):
 def triggers(
     problem: Problem, policy: StoragePolicy, day: np.ndarray, inventory: np.ndarray
 ) -> Triggers:
-    """Trigger prices on the days with these numbers, at these inventories, both [n]."""
+    """Trigger prices at the inventories [n] on the days with these numbers [n]."""
     with jax.enable_x64(True):
         schedule = problem.schedule
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
@@ -55,7 +55,7 @@ def triggers(
 
 
 def spots_around(problem: Problem, forward: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """[n, shares] spot prices around forward prices [n], for shares from -1 to 1 of the widest
+    """[n, shares] spot prices around the forward prices [n], at shares from -1 to 1 of the widest
     range: from exp(-1) to exp(1) times the forward price, or see `PriceProcess.price_spread`."""
     simulator = simulator_of(problem)
     values = {name: item.value for name, item in problem.inputs_by_name.items()}

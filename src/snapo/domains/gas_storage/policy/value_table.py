@@ -1,4 +1,4 @@
-"""The baseline of the policy: the marginal value of gas of a dynamic program, and its innovations.
+"""The baseline of the policy: the marginal value of gas from a dynamic program, with innovations.
 
 One price factor has a table of values; several have a fitted value iteration. The policy is a
 network on top. The baseline is data, not a function of the inputs: a sensitivity moves the contract
@@ -93,11 +93,11 @@ class FittedKnots(NamedTuple):
 
 
 def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Array:
-    """[size] the polynomials times the exponential, then the constant where there is one.
+    """[size] the polynomials times the exponential, then the constant if there is one.
 
     `reading` has a day's `whiten`, `common`, `shift` and `exponents`; whitened factors are cut at
-    `reach`. With exponents, the last factor is the spikes, and each function of the others is
-    multiplied by their exponentials.
+    `reach`. With exponents, the last factor is the spikes, and each function of the other factors
+    is multiplied by the exponentials of spikes.
     """
     if reading.exponents is not None:
         inner = reading._replace(exponents=None)
@@ -193,7 +193,7 @@ class Innovations(eqx.Module):
 def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
     """The value at the start of a day minus its expectation for the next date.
 
-    Summed over the days, with the end date's value and less `first`, it is the sum of the
+    Summed over the days, plus the value on the end date minus `first`, it is the sum of the
     innovations. `before` and `after` are the inventories at the start and the end of the day.
     """
     # Data without a derivative: an adjoint need not form any.

@@ -176,7 +176,7 @@ class GivenFactors(FactorPrices):
         correlation: CaseInput,
         **more: CaseInput,
     ):
-        """With the number of factors, and the fast one among them; `more`: of a subclass."""
+        """The process with its number of factors and its fast one; `more`: fields of a subclass."""
         moves = volatility.used().max(axis=0) > 0
         fast = int(np.argmax(np.where(moves, mean_reversion.used(), -1.0)))
         numbers = mean_reversion, volatility, correlation

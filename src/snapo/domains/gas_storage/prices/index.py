@@ -29,7 +29,7 @@ ONE_FACTOR = ("one-factor", "one-factor-normal", "one-factor-shifted")  # kinds 
 
 class IndexRows(NamedTuple):
     """The index of each of T + 1 dates: `fixed`, plus the sum of `weight` times the forward prices
-    of its days, of `loading` g and this `variance`; leaves [T + 1, D], `fixed` [T + 1].
+    of its days, with `loading` on g and `variance`; leaves [T + 1, D], `fixed` [T + 1].
 
     `renewed` [T + 1]: whether g is set into this date, to f of the date before.
     """
@@ -47,7 +47,7 @@ class IndexRows(NamedTuple):
 
 
 class PriceIndex(NamedTuple):
-    """The index as dynamic programs read it. g is the last factor, without a loading of the spot
+    """The index as used by dynamic programs. g is the last factor, without a loading of the spot
     price; `carry` [T + 1, F, F]: the shares of other factors in it into each date."""
 
     rows: IndexRows
@@ -56,13 +56,13 @@ class PriceIndex(NamedTuple):
     one_factor = True  # moves this price
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
-        """[n] the index on date t where g has these values [n]."""
+        """[n] the index on date t if g has these values [n]."""
         forward, loading, variance, weight, fixed, _ = (np.asarray(x[t]) for x in self.rows)
         noise = of.noise(loading[:, None] * g, variance[:, None])
         return weight @ of.spot(forward[:, None], noise) + fixed
 
     def at(self, of: GaussianFactors, t: int, factors: np.ndarray) -> np.ndarray:
-        """[n] the index on date t where all factors have these values [F, n]."""
+        """[n] the index on date t if all factors have these values [F, n]."""
         return self.price(of, t, factors[-1])
 
 

@@ -24,7 +24,7 @@ SHIFT = Quantity("price", NOT_NEGATIVE, "price model", move=1.0, limits=Range(0.
 class SignedPrices(GivenFactors):
     """Factors of a price that may be negative: it does not scale with the forward curve.
 
-    Its scale for a policy is the same for a curve with a constant added.
+    Its scale for a policy does not change if a constant is added to the curve.
     """
 
     proportional = False
@@ -59,8 +59,8 @@ class NormalPrices(SignedPrices):
     """S(T) = F(T) + s(T) f(T), one Ornstein-Uhlenbeck factor; S is normal, so E[S(T)] = F(T).
 
     The variance of S(T) is s^2 (1 - exp(-2 a T)) / (2 a). Source: Bachelier (1900), "Théorie de la
-    spéculation"; Lucia and Schwartz (2002), "Electricity prices and power derivatives", whose
-    one-factor model on the price this is, fitted to the curve.
+    spéculation"; Lucia and Schwartz (2002), "Electricity prices and power derivatives", with a
+    one-factor model of the price, here fitted to the curve.
     """
 
     kind = "one-factor-normal"

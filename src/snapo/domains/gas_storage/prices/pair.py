@@ -28,11 +28,11 @@ class SecondRows(NamedTuple):
     variance: Array
 
     def expected(self) -> Array:
-        """[T + 1] today's expectation."""
+        """[T + 1] today's expectation of its price."""
         return self.forward
 
     def price(self, factor):
-        """The spot price where its factor has this value."""
+        """The spot price if its factor has this value."""
         return self.forward * jnp.exp(self.loading * factor - self.variance / 2)
 
 
@@ -57,12 +57,12 @@ class SecondCommodity(NamedTuple):
     one_factor = True  # moves this price
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
-        """[n] its price on date t where the last factor has these values [n]."""
+        """[n] its price on date t if the last factor has these values [n]."""
         forward, loading, variance = (np.asarray(x[t]) for x in self.rows)
         return of.spot(forward, of.noise(loading * g, variance))
 
     def at(self, of: GaussianFactors, t: int, factors: np.ndarray) -> np.ndarray:
-        """[n] its price on date t where all factors have these values [F, n]."""
+        """[n] its price on date t if all factors have these values [F, n]."""
         return self.price(of, t, factors[-1])
 
 

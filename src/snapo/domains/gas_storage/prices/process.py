@@ -60,7 +60,7 @@ class Delivery(NamedTuple):
     """The days that a process has prices for, and the market around it.
 
     - `days`: the T decision days; `end`: the end date, which follows them as number T.
-    - `price_days`: those that need a price: the end date only if remaining gas is paid by it.
+    - `price_days`: the days that need a price; the end date only if remaining gas is paid at it.
     - `valuation`: the day on which the curve is known.
     - `curve`: the forward price of each of `price_days`.
     - `nominated`: [T + 1] the day on which the flow of each date is fixed; None: on its own day.
@@ -88,7 +88,7 @@ class Delivery(NamedTuple):
 
     @property
     def times(self) -> "Times":
-        """All of it that a process keeps."""
+        """The part that a process keeps."""
         years, before = np.array([days / YEAR for days in self.ahead]), self.ahead[0]
         rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
         age = (before - 1 - np.arange(max(rows, 1))) / YEAR
@@ -99,14 +99,14 @@ class Delivery(NamedTuple):
 
 
 class Times(TreeRecord):
-    """When a process has prices, and how they are expected today.
+    """The dates on which a process has prices, and their expectations today.
 
     - `years` [T + 1]: time of each date from the valuation date, Act/365; `gaps` between them.
     - `curve`: the forward price of each date, but for an end date that needs none.
     - `age` [n]: time from the end of each of the n days after the valuation date to the first date;
       negative for later days, which are there so that few numbers n are compiled. `before`: n, or 0
       if the first date is the valuation date.
-    - `notice` [T + 1]: where flows are nominated, `years` is the time of the nomination, and
+    - `notice` [T + 1]: if flows are nominated, `years` is the time of the nomination, and
       `notice` that from there to the date; the price is then the forward price of the date.
     """
 
@@ -118,7 +118,7 @@ class Times(TreeRecord):
     notice: Float[np.ndarray, " T+1"] | None = None
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
-        """The forward price of each date; an end date without a price has the last."""
+        """The forward price of each date; an end date without a price has the last one."""
         return self.on_dates(use(inputs, self.curve))
 
     def on_dates(self, prices: Any) -> Any:
@@ -216,12 +216,12 @@ class PriceProcess(Process):
 
     @classmethod
     def of(cls, delivery: Delivery, **numbers: CaseInput) -> Self:
-        """The process with these numbers, by field, on the days of a delivery."""
+        """The process with these numbers by field, on the days of a delivery."""
         return cls(delivery.times, **numbers)  # pyright: ignore
 
     @property
     def calendar(self) -> tuple[float, ...]:
-        """[T + 1] where flows are nominated, the time from each nomination to its date; else ()."""
+        """[T + 1] if flows are nominated, the time from each nomination to its date; else ()."""
         return ()
 
     @abc.abstractmethod
@@ -251,7 +251,7 @@ class PriceProcess(Process):
         return float(np.mean(np.abs(prices)))
 
     def price_spread(self, prices: np.ndarray, values: Mapping[str, np.ndarray]) -> float | None:
-        """How far spot prices may be from the forward price, in money; None: in proportion."""
+        """Possible distance of spot prices from the forward price, in money; None: relative."""
         return None
 
     def second_price(self) -> "KnownPrices | None":
@@ -286,7 +286,7 @@ def use(inputs: dict[str, Any], series: CaseInput | Use):
 
 
 def in_numpy(values: Mapping[str, np.ndarray], series: CaseInput | Use) -> np.ndarray:
-    """The same in NumPy."""
+    """The same numbers in NumPy."""
     return (series if isinstance(series, Use) else series.use()).in_numpy(values)
 
 
@@ -297,7 +297,7 @@ Registered = TypeVar("Registered", bound=PriceProcess)
 
 
 def register(process: type[Registered]) -> type[Registered]:
-    """Makes a process known under its `kind`; one without a part of its behaviour is refused."""
+    """Registers a process under its `kind`; an incomplete class is refused."""
     missing = missing_members(process)
     if missing:
         raise TypeError(f"price process {process.__name__} has no {', '.join(missing)}")

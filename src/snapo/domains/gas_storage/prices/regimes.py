@@ -167,7 +167,7 @@ class Regimes(PriceProcess):
         return jnp.stack([constants.feature * state.factor, 1.0 * state.tight])
 
     def state_at(self, constants, now, spot):
-        """In a calm market."""
+        """The state in a calm market."""
         level = jnp.log(spot / now.forward) + now.variance / 2 + now.compensator
         factor = jnp.where(
             now.loading > 0, level / jnp.where(now.loading > 0, now.loading, 1.0), 0.0

@@ -41,7 +41,7 @@ def read_prices(section: TableContext, data: Mapping[str, Any], delivery: Delive
 
 
 def check_curve(file: str, process: PriceProcess, delivery: Delivery) -> None:
-    """Raises `CaseError` if a price proportional to the forward curve meets one not above 0."""
+    """Raises `CaseError` if a proportional price has a forward curve that is not above 0."""
     curve = delivery.curve
     if not process.proportional:
         return

@@ -17,7 +17,7 @@ class Spikes(NamedTuple):
     """Spikes of ln S: log-price + y - compensator.
 
     - `decay`: the share of a spike that is left after a day; `size`: the mean of a spike.
-    - `rate`: spikes a day; `poisson`: whether several may come, and die out within the day.
+    - `rate`: spikes a day; `poisson`: whether several may occur, and decay, within a day.
     - `before`: days from the valuation date, without spikes, to the first date.
     - `compensator` [T + 1]: ln E[exp y] on each date.
     """
@@ -45,7 +45,7 @@ class Spikes(NamedTuple):
         return result
 
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points and probabilities of J, the first of which is no spike."""
+        """Points and probabilities of J; the first is the case without a spike."""
         nodes, weights = np.polynomial.legendre.leggauss(4)
         edges = REACH / (1 - self.size) * (np.arange(PANELS + 1) / PANELS) ** 2
         half = np.diff(edges) / 2
@@ -80,7 +80,7 @@ LARGEST, LEAST = 16.0, 2e-3  # nodes of spikes above 0, as `REACH` of spikes, an
 def spike_nodes(spikes: Spikes, count: int) -> np.ndarray:
     """Zero, and about `count` nodes above it in a constant ratio.
 
-    Where it can, a power of that ratio is the decay of a day: without a spike, nodes lead to nodes.
+    If possible, the decay of a day is a power of that ratio: without a spike, nodes lead to nodes.
     """
     largest = LARGEST / (1 - spikes.size)
     log_ratio = np.log(LEAST / largest) / (count - 2)

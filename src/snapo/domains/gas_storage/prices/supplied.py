@@ -31,8 +31,8 @@ class SuppliedTable(CaseTable):
 
 @dataclass(frozen=True, eq=False)
 class SuppliedPaths:
-    """Prices, or ratios to the forward curve, of two files: [paths, T], or [paths, T + 1] where
-    the end date needs a price."""
+    """Prices, or ratios to the forward curve, of two files: [paths, T], or [paths, T + 1] if the
+    end date needs a price."""
 
     training: np.ndarray
     evaluation: np.ndarray
@@ -123,7 +123,8 @@ class SuppliedPrices(PriceProcess):
         return jnp.atleast_1d(spot / now.forward if self.rescaled else spot)
 
     def sources(self, seed: int) -> "Sources":
-        """Three quarters of the training paths train, the others validate; evaluation has its own.
+        """Three quarters of the training paths train, the others validate; evaluation has separate
+        paths.
 
         The first day's price starts a path; the days after it are its noise.
         """

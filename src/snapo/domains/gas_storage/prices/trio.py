@@ -30,12 +30,12 @@ class FuelRows(NamedTuple):
         return self.fuel.forward + self.share * self.certificate.forward
 
     def price(self, factors):
-        """The cost of a unit of fuel where the three factors have these values."""
+        """The cost of a unit of fuel if the three factors have these values."""
         return self.fuel.price(factors[1]) + self.share * self.certificate.price(factors[2])
 
 
 class FuelWithCertificates(NamedTuple):
-    """Their cost as dynamic programs read it: the factors of both are the last two."""
+    """Their cost as used by dynamic programs: the factors of both are the last two."""
 
     rows: FuelRows
     carry: np.ndarray
@@ -47,9 +47,9 @@ class FuelWithCertificates(NamedTuple):
         return not np.any(self.rows.certificate.variance)
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
-        """[n] the cost on date t where the factor of fuel has these values [n].
+        """[n] the cost on date t if the factor of fuel has these values [n].
 
-        **Raises:** `ValueError` if it depends on the factor of certificates too.
+        **Raises:** `ValueError` if it also depends on the factor of certificates.
         """
         if not self.one_factor:
             raise ValueError("a lattice supports one or two price factors, but prices have 3")
@@ -58,7 +58,7 @@ class FuelWithCertificates(NamedTuple):
         return fuel + rows.share[t] * rows.certificate.forward[t]
 
     def at(self, of: GaussianFactors, t: int, factors: np.ndarray) -> np.ndarray:
-        """[n] the cost on date t where all factors have these values [3, n]."""
+        """[n] the cost on date t if all factors have these values [3, n]."""
         fuel, certificate = (SecondCommodity(x, self.carry) for x in self.rows[:2])
         cost = self.rows.share[t] * certificate.price(of, t, factors[2])
         return fuel.price(of, t, factors[1]) + cost
@@ -69,8 +69,8 @@ class CommodityTrio(CommodityPair):
 
     - `reversions`, `volatilities`, of all three; `correlation`: the correlation of power and fuel,
       of power and certificates, of fuel and certificates.
-    - `third_curve`: forward prices of certificates, index [T]; `share`: how many a unit of fuel
-      needs.
+    - `third_curve`: forward prices of certificates, index [T]; `share`: the number per unit of
+      fuel.
     """
 
     third_curve: CaseInput = field(kw_only=True)

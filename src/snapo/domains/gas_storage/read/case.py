@@ -196,7 +196,7 @@ def _by_size(case: StorageCase) -> Iterator[Plausible]:
 
 
 def end_too_early(start: datetime.date, end: datetime.date) -> str:
-    """The note where `end` is the last day of a period of whole months; "" if it is not."""
+    """The note if `end` is the last day of a period of whole months; otherwise ""."""
     last = calendar.monthrange(end.year, end.month)[1]
     if start.day != 1 or end.day != last or (end - start).days <= 31:
         return ""
@@ -208,7 +208,7 @@ def end_too_early(start: datetime.date, end: datetime.date) -> str:
 
 
 def free_money(case: StorageCase) -> Iterator[str]:
-    """Remarks where the contract pays for moving gas at any price: often a wrong sign."""
+    """Remarks if the contract pays for moving gas at any price: often a wrong sign."""
     contract = case.contract
     inward, outward = contract.injection_cost.used(), contract.withdrawal_cost.used()
     if not len(case.days):

@@ -110,7 +110,7 @@ SPOT_SHARE = replace(
 
 
 def decision_days(table: ContractTable, valuation: datetime.date) -> tuple[datetime.date, ...]:
-    """The days on which the contract may still act, seen from the valuation date."""
+    """The remaining decision days of the contract, from the valuation date on."""
     wait = 1 if table.first_decision == "next-day" else 0
     first = max(table.start, valuation + datetime.timedelta(wait))
     return tuple(first + datetime.timedelta(n) for n in range((table.end - first).days))
@@ -130,7 +130,7 @@ def read_contract(
     limits: LimitRows,
     gas_day: np.ndarray,
 ) -> Contract:
-    """The contract on its decision days [T], and on the end date where limits are concerned."""
+    """The contract on its decision days [T], and for limits also on the end date."""
 
     def daily(numbers: CaseInput) -> CaseInput:
         return numbers.on(days, section.notes)

@@ -82,7 +82,7 @@ RatchetBlock = tuple[datetime.date, list[int]]
 def read_blocks(rows: Sequence[Row]) -> list[RatchetBlock]:
     """Groups rows by date: each block with its date and its row numbers, inventories rising.
 
-    A row continues the block when its date is empty, or the same again.
+    A row continues the block if its date is empty or repeated.
     """
     blocks: list[RatchetBlock] = []
     for number, row in enumerate(rows):

@@ -1,6 +1,6 @@
 """The tables of a gas-storage case, each number declared once, with unit, range and meaning.
 
-The description of a key is the text that an error message quotes as allowed.
+The description of a key is the text of allowed values in an error message.
 """
 
 import datetime

@@ -1,9 +1,9 @@
-"""Inventories at which the value of a store of constant rates can bend: nodes without any error.
+"""Inventories at which the value of a store with constant rates can bend: exact nodes.
 
-The best flow of a day is the least, the greatest or none at all, or it ends where the value after
-the day bends. With rates that do not depend on the inventory, and no losses, the value at its start
-bends only where one of these three flows ends at a bend after it. Backwards from the end date,
-that gives every breakpoint. Values that are linear between them remain linear for all prices.
+The best flow of a day is the smallest, the largest or none, or it ends where the value after the
+day bends. With rates that do not depend on the inventory, and no losses, the value at its start
+bends only where one of these three flows ends at a bend after it. Backwards from the end date, that
+gives every breakpoint. Values that are linear between them remain linear for all prices.
 """
 
 import numpy as np
@@ -23,8 +23,8 @@ def breakpoints(
 ) -> list[np.ndarray] | None:
     """[T + 1] rising inventories of each day and of the end date, with both ends of each interval.
 
-    `low`, `high`: [T + 1] of these intervals, see `piecewise.visited`. None if rates depend on
-    the inventory, where gas is lost, and where a day has more than `maximum`.
+    `low`, `high`: [T + 1] of these intervals, see `piecewise.visited`. None if rates depend on the
+    inventory, if gas is lost, and if a day has more than `maximum`.
     """
     steps = schedule.steps
     depends = [np.ptp(item, axis=1) > 0 for item in (steps.injection_rate, steps.withdrawal_rate)]

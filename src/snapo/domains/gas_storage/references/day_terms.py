@@ -54,7 +54,7 @@ def rates(schedule, interpolation: Interpolation, t: int) -> DayRates:
 
     With step ratchets (the row at or below holds) a jump at a level becomes a ramp that ends at
     the level and is 1e-9 of the largest inventory wide: a dynamic program then needs one
-    kind of function only, and can gain no more than that volume by it.
+    kind of function only, and can gain at most that volume from it.
     """
     steps = schedule.steps
     levels, first = np.unique(steps.levels[t], return_index=True)
@@ -70,9 +70,9 @@ def rates(schedule, interpolation: Interpolation, t: int) -> DayRates:
 def flow_ends(
     schedule, day_rates: DayRates, t: int, inventory: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(keep, down, up): inventories [n] after a day's loss, and after the least and most flow.
+    """(keep, down, up): inventories [n] after losses, and after the smallest and largest flow.
 
-    Rates and forced flows only; the limits of the next day are not looked at.
+    Only rates and forced flows apply; the limits of the next day are ignored.
     """
     steps = schedule.steps
     keep = inventory * (1 - steps.inventory_loss[t])

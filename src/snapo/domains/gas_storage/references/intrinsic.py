@@ -25,7 +25,7 @@ def intrinsic(schedule, interpolation: Interpolation) -> IntrinsicPlan:
     """The exact intrinsic value with free volumes, by piecewise-linear dynamic programming.
 
     Exact to rounding for every contract: ratchets of any shape, linear or step, any end value. It
-    needs no grid, see `piecewise`. For concave contracts a linear program of the tests checks it.
+    needs no grid, see `piecewise`. For concave contracts it is tested against a linear program.
     """
     low, high = visited(schedule, interpolation)
     after = values_after(schedule, interpolation, low, high)
@@ -40,7 +40,7 @@ def intrinsic(schedule, interpolation: Interpolation) -> IntrinsicPlan:
 def values_after(schedule, interpolation: Interpolation, low, high) -> list[PiecewiseLine]:
     """The value of gas at the END of each day, when all prices are today's forward prices.
 
-    Exact on [low[t + 1], high[t + 1]], the T + 1 intervals being given; present values.
+    Exact on [low[t + 1], high[t + 1]] of the T + 1 supplied intervals; present values.
     """
     horizon = len(schedule.steps.forward)
     line = _end_line(schedule, low[horizon], high[horizon])

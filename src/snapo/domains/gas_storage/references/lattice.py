@@ -2,8 +2,8 @@
 
 Each day has a grid of inventories: the multiples of one spacing that the starting inventory can
 lead to, with both ends of the interval and the ratchet levels. Values are linear in the inventory
-between them and decisions are feasible to rounding, so on a concave contract that grid can only
-make the result low. `marginal` describes how the factors are integrated.
+between them and decisions are feasible to rounding, so that for a concave contract this grid can
+only lower the result. `marginal` describes how the factors are integrated.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,8 @@ class LatticeResult:
       out.
     - `follow`: the sweep forward, which is done once, when one of the following is read.
     - `deltas`: [T] derivative of the value with respect to each day's forward price, in discounted
-      volume (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
+      volume (positive: gas sold), by the envelope theorem; `end_delta`, with respect to the price
+      of the end date.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
     """
 
@@ -91,12 +92,12 @@ def lattice(
     - `inventories`: grid points from 0 to the largest inventory; or `step`, the volume between; or
       `nodes`, [T + 1] inventories of each day and of the end date, see `breakpoints`.
     - `spacing`: the spacing of the fast factor's nodes, in standard deviations of its daily shock;
-      by default 0.15 for one factor, 0.3 for two. The error falls with its square; deltas need more
-      than values do.
+      by default 0.15 for one factor, 0.3 for two. The error falls with its square; deltas need a
+      finer grid than values.
     - `slow_nodes`: nodes of the second factor.
-    - `volumes`: "extremes" allows the most, the least and the smallest flow of each day;
-      "free" also to stop where the value of more gas falls below its price; "every" to stop on
-      every grid point, which "free" means with step ratchets.
+    - `volumes`: "extremes" allows the largest, the least and the smallest flow of each day; "free"
+      also a flow up to where the value of more gas falls below its price; "every" flows to every
+      grid point, like "free" with step ratchets.
     """
     every = range(factors.loading.shape[1])
     selected = relevant_factors(schedule, factors) if keep is None else tuple(keep)
@@ -131,7 +132,7 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
     A non-reverting factor with the same loading on all days, independent of the others, scales all
-    prices in proportion, where they are proportional to the curve; without proportional costs it
+    prices in proportion, if they are proportional to the curve; without proportional costs it
     leaves the value unchanged (a change of numeraire), and almost so with small costs (a fixed
     payment for the gas left counts as one). It is dropped unless it is the only factor.
     """
@@ -218,12 +219,11 @@ class Refined(NamedTuple):
 
 
 def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) -> Refined:
-    """The lattice's value, the grids of volumes and of prices refined until they move it only
-    slightly.
+    """The lattice's value; the grids of volumes and of prices are refined until it is stable.
 
-    Where rates are constant the inventories are the breakpoints of the value, which are exact.
-    Otherwise the first grid of volumes holds every daily flow where these have a common measure: a
-    grid that does not makes a store of round volumes cheaper.
+    With constant rates the inventories are the breakpoints of the value, which are exact. Otherwise
+    the first grid of volumes contains every daily flow, if these have a common measure: any other
+    grid would lower the value of a store with round volumes.
     """
     if len(schedule.steps.forward) == 0:
         return Refined(lattice(schedule, factors, interpolation).value, 0.0)
@@ -248,8 +248,8 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
 
 
 def on_finer_grids(first: float, value: Callable[[int], float], enough: float = MOVED) -> Refined:
-    """The value on a grid that is halved until that moves it by less than the share `enough`, and
-    the last move."""
+    """The value on a grid that is halved until the value changes by less than the share `enough`,
+    and the last change."""
     before, moved = first, 0.0
     for times in range(1, HALVED + 1):
         after = value(2**times)

@@ -1,4 +1,4 @@
-"""One day of the inventory lattice: its grid, the best decisions on it, and following them."""
+"""One day of the inventory lattice: its grid, the best decisions on it, and their effect."""
 
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -29,7 +29,7 @@ def free_volumes(schedule, interpolation: Interpolation) -> Volumes:
 
 
 class DayDecisions(NamedTuple):
-    """One day's best decisions, and the nodes that following them needs.
+    """One day's best decisions, and the nodes needed to follow them.
 
     - `inventory`: [n] start-of-day grid; `nodes`: [m] end-of-day grid.
     - `choice`: [n, columns] HOLD, UP, DOWN (smallest, greatest and least net flow), BUY_TO or
@@ -80,7 +80,7 @@ def decide(
     """The best decision at each start-of-day inventory [n] and column, and the value [n, columns].
 
     `after` [m, columns] is the value at the end of the day on `nodes` [m]. Free volumes: the node
-    where value minus price is greatest is a target wherever it is within reach; if `after` is
+    where value minus price is greatest is a target if it is within reach; if `after` is
     concave in the inventory, no other target is needed.
     """
     today = moves(schedule, day_rates, t, inventory)
@@ -161,7 +161,7 @@ def follow(day: DayDecisions, weight: np.ndarray) -> LatticeFlow:
 def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> "csr_array":
     """Linear interpolation from rising nodes [m] to points [n], flat outside. [n, m], sparse
 
-    Linear on purpose: it keeps the order of values, and on a concave value it can only lose.
+    It is linear since this keeps the order of values, and can only lower a concave value.
     """
     from scipy.sparse import csr_array  # late: a case is checked without it
 

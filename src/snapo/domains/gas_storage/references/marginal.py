@@ -2,13 +2,13 @@
 
 The fast factor has a fine uniform grid and the trapezoidal rule against the exact transition
 density: for a smooth integrand its error falls faster than any power of the spacing (Trefethen and
-Weideman, SIAM Review 56, 2014), and the kinks of decisions cost order spacing squared. The slow
-factor has few nodes: Gauss-Hermite quadrature of a cubic spline through them.
+Weideman, SIAM Review 56, 2014), and the kinks of decisions add an error of the order of the spacing
+squared. The slow factor has few nodes: Gauss-Hermite quadrature of a cubic spline through them.
 
 A store that is filled and emptied by fixed daily volumes has values with corners at the multiples
-of these: the next unit injected has the value of the slope above, the last one withdrawn of the
-slope below. Rows of the table of slopes are on the corners and half-way between, where volumes
-have a common measure.
+of these: the value of the next unit injected is the slope above, that of the last unit withdrawn
+the slope below. If volumes have a common measure, the rows of the table of slopes are on the
+corners and half-way between them.
 """
 
 from collections.abc import Callable
@@ -57,7 +57,7 @@ class Transition(NamedTuple):
 class FactorGrid:
     """Nodes of the kept factors, the same on all days; columns run over slow x fast nodes.
 
-    Where prices have spikes, these are the slow coordinate.
+    If prices have spikes, these are the slow coordinate.
 
     - `of`: all factors of the price process; `selected`: indices of those on the grid, fast one
       first.
@@ -248,7 +248,7 @@ class SlopeTable(NamedTuple):
 
 
 def slope_table(schedule) -> SlopeTable:
-    """The rows of all days: on corners where they are few and known, else across each interval."""
+    """The rows of all days: on corners if these are few and known, else across each interval."""
     steps = schedule.steps
     low, high = np.asarray(steps.next_low, float), np.asarray(steps.next_high, float)
     across = SlopeTable(low, high, low, high, corners=False)
@@ -266,8 +266,8 @@ def slope_table(schedule) -> SlopeTable:
 
 
 def common_volume(steps, divisors: int = DIVISORS) -> float | None:
-    """The volume of which all daily ones are multiples, at least so small a part of the least;
-    None if they depend on the inventory."""
+    """The common divisor of all daily volumes, if it is not too small a part of the smallest; None
+    if they depend on the inventory."""
     volumes = np.concatenate([steps.injection_rate, steps.withdrawal_rate])
     if np.any(np.ptp(volumes, axis=1) > 0) or np.any(np.asarray(steps.inventory_loss) != 0):
         return None
@@ -310,8 +310,8 @@ def marginal_values(
 ) -> MarginalValues:
     """The table of a dynamic program in the fast factor; without factors of the intrinsic problem.
 
-    Where a day leaves no choice of inventory (`low` = `high`) the value is the day's spot price.
-    There must be a day.
+    If a day has only one possible inventory (`low` = `high`) the value is the day's spot price.
+    There must be at least one day.
     """
     table = slope_table(schedule)
     if factors is None:

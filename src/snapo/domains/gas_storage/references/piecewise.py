@@ -114,7 +114,7 @@ def _cash(prices: UnitPrices, net: np.ndarray) -> np.ndarray:
 
 
 def _breakpoints(schedule, day_rates: DayRates, t, targets, low, high, scale) -> np.ndarray:
-    """Where today's value may bend: at a ratchet level, or where a move meets a bend of `after`."""
+    """Levels where today's value may bend: ratchets, or where a move meets a bend of `after`."""
     levels = day_rates.levels
     knots = np.concatenate([[low], levels[(levels > low) & (levels < high)], [high]])
     keep = knots * (1 - schedule.steps.inventory_loss[t])

@@ -1,4 +1,4 @@
-"""The questions to a run of an item or of a network, with their sections of the report.
+"""The chapters of a run of an item or of a network, with their sections of the report.
 
-`about` summarises the case for all others; `levels` is of an item only, `places` of a network.
+`about` summarises the case for all others; `levels` is for an item only, `places` for a network.
 """

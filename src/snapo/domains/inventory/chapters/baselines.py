@@ -1,4 +1,4 @@
-"""The trained rule compared with the classical ones, each with its best numbers, on its paths."""
+"""The trained rule compared with classical ones, each with its best numbers, on the same paths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -26,7 +26,7 @@ from ..policy.search import SEARCH_PATHS
 class RuleResult:
     """The result of a rule, minus its cost, and its standard error.
 
-    - `difference`, `difference_error`: to the trained rule, paired path by path; None of itself.
+    - `difference`, `difference_error`: to the trained rule, paired path by path; None for itself.
     - `numbers`: the numbers of the rule, in a planner's terms.
     """
 
@@ -40,7 +40,7 @@ class RuleResult:
 
 @dataclass(frozen=True)
 class RuleResults:
-    """The trained rule first."""
+    """All rules, the trained one first."""
 
     rivals: tuple[RuleResult, ...]
 

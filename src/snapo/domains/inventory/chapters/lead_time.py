@@ -45,7 +45,7 @@ class OtherLeadTimes:
 
 
 def measure(run: StudyRun) -> OtherLeadTimes:
-    """A period less and a period more, as far as a case may have them."""
+    """One period less and one period more, as far as a case allows them."""
     rows = []
     for site, lead, other, case in _other_cases(run.setup):
         if 0 <= other <= LONGEST_LEAD:
@@ -107,7 +107,7 @@ def lead_time(run: RunFiles) -> Section:
 
 
 def show(run: RunFiles, result: OtherLeadTimes) -> Sequence[Block]:
-    """The cost of a period more or less of lead time."""
+    """The cost of a lead time one period longer or shorter."""
     step, rows = CaseSummary.of(run).step, result.lead_time_change
     columns = [
         Column("Lead time", lambda row: counted(row.lead, step)),

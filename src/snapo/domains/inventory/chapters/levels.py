@@ -34,7 +34,7 @@ LINES = 25  # of the table
 
 @dataclass(frozen=True)
 class OrderCurve:
-    """The rule with one amount on its way, spread over the lead time, at every stock.
+    """The rule at every stock, for one amount on its way that is spread over the lead time.
 
     - `orders` [n]; `levels` [n]: stock, on its way and ordered together; NaN without an order.
     """
@@ -62,7 +62,7 @@ class OrderCurves:
 
 
 def measure(run: StudyRun) -> OrderCurves:
-    """Orders at several stocks, without goods on their way and with the usual amounts of them."""
+    """Orders at several stocks, without goods on their way and with usual amounts on their way."""
     setup, case = run.setup, case_of(run.setup)
     now = at(setup.problem.schedule.steps, case.warm_up)
     stock = stocks(case, float(now["level"]))
@@ -79,7 +79,7 @@ def measure(run: StudyRun) -> OrderCurves:
 
 
 def stocks(case: InventoryCase, level: float) -> np.ndarray:
-    """Stocks from none, or from demand that waits, to somewhat above the level."""
+    """Stocks from zero, or from waiting demand, to somewhat above the level."""
     low = 0.0 if case.item.lost else -level / 2
     grid = np.linspace(low, 1.2 * level, POINTS)
     return np.unique(np.round(grid)) if case.item.integer else grid

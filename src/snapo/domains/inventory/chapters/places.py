@@ -22,9 +22,9 @@ from .service import CostAndService, PathMean
 class PlaceService:
     """A place: averages of a period, each with its standard error.
 
-    - `level`: up to which it orders, with a cost of an order over its orders only.
+    - `level`: the order-up-to level; if an order has a cost, the mean over orders only.
     - `supplier`: empty if goods come from outside.
-    - `orders`, `order_size`: in a period, where an order has a cost; `sent`, `received`: in a pool.
+    - `orders`, `order_size`: in a period, if an order has a cost; `sent`, `received`: in a pool.
     - `demand`, `fill_rate`: if it has customers.
     """
 
@@ -48,7 +48,7 @@ class NetworkService(CostAndService):
 
 
 def measure(run: StudyRun) -> NetworkService:
-    """Service and costs as of an item, and the places."""
+    """Service and costs as for an item, and the places."""
     case, paths = network_of(run.setup), service.paths_of(run)
     optional = [(case.ordering, "ordering"), (case.transshipment, "transshipment")]
     names = ["holding", "shortage", *(name for cost, name in optional if cost is not None)]
@@ -117,7 +117,7 @@ PLACES = Chapter("service", "Places", NetworkService, measure, show, short="Plac
 
 
 def service_and_places(run: StudyRun) -> dict[str, Any]:
-    """The part "service" of a network: a row has no entry where a place has no such number."""
+    """The part "service" of a network: a row omits the numbers that a place does not have."""
     entries = PLACES.data(measure(run))
     rows = [{name: x for name, x in row.items() if x is not None} for row in entries["places"]]
     return entries | {"places": rows}

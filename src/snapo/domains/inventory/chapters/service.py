@@ -1,4 +1,4 @@
-"""The cost that a planner came for, with the service it buys; and the parts of the cost."""
+"""The cost for a planner, with the service that it buys, and the parts of the cost."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -97,7 +97,7 @@ def total(paths: PathTotals, name: str) -> PathMean:
 
 
 def ratio(paths: PathTotals, top: str, bottom: str) -> PathMean:
-    """One output's mean over another's."""
+    """The ratio of the means of two outputs."""
     return PathMean(*paths.ratio(top, bottom))
 
 

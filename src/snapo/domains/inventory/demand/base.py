@@ -49,7 +49,7 @@ class Demand(TreeRecord):
     @classmethod
     @abc.abstractmethod
     def read(cls, section: TableContext, table: Any, maximum: float) -> Self:
-        """From its table, whose numbers have their units; `maximum`: the largest factor of a
+        """Makes it from its table, whose numbers have units; `maximum`: the largest factor of a
         period."""
 
     def inputs(self) -> tuple[CaseInput, ...]:
@@ -66,7 +66,7 @@ class Demand(TreeRecord):
 
     @abc.abstractmethod
     def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
-        """Demand of the period `now`; `spread`: whole demand spread evenly half a unit around."""
+        """Demand of the period `now`; `spread`: whole demand, spread by half a unit."""
 
     @abc.abstractmethod
     def deviation(self, parameters: Parameters, factors: Any) -> Any:
@@ -89,7 +89,7 @@ class Demand(TreeRecord):
         return self.integral()
 
     def values(self) -> dict[str, float]:
-        """The parameters as the case gives them."""
+        """The parameters in the case."""
         return {item.name: float(item.values[0]) for item in self.inputs()}
 
 
@@ -97,7 +97,7 @@ KINDS: dict[str, type[Demand]] = {}
 
 
 def register(demand: type[Demand]) -> type[Demand]:
-    """Makes a demand known under its `kind`; one without a part of its behaviour is refused."""
+    """Registers a demand under its `kind`; an incomplete class is refused."""
     missing = sorted(getattr(demand, "__abstractmethods__", ()))
     missing += [name for name in ("kind", "table") if not hasattr(demand, name)]
     if missing:
@@ -109,6 +109,6 @@ def register(demand: type[Demand]) -> type[Demand]:
 
 
 def as_input(numbers: CaseInput) -> Input:
-    """Numbers of a case as an input; one number as itself, not as a list of one."""
+    """Numbers of a case as an input; a single number is not made a list."""
     made = numbers.input()
     return made if numbers.labels != ("",) else replace(made, value=made.value.reshape(()))

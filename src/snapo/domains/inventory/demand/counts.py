@@ -2,7 +2,7 @@
 parameters.
 
 Demand k is drawn if the uniform number u is between F(k - 1) and F(k), where F is the distribution
-function. A step function has no useful derivative; this one is given
+function. A step function has no useful derivative; this one gets
 
     d demand = - d F(k - 1) / p(k),        p(k) = F(k) - F(k - 1),
 
@@ -11,10 +11,10 @@ if f is differentiated to the left at them: the sum of (f(k) - f(k - 1)) (-d F(k
 parts. Costs of an inventory with whole orders are such functions of every demand. For a Poisson
 demand d demand / d mean is k / mean.
 
-Between whole numbers the rule is to differentiate stock upwards and so demand downwards; the
-simulator writes its corners so that they do.
+At whole numbers stock is differentiated upwards, and so demand downwards; the simulator does the
+same.
 
-Where demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
+If demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
 variance larger by 1/12, and with the derivative of that quantile.
 
 Kinds of `[demand]`: "poisson", "geometric" and "negative-binomial".

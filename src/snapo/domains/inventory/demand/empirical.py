@@ -35,12 +35,12 @@ class EmpiricalTable(CaseTable):
 class EmpiricalDemand(Demand):
     """A period of the history, drawn at random.
 
-    Where the history has a column `factor`, its demand is divided by it, and a period drawn is
-    multiplied by its own factor. The mean moves all numbers by the same
-    amount, the deviation stretches them.
+    If the history has a column `factor`, its demand is divided by it, and a period drawn is
+    multiplied by its own factor. A change of the mean shifts all numbers by the same amount; the
+    deviation stretches them.
 
     - `numbers`: the numbers of the history, sorted; `scores`: the same with mean 0 and deviation 1.
-    - `whole`: whether all are; `moved`: whether the case gives another mean or deviation.
+    - `whole`: whether all are; `moved`: whether the case has another mean or deviation.
     """
 
     kind = "empirical"

@@ -1,4 +1,4 @@
-"""Rules of thumb of one item: where a rule starts, and the cost of a period to expect."""
+"""Rules of thumb of one item: the start of a rule, and the expected cost of a period."""
 
 from collections.abc import Callable
 from typing import Any
@@ -25,7 +25,7 @@ def safety_factor(case: InventoryCase, quantile: Callable[[float], float] | None
 
     The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), as if demand waited
     at a shortage cost of p / (L + 1), which costs less than losing it does (Janakiraman, Seshadri
-    and Shanthikumar, Operations Research 55, 2007). It is where training starts.
+    and Shanthikumar, Operations Research 55, 2007). Training starts from this number.
 
     `quantile`: the quantile of the standard normal distribution, another one than SciPy's.
     """
@@ -36,7 +36,7 @@ def safety_factor(case: InventoryCase, quantile: Callable[[float], float] | None
 
 
 def base_stock(mean: Any, deviation: Any, safety: Any) -> Any:
-    """[T] the levels to start from: `safety` standard deviations above the mean of the demand of
+    """[T] the initial levels: `safety` standard deviations above the mean of the demand of
     L + 1 periods; `mean`, `deviation` [T, L + 1]: of the demand of each."""
     return xp.sum(mean, 1) + safety * xp.sqrt(xp.sum(deviation**2, 1))
 
@@ -78,9 +78,9 @@ def usual_cost(case: InventoryCase) -> float:
 
 
 def memory(case: InventoryCase) -> float:
-    """Periods after which an order no longer has an effect: twenty times a lot's and its lead time.
+    """Periods after which an order has no effect: 20 times its lead time plus those of a lot.
 
-    In one case the derivative with respect to when to order, -.06 per deviation at a cost of 12.9,
-    has an error of .02 with twenty, .04 with ten.
+    In one case the derivative with respect to when to order, -0.06 per deviation at a cost of 12.9,
+    has an error of 0.02 with twenty, 0.04 with ten.
     """
     return 20 * (case.item.lead_time + 1 + economic_lot(case) / mean_demand(case))

@@ -22,7 +22,7 @@ class Item:
       not limited.
     - `holding`, `shortage`, `purchase`, `ordering`: costs by unit held, unit short, unit ordered,
       order.
-    - `stock`, `coming`: at the start, None if the start is the usual one.
+    - `stock`, `coming`: at the start; None for the default start.
     """
 
     lost: bool
@@ -42,7 +42,7 @@ class Item:
         return bool(self.ordering.values[0] > 0)
 
     def inputs(self) -> tuple[CaseInput, ...]:
-        """Its numbers as inputs; a cost of every order only where there is one."""
+        """Its numbers as inputs; the cost of an order only if there is one."""
         costs = (self.holding, self.shortage, self.purchase)
         starts = [item for item in (self.stock, self.coming) if item is not None]
         return (*costs, *([self.ordering] if self.fixed else []), *starts)

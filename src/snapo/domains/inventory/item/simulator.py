@@ -2,7 +2,7 @@
 
 A period t, with a lead time of L periods:
 
-1. An order q(t) is placed, knowing the stock x(t) and the L - 1 orders that are on their way
+1. An order q(t) is placed, based on the stock x(t) and the L - 1 orders that are on their way
    (q(t - L + 1) … q(t - 1); that of L periods ago has just arrived and is part of x(t)).
 2. Demand d(t) is met from stock: left = max(x - d, 0), short = max(d - x, 0).
 3. The period costs holding left + shortage short + purchase q + (order cost if q > 0).
@@ -12,11 +12,11 @@ A period t, with a lead time of L periods:
 With L = 0 the order of this period is on hand before its demand. Timing and names are those of
 Zipkin, Old and new methods for lost-sales inventory systems, Operations Research 56 (2008).
 
-Where an order has a fixed cost, training draws at random whether an order is placed, with the
+If an order has a fixed cost, training draws at random whether an order is placed, with the
 probability given by the policy, and multiplies costs by the likelihood ratio of the draw
-(`Choice.draw`). Placing a fraction of an order would be another problem: its best rule is as sharp
-as possible, and derivatives through a sharp threshold explode. (Rules trained that way cost 1 to 18
-% more than the best one, and the initial rule was kept.)
+(`Choice.draw`). Placing a fraction of an order would be another problem: its best rule has a
+threshold that is as sharp as possible, and derivatives through a sharp threshold explode. (Rules
+trained that way cost 1 to 18 % more than the best one, and the initial rule was kept.)
 """
 
 from dataclasses import replace
@@ -46,9 +46,9 @@ AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered", "cycles", "
 class InventorySimulator(Simulator):
     """One path of an item; the inputs are those of `InventoryCase.inputs`.
 
-    It holds no case: items of the same form differ only in arrays and inputs.
+    It contains no case: items of the same form differ only in arrays and inputs.
 
-    **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as of an `Item`; `seasonal`: whether
+    **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as in an `Item`; `seasonal`: whether
     periods differ; `demand`: the demand of the case, `formed`; `weights`, `counted` [T] as of the
     case; and its estimates `safety_factor`, `usual_cost` and `memory`.
 

@@ -125,7 +125,7 @@ def _usual_levels(case: NetworkCase) -> np.ndarray:
 
 
 def memory(case: NetworkCase) -> np.ndarray:
-    """[m] periods after which an order no longer has an effect: twenty times a lot's, and those
-    that it takes to the last customer. See `item.estimates.memory`."""
+    """[m] periods after which an order no longer has an effect: twenty times a lot's, and the
+    periods until it reaches the last customer. See `item.estimates.memory`."""
     lots, (mean, _), sites = economic_lots(case), served(case), list(case.network.fixed)
     return 20 * (case.network.cover[sites] + lots[sites] / mean[sites])

@@ -28,7 +28,7 @@ def _name(network: SupplyNetwork, i: int) -> str:
 
 
 class Placed(NamedTuple):
-    """Which places order.
+    """The places that order.
 
     - `orders` [n]: 1 if a place orders, or may do so without a fixed cost.
     - `likelihood` [m]: ratios of the draws of `network.fixed`: 1, with a derivative.
@@ -91,6 +91,6 @@ class LikelihoodWeights:
         return self.all * amount if self.drawn else amount
 
     def innovation(self, costs):
-        """0, with the derivative of `of(costs) - costs` [n] summed; costs count only in their
-        deviation from the average, since a smaller factor adds less noise."""
+        """0, with the derivative of the sum of `of(costs) - costs` [n]; only deviations of costs
+        from their average count, since a smaller factor adds less noise."""
         return jnp.sum((self.place_weights - 1) * (costs - self.usual)) if self.drawn else 0.0

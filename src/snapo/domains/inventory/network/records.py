@@ -57,7 +57,7 @@ class Pool:
 
 @dataclass(frozen=True)
 class SupplyNetwork:
-    """The places of a network and the ways between them, without any costs and demands.
+    """The places of a network and the links between them, without costs and demands.
 
     - `integer`: whether orders and shipments are whole numbers.
     - `cheapest_first`: the numbers of the pools in the order in which they act.
@@ -91,7 +91,7 @@ class SupplyNetwork:
 
     @cached_property
     def serves(self) -> np.ndarray:
-        """[n, n]: 1 if the place of the column is that of the row, or supplied through it."""
+        """[n, n]: 1 if the place of the column is the place of the row, or supplied through it."""
         serves = np.eye(len(self.sites))
         for i in range(len(self.sites)):
             for item in self._way(i):

@@ -25,7 +25,7 @@ class RuleNumbers(NamedTuple):
 
     - `above` [n]: its levels minus those of the simulator.
     - `reserve`: the bands of stores; stores hold back nothing after demand, unless it is `ENDLESS`.
-    - `wait` [m]: the levels of the simulator less the reorder points, for each place with a fixed
+    - `wait` [m]: the levels of the simulator minus the reorder points, for each place with a fixed
       cost; None if a place orders whenever it is below its level.
     """
 
@@ -82,8 +82,8 @@ def echelon_rule(
 
 
 def best(setup: Setup, start: RuleNumbers) -> RuleNumbers:
-    """The best numbers from these on: levels, reorder points where it has some, and the band where
-    there is one to choose."""
+    """The best numbers, starting from these: levels, reorder points if it has some, and the band if
+    it has one."""
     case, cost_of = network_of(setup), cost_on_other_paths(setup)
     waits, banded = start.wait or (), bool(case.network.moving(True)) and start.reserve != ENDLESS
     n = len(start.above)

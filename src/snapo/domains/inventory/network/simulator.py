@@ -2,7 +2,7 @@
 
 A period:
 
-1. Every place orders, knowing all stocks and goods on their way. A supplier with less than the sum
+1. Every place orders, based on all stocks and goods on their way. A supplier with less than the sum
    of the orders shares its stock in proportion, and sends nothing later: places order the rest
    again.
 2. Goods arrive: with a lead time of 0 those just sent, else those sent that many periods ago.
@@ -64,26 +64,25 @@ class Levels(NamedTuple):
 class NetworkSimulator(Simulator):
     """One path of a network; the inputs are those of `NetworkCase.inputs`.
 
-    It holds no case: networks of the same form differ only in arrays and inputs.
+    It contains no case: networks of the same form differ only in arrays and inputs.
 
     **Arguments:** `network`; `horizon`; `demands`: the demands of the case, `formed`; `first`: the
-    numbers of demand from which a path starts, a fact that moves with no input; `weights`,
-    `counted` [T] as of the case; and its estimates `safety_factors` [n], `usual_costs` [n] and
-    `memory` [m].
+    numbers of demand from which a path starts, which no input changes; `weights`, `counted` [T] as
+    in the case; and its estimates `safety_factors` [n], `usual_costs` [n] and `memory` [m].
 
-    State: "stock" [n]; where a lead time is above zero "coming" [n, longest lead time], the next
-    arrival first; with fixed costs the "likelihood" [m] ratios of the draws of training: 1, with a
-    derivative. Action [n]: the amount that each place orders; with pools of stores further parts,
-    [m] each: "held", the amount that a store holds back after demand; "band" and "shift", the
-    distance of its stock from balance before demand that is allowed, and the shift of its balance;
-    and "order_NAME", whether a place with a fixed cost orders.
+    State: "stock" [n]; if a lead time is above zero, "coming" [n, longest lead time], the next
+    arrival first; with fixed costs "likelihood" [m], ratios for the draws of training that are 1
+    but have a derivative. Action [n]: the amount that each place orders; with pools of stores
+    further parts, [m] each: "held", the amount that a store holds back after demand; "band" and
+    "shift", the distance of its stock from balance before demand that is allowed, and the shift of
+    its balance; and "order_NAME", whether a place with a fixed cost orders.
 
     Outputs: "result", minus all costs; "holding", "shortage"; averages of a period that counts:
     "demand", "sold" (met at once), "stock" and "short" (1 if any place falls short), and
     "stock_NAME", "sold_NAME", "demand_NAME" by place, "level_NAME" up to which it orders. With
-    pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME". With
-    costs of an order "ordering", and on average "orders", "orders_NAME", "ordered_NAME", a number
-    of goods; "level_NAME" is then that of a period with an order, 0 in another.
+    pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME". If an
+    order has a cost, also the cost "ordering", and on average "orders", "orders_NAME" and
+    "ordered_NAME", the amount ordered; "level_NAME" is then 0 in a period without an order.
     """
 
     network: SupplyNetwork = eqx.field(static=True)
@@ -137,8 +136,8 @@ class NetworkSimulator(Simulator):
         return Product(**sets) if len(sets) > 1 else sets["order"]
 
     def prepare(self, inputs: Any) -> Schedule:
-        """What differs by period is in the steps where there is a season, else once in the
-        constants: `step` looks for it in both."""
+        """Numbers that differ by period are in the steps if there is a season, else once in the
+        constants; `step` reads both."""
         network = self.network
         periods = self.horizon if network.seasonal else 1
         result = self.levels(inputs, periods)
@@ -196,7 +195,7 @@ class NetworkSimulator(Simulator):
         return Levels(jnp.swapaxes(mean, 0, 1), level.T, unit, reach @ jnp.stack(typical))
 
     def _demands(self, inputs: Any) -> list[tuple[Demand, dict[str, Any]]]:
-        """(demand, its parameters, and the season where there is one) of every place that sells."""
+        """(demand, its parameters, and the season if there is one) of every place that sells."""
         parameters = []
         for i in self.network.sellers:
             start = f"{self.network.sites[i].name}."

@@ -2,8 +2,8 @@
 
 In a pool every place offers its stock above one level and requests its shortage below another,
 which is not higher. The smaller of both sums is moved; each side shares it in proportion. Pools act
-in turn, the cheapest first. With two places, or one cost for all, no cheaper way to move as much
-exists.
+in turn, the cheapest first. With two places, or one cost for all, this is the cheapest way to move
+this amount.
 
 - **After demand** a place offers the remaining stock above the amount that it holds back, and
   requests its unmet demand. Holding nothing back is complete pooling (Krishnan and Rao, 1965;
@@ -54,7 +54,7 @@ def move_before(network: SupplyNetwork, constants, stock, band, shift, smooth) -
 
 
 def move_after(network: SupplyNetwork, constants, stock, held, smooth) -> Transferred:
-    """Sends goods where demand was more than stock; `held` [m] of `network.moving(False)`."""
+    """Sends goods to places where demand exceeded stock; `held` [m] of `network.moving(False)`."""
     members = np.array(network.moving(False), int)
     held = jnp.zeros_like(stock).at[members].set(held)
     return _moved(

@@ -3,9 +3,8 @@
     order = deviation softplus(gap + first + gain · seen + network(seen))
 
 gap being the base-stock level minus the inventory position; all in standard deviations of demand.
-It starts as the base-stock rule. With a fixed cost per order, a second number decides
-whether there is one: if gap > wait + network(seen), an (s, S) rule whose numbers depend on the
-state.
+It starts as the base-stock rule. With a fixed cost per order, a second number decides whether there
+is one: if gap > wait + network(seen), an (s, S) rule whose numbers depend on the state.
 """
 
 import jax
@@ -22,9 +21,9 @@ TRIGGER = 2.0  # scores of "order" by deviation of the gap
 
 
 class OrderUpTo(Policy):
-    """The head described above, with a network of `hidden` layers.
+    """The head described above, with its network.
 
-    - `batch`, `wait`: where it starts, in deviations: S above and s below the base-stock level.
+    - `batch`, `wait`: initial values, in deviations: S above and s below the base-stock level.
     """
 
     network: Network

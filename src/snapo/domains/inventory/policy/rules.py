@@ -1,7 +1,7 @@
 """The classical rules of an item: policies with one to three numbers, and the best of these.
 
 The myopic rule of lost sales is the order that makes the period of its arrival cheapest: Morton
-(1971); Zipkin, Operations Research 56 (2008), section 4. Of whole demand: the probabilities of
+(1971); Zipkin, Operations Research 56 (2008), section 4. For whole demand, the probabilities of
 every stock in that period follow from the stock and the orders on their way; the order is the
 smallest q with P(demand <= stock + q) >= p / (p + h).
 """
@@ -95,7 +95,7 @@ RULES = {
 class Classical(Policy):
     """Order up to a level, at most a cap, and only from a reorder point down.
 
-    Level and reorder point are given relative to the simulator's level of the period, so that
+    Level and reorder point are relative to the simulator's level of the period, so that
     they move with a season.
 
     - `above`: the level S is higher by this; `cap`: the maximum order; `reorder`: an order is
@@ -136,7 +136,7 @@ def item_rules(setup: Setup) -> Iterator[tuple[str, Classical, dict[str, float]]
 
 
 def classical(setup: Setup, name: str, numbers: dict[str, float]) -> Classical:
-    """One of the rules with its parameters; those that it does not have never bind."""
+    """One of the rules with its parameters; parameters that it does not have never bind."""
     endless = ENDLESS * max(1.0, mean_demand(case_of(setup)))
     values = {key: numbers.get(key, endless) for key in ("above", "cap", "reorder")}
     arrays = {key: jnp.asarray(value, jnp.float32) for key, value in values.items()}
@@ -146,7 +146,7 @@ def classical(setup: Setup, name: str, numbers: dict[str, float]) -> Classical:
 def best_numbers(setup: Setup, name: str, base_stock: dict[str, float]) -> dict[str, float]:
     """The best numbers of a rule, searched on other paths than those of the value.
 
-    - `base_stock`: those of the base-stock rule, where others may start.
+    - `base_stock`: the numbers of the base-stock rule, from which others may start.
     """
     case, keys, cost_of = case_of(setup), RULES[name], cost_on_other_paths(setup)
     mean, lot, deviation = mean_demand(case), economic_lot(case), usual_deviation(case)
@@ -174,10 +174,9 @@ def _for_planner(setup: Setup, numbers: dict[str, float]) -> dict[str, float]:
 
 
 def myopic_of(setup: Setup) -> Policy | None:
-    """The myopic rule, if it has no simpler form: lost sales, demand in whole units, and no
-    season.
+    """The myopic rule, if it has no simpler form: lost sales, demand in whole units, and no season.
 
-    Where demand waits it is the base stock at the newsvendor's level.
+    If demand waits, this rule is the base stock at the newsvendor's level.
     """
     case = case_of(setup)
     item, demand = case.item, case.demand

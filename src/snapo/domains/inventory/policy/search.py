@@ -22,10 +22,10 @@ def search(
 ) -> tuple[float, ...]:
     """The numbers at which `cost` is smallest, among points of a grid of width `minimum`.
 
-    Moves by `step` along every number, and of two along both diagonals, while that helps, then by
-    half, down to `minimum`; at most `maximum` costs are asked for.
+    Moves by `step` along every number, and of two along both diagonals, while the cost falls, then
+    by half of it, down to `minimum`; at most `maximum` costs are computed.
 
-    - `together`: of more than two numbers, pairs that move along their diagonals too.
+    - `together`: pairs that also move along their diagonals, if there are more than two numbers.
     """
     costs: dict[tuple[float, ...], float] = {}
 

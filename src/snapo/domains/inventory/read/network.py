@@ -198,7 +198,7 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
 def _check(
     rows: list[PlaceTable], sections: list[TableContext], complete: TableContext, unmet: str
 ) -> None:
-    """Names, suppliers without a circle, customers at every end, shortage where there are any."""
+    """Names, suppliers without a circle, customers at every end, shortage if there are any."""
     names = [row.name for row in rows]
     if not 1 <= len(rows) <= MAXIMUM:
         raise complete.error("place", len(rows), f"there must be 1 to {MAXIMUM} tables [[place]]")

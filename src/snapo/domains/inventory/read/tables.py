@@ -1,6 +1,6 @@
 """The tables of an inventory case of the TOML file, each key with its meaning.
 
-The description of a key is the text that an error message quotes as allowed.
+The description of a key is the text of allowed values in an error message.
 """
 
 from dataclasses import replace

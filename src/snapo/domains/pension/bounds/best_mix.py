@@ -1,5 +1,5 @@
-"""The best mix at given prices: the maximum value of a unit of money within the limits; and log
-returns over cash of a step as Gaussian, given the market before it.
+"""The best mix at known prices: the maximum value of a unit of money within the limits. Also log
+returns over cash of a step, Gaussian conditional on the market before it.
 """
 
 from typing import NamedTuple
@@ -89,7 +89,7 @@ class GaussianReturns(NamedTuple):
     """Log returns over cash, linear in the step's normals [Z].
 
     - `mean` [m], `load` [m, Z]: of n classes, and of money over cash (minus its log return): m = n
-      + 1. Of classes made of bonds, to first order.
+      + 1. For classes made of bonds this is to first order.
     - `bonds`, `bond_load`: the same for the q bonds of which classes and swaps are made, on all
       paths.
     - `shares`: their weights [k, q of its own] in each kind, in the order of `by_kind`, and in the

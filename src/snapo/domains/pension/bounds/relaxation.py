@@ -7,9 +7,9 @@ Then D A earns nothing on average under any policy, so
     E[u(F)] <= E[sup over F of u(F) - y D(T) L F] + y (A(0) + E[sum of deflated money received])
 
 for every y > 0 and p (Haugh, Kogan and Wang, Operations Research 54, 2006). The liability L is the
-minimum and the money received the maximum over all decisions: exact where indexation and
-contributions do not depend on decisions, wide where they do. Costs of trading count as nothing.
-Assets are above zero: a debt, which leverage or payments can leave, earns more than nothing.
+minimum and the money received the maximum over all decisions: exact if indexation and contributions
+do not depend on decisions, wide if they do. Costs of trading are neglected. Assets must be above
+zero: with a debt, which leverage or payments can leave, D A could earn money on average.
 """
 
 from collections.abc import Callable
@@ -65,8 +65,8 @@ def extremes(
     """The extremes of a path whose markets `before` and `after` each step have leaves [T, …].
 
     Decisions affect rights through indexation only, and contributions through assets and rights.
-    The least rights follow from the smallest increase at every date, the most from the largest;
-    contributions are highest without assets and with the most rights.
+    The minimum rights follow from the smallest increase at every date, the maximum rights from the
+    largest; contributions are highest without assets and with the maximum rights.
     """
     case = simulator.model
 

@@ -1,1 +1,1 @@
-"""The questions that only a pension fund answers, each with its section of the report."""
+"""The chapters of results that only a pension fund has, each with its section of the report."""

@@ -11,7 +11,7 @@ mean of moving assets first and of moving the liability first. dA and dL are sum
   the remainder, which is the curve's (and that of prices, where payments follow them);
   mortality away from the expected one; indexation granted beyond the part valued.
 
-Variance: each source of risk is taken away in turn. The trained policy decides throughout, on the
+Variance: each source of risk is removed in turn. The trained policy decides throughout, on the
 same paths; only the volatilities of one source are zero. Shares need not add up to one: sources
 offset each other, and the policy reacts.
 """
@@ -253,7 +253,7 @@ ATTRIBUTION = Chapter("attribution", TITLE, RatioParts, measure, show, key="attr
 @dataclass(frozen=True)
 class SourceVariance:
     """The final funding ratio with all sources of risk, or without one: mean, standard deviation,
-    and the share of the variance that is gone."""
+    and the share of the variance that is removed."""
 
     source: str = ""
     mean: Number = np.nan
@@ -279,7 +279,7 @@ def sources(case: PensionCase) -> dict[str, list[CaseInput]]:
 
 
 def measure_variance(run: StudyRun) -> tuple[SourceVariance, ...]:
-    """With all sources, then without each; none under supplied scenarios."""
+    """The ratio with all sources, then without each; none under supplied scenarios."""
     case, setup, policy = case_of(run), run.setup, run.solution.policy
     assert policy is not None
     if case.scenarios is not None:

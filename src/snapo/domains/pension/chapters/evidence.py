@@ -42,8 +42,7 @@ TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
 class BondsPriced(PensionSimulator):
     """The fund, with the discounted value of bonds at the horizon: "bond 10".
 
-    Per unit of their forward price; index-linked where the liability
-    is valued as following prices.
+    Values are per unit of the forward price, index-linked if the liability follows prices.
     """
 
     def terminal(self, constants, state, smooth):
@@ -73,9 +72,9 @@ class MarketTest:
 def measure(run: StudyRun) -> tuple[MarketTest, ...]:
     """Discounted values and their expectations, with the trained policy.
 
-    The scenarios are "Q" for any measure of the case, without the cost of hedging currencies,
-    which is paid to no one. Costs count where they are paid. None if scenarios are supplied;
-    appraised values and bases with a spread are no prices.
+    The scenarios are "Q" for any measure of the case, without the cost of hedging currencies, which
+    nobody receives. Other costs count when they are paid. None if scenarios are supplied. Appraised
+    values and bases with a spread are not market prices.
     """
     case, setup = case_of(run), run.setup
     if case.scenarios is not None:

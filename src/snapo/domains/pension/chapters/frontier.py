@@ -1,12 +1,12 @@
-"""The efficient frontier: contributions against the shortfall, from a sweep of a mixture's weight.
+"""The efficient frontier: contributions against the shortfall, from a sweep over their weight.
 
 For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon minus s times the
 present value of contributions over the liability of today. The sweep goes up and then down again;
-each time a policy is trained from the best one for its aim so far, wherever that one was trained,
-and in the end each share takes the best of all. Were aims and points measured on the same paths,
-points would be in order only for that reason: of two policies that are each best for their aim, the
-one for the larger s has lower contributions. They are chosen on the validation paths and measured
-on fresh ones, so that they are in order within their errors.
+each time a policy is trained from the best one for its aim so far, for whichever share that one was
+trained, and in the end each share takes the best of all policies. If aims and points were measured
+on the same paths, points would be in order for that reason alone: of two policies that are each
+best for their aim, the one for the larger s has lower contributions. They are chosen on the
+validation paths and measured on fresh ones, so that they are in order within their errors.
 """
 
 from collections.abc import Sequence
@@ -58,7 +58,8 @@ class FrontierPoint:
     ratio, at most 0) with standard errors, the median funding ratio and the share of paths below 1.
 
     - `share`: the weight of contributions, NaN for the policy of the run.
-    - `efficient`: whether no other point has less of both; None for the policy of the run.
+    - `efficient`: whether no other point has lower contributions and a smaller shortfall; None for
+      the policy of the run.
     """
 
     share: Number = np.nan
@@ -73,7 +74,7 @@ class FrontierPoint:
 
 @dataclass(frozen=True)
 class FrontierSweep:
-    """Points of the sweep, none without `[frontier]`; and the policy of the run."""
+    """The points of the sweep (none without `[frontier]`) and the policy of the run."""
 
     level: Number = np.nan
     points: tuple[FrontierPoint, ...] = ()
@@ -114,7 +115,7 @@ def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> lis
 
 
 def best(candidates: Sequence[Candidate], goal: Objective) -> Candidate:
-    """The candidate with the highest value; the first of equals."""
+    """The candidate with the highest value; the first one among equals."""
     values = np.array([value_of(goal, item.totals) for item in candidates])
     return candidates[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))]
 

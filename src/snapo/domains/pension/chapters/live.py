@@ -81,7 +81,7 @@ def headline(setup: Setup, value: float) -> DisplayedValue | None:
 
 
 def outcome(paths: PathTotals) -> list[LiveTable]:
-    """The ratio that summarises a fund at the end: certain equivalent, mean, tail, shortfall."""
+    """The ratio that summarises a fund at the end: certainty equivalent, mean, tail, shortfall."""
     case, problem = case_in(paths.setup), paths.setup.problem
     measure = outcome_measure(case)
     ratios = np.asarray(paths.totals[measure.output], np.float64)

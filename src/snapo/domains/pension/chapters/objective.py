@@ -55,9 +55,10 @@ class WeightedTerm:
 class ObjectiveValue:
     """The terms and the value.
 
-    `equivalent`, `equivalent_error`: under a utility of the funding ratio, or of pensions over
-    today's, the certainty equivalent of this `output` with its standard error; `slope`: the slope
-    of the equivalent by the utility, whose relative risk `aversion` it is.
+    `equivalent`, `equivalent_error`: the certainty equivalent of this `output` with its standard
+    error, if the objective is a utility of the funding ratio, or of pensions relative to today's.
+    `slope`: the derivative of the equivalent with respect to the utility, which has the relative
+    risk `aversion`.
     """
 
     terms: tuple[WeightedTerm, ...] = ()

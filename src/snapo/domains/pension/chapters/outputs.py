@@ -56,7 +56,7 @@ OF_POTS = (
 @dataclass(frozen=True)
 class OutputValue:
     """A figure of the final ratio or of contributions, with its standard error; `money`: whether it
-    is money, else it is a share."""
+    is money or a share."""
 
     key: str = ""
     name: str = ""
@@ -173,7 +173,7 @@ def _outputs(run: StudyRun) -> Iterator[Derived]:
 def _effects(
     derived: Sequence[Derived], name: str, size: np.ndarray
 ) -> dict[str, tuple[float, float]]:
-    """{output: (effect, standard error)} of a move [n] of an input's numbers."""
+    """{output: (effect, standard error)} for a move [n] of an input's numbers."""
     effects = {}
     for output, held, scale in derived:
         effect, error = held[name].along(size.reshape(held[name].value.shape))

@@ -38,8 +38,8 @@ Fan = dict[str, Floats]  # {"p05": [times], "mean": [times]}
 
 @dataclass(frozen=True)
 class YearlyFans:
-    """Quantiles by year. `funding` ratio, the share of paths with one below 1 (`underfunded`), and
-    the mean of min(F - 1, 0) over the worst 5 % (`shortfall`), at `years` from now.
+    """Quantiles by year. `funding` ratio, the share of paths with a ratio below 1 (`underfunded`),
+    and the mean of min(F - 1, 0) over the worst 5 % (`shortfall`), at `years` from now.
 
     Within each year: contributions, benefits, increases minus cuts; and these `cumulated`.
     """
@@ -56,12 +56,12 @@ class YearlyFans:
 
 @dataclass(frozen=True)
 class PolicyMap:
-    """Weights over funding ratio and time: means over the paths that are there.
+    """Weights over funding ratio and time: means over the paths in each cell.
 
     - `years` [Y]: starts of years; `ratios` [R + 1]: edges of the columns.
-    - `growth` [Y, R]: the growth of the classes with a separate shock; `hedge` [Y, R]: of the mean
-      place of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW paths
-      are.
+    - `growth` [Y, R]: the growth of the classes with a separate shock; `hedge` [Y, R]: the mean
+      position of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW
+      paths are.
     """
 
     years: Floats
@@ -82,7 +82,7 @@ class MeanMix:
 
 @dataclass(frozen=True)
 class LimitBreaches:
-    """The share of the paths that break a limit: in each step [T], and `ever`."""
+    """The share of the paths that violate a limit: in each step [T], and `ever`."""
 
     share: Floats
     ever: Number
@@ -98,8 +98,7 @@ class FirstAllocation:
 
 @dataclass(frozen=True)
 class PathTables:
-    """The results of the recorded paths; `recovery`: before the regulator, if the case has
-    one."""
+    """The results of the recorded paths; `recovery`: towards the regulator, if the case has one."""
 
     by_year: YearlyFans
     policy_map: PolicyMap
@@ -173,7 +172,7 @@ class RecordedPaths:
 
     @property
     def overlay(self) -> np.ndarray:
-        """[T, N, b] where in its range each notional was set, from 0 to 1."""
+        """[T, N, b] the position of each notional in its range, from 0 to 1."""
         return self.action[:, :, len(self.case.assets.classes) :]
 
 
@@ -277,11 +276,11 @@ def mean_mix(record: RecordedPaths) -> MeanMix:
 
 
 def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBreaches]:
-    """Shares of the paths that break a limit.
+    """Shares of the paths that violate a limit.
 
     "weights": a weight or a group leaves its bounds; with swaps, "collateral": eligible assets do
-    not cover the need under stress. Less than `round_off` is no breach: the learned policy often
-    holds exactly as many swaps as its assets back, and the last bit may lie on either side.
+    not cover the need under stress. Less than `round_off` is not a breach: the learned policy often
+    holds exactly as many swaps as its assets back, so that the last bit decides.
 
     **Arguments:**
 

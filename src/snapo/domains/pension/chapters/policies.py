@@ -39,7 +39,7 @@ class PolicyWorth:
 
     - `difference`: the learned policy's value minus its own, paired path by path.
     - `equivalent`: the certainty equivalent, and `lead`: the learned policy's in log ratio per
-      year; NaN if the objective is no utility of a ratio.
+      year; NaN if the objective is not a utility of a ratio.
     - `median`, `p05`, `underfunded`: of the final ratio, the last its share of paths below 1.
     - `pv_contribution`: the mean present value of contributions, money.
     """
@@ -62,10 +62,10 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     """Value, certainty equivalent and paired difference of every policy, the learned one first.
 
     Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
-    standard error comes from the differences path by path. The classical policies take as many
-    steps of training as the network did, those that follow the funding ratio on top of the
-    constant mix from which they start; of each the best one is used. The present mix,
-    rebalanced at every step and yearly, is held unchanged: it may leave the bounds.
+    standard error comes from the differences path by path. The classical policies are trained for
+    as many steps as the network; those that depend on the funding ratio start from the trained
+    constant mix. The best version of each is used. The present mix, rebalanced at every step and
+    yearly, is never adjusted: it may leave the bounds.
     """
     return tuple(compare(run.setup, run.solution, run.progress))
 
@@ -111,7 +111,7 @@ def reached(problem: Problem, totals: Totals) -> tuple[float, float]:
 
 
 def tuned(setup: Setup, policy: OneOf) -> OneOf:
-    """The best of the rules along a run of training, as for the network."""
+    """The best rule of a training, as for the network."""
     rate = max(RATE, setup.training.learning_rate)
     training = replace(setup.training, learning_rate=rate)
     result = train(setup.problem, initial_progress(policy, training), training, setup.engines.train)

@@ -1,4 +1,4 @@
-"""The model's figures next to those of the actuary: is this the fund that the actuary knows?"""
+"""The model's figures next to those of the actuary, to check that the fund is the same."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -105,7 +105,7 @@ class NumberEffect(MoveEffect):
 class MoveEffects:
     """The effects of the standard moves.
 
-    - `unit`: "ratio" where they are on the certainty equivalent (`objective.equivalent`), else
+    - `unit`: "ratio" if they refer to the certainty equivalent (`objective.equivalent`), else
       "objective".
     - `families`: all numbers of an input; `rows`: single ones; `combined`: moves across the numbers
       of an input, a year of life.

@@ -1,4 +1,4 @@
-"""The fund after each scenario of its file of shocks: which inputs and prices move, and how."""
+"""The fund after each scenario of its file of shocks: the moves of inputs and prices."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -74,7 +74,7 @@ def _to_swaps(curve: MarketCurve, zero: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class StressedBalance:
-    """Assets, liability, their ratio and difference at once after a scenario."""
+    """Assets, liability, their ratio and difference immediately after a scenario."""
 
     scenario: str = ""
     assets: Number = np.nan
@@ -84,7 +84,7 @@ class StressedBalance:
 
 
 def measure(run: StudyRun) -> tuple[StressedBalance, ...]:
-    """The balance sheet at once after each scenario of the file; none without it."""
+    """The balance sheet immediately after each scenario of the file; none without a file."""
     case, inputs = case_of(run), plain(run.setup.problem.inputs)
     now = np.zeros(0) if case.overlay is None else case.overlay.notional.used()
     shocks = scenarios(case, read_shocks(case))

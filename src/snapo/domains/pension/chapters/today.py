@@ -60,7 +60,7 @@ class TodayTables:
 
 
 def measure(run: StudyRun) -> TodayTables:
-    """All of it in closed form, from the first decision on the recorded paths."""
+    """All results are in closed form, from the first decision on the recorded paths."""
     case, inputs, paths = case_of(run), plain(run.setup.problem.inputs), PATHS.of(run)
     assert paths is not None
     weights, digits = paths.first_decision.weights, paths.first_decision.overlay
@@ -147,7 +147,7 @@ def show_ladders(run: PensionRun, result: TodayTables) -> Sequence[Block]:
 @dataclass(frozen=True)
 class Buckets:
     """Changes by bucket, money, `before` and `after` today's trades {side: [buckets]}; `used` are
-    the buckets where something moves."""
+    the buckets with a change."""
 
     run: PensionRun
     before: dict[str, np.ndarray]
@@ -220,7 +220,7 @@ LADDERS = TODAY.section(
 
 
 def show_limits(run: PensionRun, result: PathTables) -> Sequence[Block]:
-    """Collateral: headroom today; and by month, paths that break a limit."""
+    """Collateral: headroom today; and by month, paths that violate a limit."""
     today, facts = TODAY.of(run), []
     collateral = Collateral() if today is None else today.collateral
     if (now := collateral.now) is not None:

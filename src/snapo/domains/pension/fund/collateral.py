@@ -28,7 +28,7 @@ class Stress(NamedTuple):
     need: Array | np.ndarray
 
     def gap(self, weights: Array | np.ndarray, notional: Array | np.ndarray) -> Array:
-        """The collateral that is missing, negative where more than enough is there; holdings
+        """The missing collateral, negative if there is a surplus; holdings
         `weights` [n] and `notional` [b] in one unit. Borrowed cash can exceed the eligible assets:
         there is no collateral then."""
         there = self.cover @ weights
@@ -57,8 +57,8 @@ def stress(case: PensionModel, inputs: dict[str, Any], rise: Any) -> Stress:
 
 
 def stressed(case: PensionModel, rise: ArrayLike) -> Stress:
-    """The same at the case's own numbers, in 64 bits; for many rises [r] at once, [r, n] and
-    [r, b]."""
+    """The same at the numbers of the case, in 64 bits; for many rises [r] together, [r, n] and [r,
+    b]."""
     from snapo.problem.quickly import compiled_sooner  # with JAX, which a check does without
 
     with jax.enable_x64(True):
@@ -68,7 +68,7 @@ def stressed(case: PensionModel, rise: ArrayLike) -> Stress:
 
 
 def slope(case: PensionModel) -> np.ndarray:
-    """[b] d need / d rise at once: durations of the swaps, in years."""
+    """[b] d need / d rise at zero: durations of the swaps, in years."""
     from snapo.problem.quickly import compiled_sooner
 
     with jax.enable_x64(True):

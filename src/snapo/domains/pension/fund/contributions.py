@@ -3,7 +3,7 @@
 Level payments close a gap to the target, as an annuity at the interest of the valuation. Recovery
 periods of whole steps follow one another from time 0. At each step the current gap is divided by
 the value of 1 a year until the end of its period, at the forward rates of the valuation today:
-where assets and liability earn them, payments are level and the gap is closed at the end.
+if assets and liability earn these rates, payments are level and the gap is closed at the end.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -81,7 +81,7 @@ class NormalCost(ContributionRule):
 
 
 class SpreadContribution(ContributionRule):
-    """The normal cost and a yearly share of liability minus assets; a surplus is spread too."""
+    """The normal cost and a yearly share of liability minus assets; a surplus is also spread."""
 
     kind, takes, responds = "spread", ("spread_factor",), True
 
@@ -91,7 +91,7 @@ class SpreadContribution(ContributionRule):
 
 class TargetContribution(ContributionRule):
     """The normal cost and the gap to a funding ratio: level payments with interest until a fixed
-    end, or always the same share of the rest, without interest."""
+    end, or always the same share of the remaining gap, without interest."""
 
     kind, takes, responds = "target", ("target_ratio", "recovery", "recovery_years"), True
 

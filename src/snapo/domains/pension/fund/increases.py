@@ -32,7 +32,7 @@ class NoIncrease(IncreaseRule):
 
 
 class FixedIncrease(NoIncrease):
-    """A fixed rate, which the payments hold already: nothing is granted on top."""
+    """A fixed rate, which the payments already contain: nothing is granted in addition."""
 
     kind, takes = "fixed", ("rate",)
 

@@ -49,7 +49,7 @@ class Feature:
     """A part of the observation: the numbers of one name.
 
     - `see`: its numbers from a `View`. `size`: the length of the part in a case.
-    - `usual`: whether a policy sees it where the case does not say.
+    - `usual`: whether a policy observes it by default.
     """
 
     see: Callable[[View], Any]

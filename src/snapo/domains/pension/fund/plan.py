@@ -75,7 +75,7 @@ def indexation(
 
 
 def indexation_flags(case: PensionModel) -> tuple[np.ndarray, np.ndarray]:
-    """(due, averaging), each [T], the same for all paths.
+    """The flags (due, averaging), each [T], the same for all paths.
 
     `due`: 1 in the step that ends on the first of the calendar month of indexation, with yearly
     steps in every one. `averaging`: weights of the funding ratios at the start of the last

@@ -146,7 +146,7 @@ def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "
     H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is `Liability`'s: payments that
     follow prices are multiplied by the expected index, within a cap and a floor by the value of
     the options in it; under ready-made scenarios the curve
-    comes with the path, and only the addition to it is left here.
+    comes with the path, and only the addition to it remains here.
     """
     basis, years = case.liability, payment_years(case)
     added = xp.zeros(len(years))
@@ -173,7 +173,7 @@ def added_rate(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) ->
     """The continuous rate at which a basis discounts for `years`, beyond that of the curve.
 
     An annual spread s on an annual zero rate i is ln(1 + s / (1 + i)). The rates are those of the
-    case, which hold when its curve moves.
+    case, which stay fixed if its curve moves.
     """
     basis, rate = case.liability, use(inputs, case.liability.rate)
     if not basis.annual:

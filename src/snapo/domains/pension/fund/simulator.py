@@ -86,8 +86,8 @@ def derived(case: PensionCase) -> DerivedNumbers:
 class PensionSimulator(Simulator):
     """The fund of a case; see `snapo.domains.pension.records` for its terms.
 
-    It has no case: all in which two funds of one form differ is an array, or an input. What a step
-    reads of these is in the schedule.
+    It has no case: all in which two funds of one form differ is an array, or an input. The schedule
+    has the numbers of these that a step reads.
     """
 
     model: PensionModel
@@ -218,7 +218,7 @@ class PensionSimulator(Simulator):
         }
 
     def _indexed(self, constants: FundTerms, now: Period, state: FundState, books, market, smooth):
-        """The state at the end of a step but for assets, and indexation granted and cut."""
+        """The state at the end of a step except assets, and the indexation granted and cut."""
         rule = self.model.plan.indexation
         granted = cut = jnp.zeros_like(state.theta)
         ratio_sum = state.ratio_sum + now.averaging * books.ratio

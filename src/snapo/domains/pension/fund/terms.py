@@ -1,4 +1,4 @@
-"""The numbers of a plan's rules, from the inputs of a case; limits and scales, which none moves."""
+"""The numbers of a plan's rules, from the inputs of a case; constant limits and scales."""
 
 from typing import Any, NamedTuple
 

@@ -1,15 +1,15 @@
 """Holdings of a step: weights, swaps, limits of trading, the cost of trading and the collateral
 needed.
 
-The action is n weights, then for each swap bucket where in its range the notional lies. Cash takes
-the remainder of the other weights, so that any policy finances itself.
+The action is n weights, then for each swap bucket the position of the notional in its range. Cash
+takes the remainder of the other weights, so that any policy finances itself.
 
-Limits count in this order: a class within its `band` of the wanted weight is not traded; of a class
+Limits apply in this order: a class within its `band` of the wanted weight is not traded; of a class
 with a `max_sale` no more is sold than that share of the holding per year (0: nothing); purchases
 shrink together until no less cash is left than wanted; all trades shrink together to the turnover
 of a step, where turnover is half the sum of all changes of weights, per year.
 
-Where weights may be negative, a fund can lose more than it has. One without assets holds no
+If weights may be negative, a fund can lose more than it has. A fund without assets holds no
 investments and no swaps: it owes its debt in cash, at the short rate, without costs, until
 contributions exceed it. Investments fade out with the assets, so that money moves without a jump.
 """
@@ -32,7 +32,7 @@ SHARE = 0.01  # width over which the cost of a trade is rounded while training
 
 class Holdings(NamedTuple):
     """`weights` [n] of assets after trading; `notional` [b] money in swaps or None; `cost` money;
-    `bound_excess` by how much the policy's weights leave their bounds (negative inside);
+    `bound_excess` the distance of the policy's weights outside their bounds (negative inside);
     `collateral_shortfall` money."""
 
     weights: Array
@@ -74,7 +74,7 @@ def trade(case: PensionModel, terms, state, action, assets, buckets, smooth) -> 
 
 
 def _while_solvent(classes: Assets, held: Holdings, assets: Array) -> Holdings:
-    """The holdings, or only cash where there are no `assets` left, but debt."""
+    """The holdings, or only cash if there are no `assets` left, but debt."""
     left = assets > 0
     alone = jnp.asarray(np.arange(len(classes.classes)) == classes.cash, held.weights.dtype)
     return held._replace(
@@ -87,7 +87,7 @@ def _while_solvent(classes: Assets, held: Holdings, assets: Array) -> Holdings:
 
 def drifted(classes: Assets, grown: Array, growth: Array) -> Float[Array, " n"]:
     """The weights after a step from `grown` [n], the holdings per unit of the assets before it, and
-    their sum `growth`; all in cash where a fund with debts has lost everything."""
+    their sum `growth`; all in cash if a fund with debts has lost everything."""
     if not classes.short:
         return grown / growth
     left = growth > LEFT

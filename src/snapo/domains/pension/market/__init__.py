@@ -1,5 +1,5 @@
 """The market of a fund: rates, inflation, spreads, currencies, and the return of every asset.
 
 `dynamics.move` makes a step, by the models (`generated`) or from a file of scenarios (`supplied`).
-Both give a `state.Move`, so that nothing else knows which.
+Both return a `state.Move`, so that all other code is the same for both.
 """

@@ -1,4 +1,4 @@
-"""The correlation matrix of all Brownian motions of a case, and the repair of a given one.
+"""The correlation matrix of all Brownian motions of a case, and the repair of an invalid one.
 
 Brownian motions in order: factors of the short rate, expected inflation, price index, wage,
 mortality, ratings, currencies, asset classes with a separate shock.
@@ -31,7 +31,7 @@ def brownians(case: PensionModel) -> tuple[str, ...]:
 def all_names(
     factors: Sequence[str], ratings: Sequence[str], currencies: Sequence[str], assets: Assets
 ) -> tuple[str, ...]:
-    """The same from parts of a case."""
+    """The correlation from parts of a case."""
     local = tuple(assets.classes[i].name for i in assets.shocks)
     market = ("inflation", "price index", "wage", MORTALITY)
     return (*factors, *market, *ratings, *currencies, *local)

@@ -1,8 +1,8 @@
 """One step of the market: the generator's, or that of a file of ready-made scenarios.
 
 The models are Gaussian rates, inflation, spreads and currencies, with the returns of all asset
-classes and swaps: exact, and martingales under "Q". Of appraised returns a share a is shown at once
-and the rest later: shown' = a r + (1 - a) shown.
+classes and swaps: exact, and martingales under "Q". A share a of an appraised return is shown at
+once and the rest later: shown' = a r + (1 - a) shown.
 """
 
 from collections.abc import Callable
@@ -58,7 +58,7 @@ class AssetTerms(NamedTuple):
 
 
 class AssetSteps(NamedTuple):
-    """The same per step."""
+    """The terms of assets that differ by step."""
 
     kinds: tuple[Any, ...]
     swaps: Any

@@ -135,7 +135,7 @@ def shift(log_bond: Float[Array, " T1"], result: Moments) -> Float[Array, " T"]:
 
 
 def slope(factors: MarketFactors, bond: BondLoads, years: np.ndarray) -> Float[Array, "n g"]:
-    """l B(u): by how much ln P(t, t+u) falls per unit of each factor."""
+    """l B(u): the fall of ln P(t, t+u) per unit of each factor."""
     return xp.asarray(bond.loads) * reach(factors.mean_reversion, years[:, None])
 
 

@@ -48,8 +48,8 @@ class PriceGrowth(NamedTuple):
 
 
 def price_growth(case: PensionModel, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
-    """All moments, exact at every time of the grid; `today`: only at time 0, without the scan
-    over the steps that the others need."""
+    """All moments, exact at every time of the grid; `today`: only at time 0, without the scan over
+    the steps that other times need."""
     item, d = round(1 / case.step), case.step
     times = np.arange(1 if today else case.steps + 1)
     first = np.ones_like(times)

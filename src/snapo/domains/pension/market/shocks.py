@@ -1,6 +1,6 @@
 """The Gaussian vector of a step: exact integrals of Brownian motions, and their covariance.
 
-With v the time left in the step: zeta = int exp(-a v) dW moves a factor of mean reversion a,
+With v the remaining time of the step: zeta = int exp(-a v) dW moves a factor of mean reversion a,
 iota = int B(v) dW, B(v) = (1 - exp(-a v)) / a, moves that factor's time integral, and dW is the
 plain increment. No volatility enters, so a volatility of zero is allowed.
 """
@@ -20,7 +20,7 @@ from .correlation import brownians, matrix
 class Slots(NamedTuple):
     """The index of each part of the vector; F rate factors, one of inflation (g = F + 1).
 
-    `zeta`, `iota`: [g] of rates, then expected inflation. The others are slices; the vector is
+    `zeta`, `iota`: [g] of rates, then expected inflation. Other shocks are slices; the vector is
     zeta and iota of rates, zeta and iota of inflation, price index, wage, mortality, ratings,
     currencies, asset classes with a separate shock.
     """

@@ -1,4 +1,4 @@
-"""The Smith-Wilson curve: it meets every quote, and its forward rates go to an ultimate one.
+"""The Smith-Wilson curve: it fits every quote, and its forward rates converge to an ultimate one.
 
 With w the ultimate forward rate (continuous), H the heart of Wilson's function and u the m dates
 of the quotes' cash flows, a bond that pays 1 at t costs
@@ -51,7 +51,7 @@ def log_bond(
 
 
 def fit(curve: MarketCurve, rate: Array, ultimate: Array) -> CurveFit:
-    """The weights that meet the quotes `rate` [n]."""
+    """The weights that fit the quotes `rate` [n]."""
     if in_use():
         weights, speed = _fitted(curve, rate, ultimate)
     else:
@@ -99,7 +99,7 @@ def heart(times: np.ndarray, dates: np.ndarray, speed: Array) -> Float[Array, "t
 
 
 def distance(dates: np.ndarray, local: Array, speed: Array, convergence: float) -> Array:
-    """ln of |f(T) - w| over the required one; 0 or less where it is met."""
+    """ln of |f(T) - w| over the required one; 0 or less if that is met."""
     weights = _weights(dates, local, speed)
     k = (1 + speed * dates @ weights) / (xp.sinh(speed * dates) @ weights)
     gap = speed / xp.abs(1 - k * xp.exp(speed * convergence))

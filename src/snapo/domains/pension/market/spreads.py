@@ -14,7 +14,7 @@ from ..records.inputs import use
 
 
 class SpreadTerms(NamedTuple):
-    """R ratings: `fading` the share of u left after a step, `volatility` of its shock."""
+    """R ratings: `fading` the share of u that remains after a step, `volatility` of its shock."""
 
     fading: Array
     volatility: Array

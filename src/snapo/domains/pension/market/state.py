@@ -80,5 +80,5 @@ def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) ->
 
 
 def without_empty(tree: Any) -> Any:
-    """The same without arrays of size zero, which represent absent parts of a case."""
+    """The record without arrays of size zero, which represent absent parts of a case."""
     return tree_map(lambda leaf: leaf if leaf.size else None, tree)

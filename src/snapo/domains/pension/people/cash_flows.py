@@ -6,14 +6,14 @@ spouse's pension each group of members has three: its own pension, the spouse's 
 were dead, and minus the spouse's while both live. Rights follow the member, so the accrual of
 a step belongs to those alive then.
 
-Where rights before payment grow by different rates, a spouse's pension depends on when the
-member died. The second stream is then of the rights that the dead so far left and that a death now
-would leave, and a fourth one takes those who died before an accrual out of it. The response to the
-mortality factor (`longevity`) leaves out that these rights depend on the member's life.
+If rights before payment grow by different rates, a spouse's pension depends on when the
+member died. The second stream is then the rights left by past deaths, with those that a death now
+would leave; a fourth one removes members who died before an accrual. The response to the mortality
+factor (`longevity`) neglects that these rights depend on the member's life.
 
 Payments are one step's share of the yearly pension at the start ("advance") or end of a step to
 those alive at that time. Pensions of actives and deferred begin at the retirement age: the step
-within which it lies pays the rest of it, as work and accrual fill the step until then. A spouse's
+that contains this age has work and accrual before it, and pays the pension after it. A spouse's
 begins at the member's death, whenever that is. The accrual of a step is paid from the next step on.
 """
 

@@ -1,4 +1,4 @@
-"""Payments by date become weights on a few nodes, where each path values them with its curve.
+"""Payments by date become weights on a few nodes, which each path values with its curve.
 
 Seen from time t a payment is due u steps later, between two nodes u1 <= u < u2. Its forward value
 cf P0(t + u) / P0(t) is split over the two linearly in u. A path multiplies the nodes' weights by
@@ -83,12 +83,13 @@ def _response(
 
 
 class People(NamedTuple):
-    """The members as every path sees them. Leading axis T + 1: at time t, before step t.
+    """The numbers of the members that all paths share. Leading axis T + 1: at time t, before step
+    t.
 
     - `accrued`, `fresh` [T+1, J]: forward values on the nodes, loading for expenses included, of
       rights accrued by time 0, and in steps before t at baseline wages. `accrual` [T+1, J]: the
       accrual of the accrual of step t, per unit of w (last row zeros). Money, at indexation 1.
-    - `benefit`, `fresh_benefit` [T+1]: money paid in step t out of each of them.
+    - `benefit`, `fresh_benefit` [T+1]: money paid in step t from each of them.
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
     - `baseline` [T+1]: the assumed w, exp(real wage growth).
     - `mix` [T+1]: share of step t's accrual in the value of fresh rights after it.

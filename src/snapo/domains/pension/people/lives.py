@@ -47,7 +47,7 @@ def share_before(until: Any, time: Any, step: float) -> Array:
 
 
 def working(case: PensionModel, lives: Lives, steps: int) -> Array:
-    """The share of each step that a group is at work: entered, and below the retirement age."""
+    """The share of each step in which a group works: after entry, below the retirement age."""
     time = np.arange(steps)
     age = lives.age[:, None] + time * case.step
     young = share_before(case.plan.retirement_age, age, case.step)
@@ -86,7 +86,7 @@ def present(case: PensionModel, inputs: dict[str, Any], members: FundMembers, st
 
 
 def entrants(case: PensionModel, inputs: dict[str, Any], lives: Lives, steps: int) -> Lives:
-    """Who replaces actives that retire or die: one group per sex and year of entry.
+    """The lives that replace actives who retire or die: one group per sex and year of entry.
 
     At the start of each year entrants replace the pensionable salary that was lost since the last
     one, so that it has its level of time 0 at the start of every year.

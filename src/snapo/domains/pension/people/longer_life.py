@@ -1,4 +1,4 @@
-"""Expectation of life, and one more year of it as a move of the mortality that a case gives."""
+"""Life expectancy, and one more year of it as a move of the mortality of a case."""
 
 from typing import Any, NamedTuple
 
@@ -57,7 +57,7 @@ def _expectancy(life: Yearly, factor: float = 1.0) -> float:
 
 
 class LongerLife(NamedTuple):
-    """The input that moves, and by how much each of its numbers does [n]."""
+    """The input that moves, and the move of each of its numbers [n]."""
 
     input: str
     change: np.ndarray
@@ -66,10 +66,9 @@ class LongerLife(NamedTuple):
 def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
     """All death probabilities scaled, by sex, until the expectation of life at 65 is a year longer.
 
-    The change is that of the multipliers, else of the death probabilities, else of the formula,
-    whose hazards are scaled in their place, to first order in the scale. None if mortality is not
-    an input or no scale suffices. A number that both sexes share moves by the mean of the two
-    moves.
+    The multipliers change, else the death probabilities, else the formula, whose hazards are then
+    scaled, to first order in the scale. None if mortality is not an input or no scale suffices. A
+    number that both sexes share moves by the mean of the two moves.
     """
     mortality = case.mortality
     if mortality is None:

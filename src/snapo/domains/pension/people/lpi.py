@@ -35,8 +35,8 @@ MINIMUM = 1e-16  # variance that takes the place of none
 
 
 class Lpi(NamedTuple):
-    """The addition of increases to ln of the payments on the nodes, beyond that known today. [T+1,
-    ...].
+    """The addition of increases to ln of the payments on the nodes, beyond today's expectation.
+    [T+1, ...].
 
     - `mean`, `load`, `deviation` [T+1]: of the growth of prices up to the first date: its mean,
       that mean's rise with the factor, and its deviation.
@@ -55,7 +55,7 @@ class Lpi(NamedTuple):
 
 
 def limited(case: PensionModel) -> bool:
-    """Whether liabilities hold the options in limited increases."""
+    """Whether liabilities contain the options in limited increases."""
     return case.liability.future_indexation == "capped"
 
 
@@ -156,7 +156,7 @@ def _parts(case: PensionModel, inputs: dict[str, Any], result: PriceGrowth, fact
 
 
 def factor_width(case: PensionModel) -> Any:
-    """`WIDE` deviations of the factor in the long run; no input moves it."""
+    """`WIDE` long-run deviations of the factor; no input changes it."""
     if case.derived is not None:
         return case.derived.width
     spread = case.inflation.volatility.used()[0] / np.sqrt(2 * case.inflation.mean_reversion.used())

@@ -48,14 +48,14 @@ def _hazard(q: Array) -> Array:
 
 
 def rounded_age(plan: PensionPlan, age: ArrayLike) -> Array:
-    """Ages at time 0 as the valuation counts them."""
+    """Ages at time 0 by the convention of the valuation."""
     if plan.age_basis == "exact":
         return xp.asarray(age, float)
     return xp.floor(xp.asarray(age, float) + (0.5 if plan.age_basis == "nearest" else 0.0))
 
 
 def divided(case: PensionModel) -> bool:
-    """Whether birthdays lie within steps: of members, their spouses, or who takes their place."""
+    """Whether birthdays lie within steps: of members, spouses, or those who replace them."""
     members = case.members if case.plan.age_basis == "exact" else None
     ages = [] if members is None else members.age
     steps = np.append(ages, case.plan.entry_age if case.plan.open else 0.0) / case.step
@@ -70,15 +70,15 @@ def partner(plan: PensionPlan, sex: ArrayLike, age: Array) -> tuple[Array, Array
 
 
 class Yearly(NamedTuple):
-    """Death in a whole year: `level` is -ln(1 - q), to be multiplied by `base` on its q first, and
-    `trend` the improvement so far, a factor of the hazard."""
+    """Death in a whole year: `level` is -ln(1 - q), where `base` first multiplies q; `trend` is the
+    improvement so far, a factor of the hazard."""
 
     base: Array
     level: Array
     trend: Array
 
     def hazard(self, factor: ArrayLike = 1.0) -> Array:
-        """The hazard of the year, where q is multiplied by one more `factor`."""
+        """The hazard of the year, if q is multiplied by a further `factor`."""
         certain = self.level >= CERTAIN
         q = xp.where(certain, 1.0, self.base * factor * -xp.expm1(-self.level))
         return _hazard(q) * self.trend

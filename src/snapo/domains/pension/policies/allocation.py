@@ -30,10 +30,10 @@ class AllocationLimits(Policy):
     """Turns real numbers, one per class and swap bucket, into an action within all limits.
 
     Weights are `smooth.simplex` of the first n numbers, which reaches every mix inside the bounds,
-    negative and levered ones where the bounds allow them; places of the notionals in their ranges a
-    logistic curve of the rest. Where these ranges are shares of the assets, swaps are scaled down
-    together to the collateral behind the weights; where they are shares of the liability, a
-    policy does not see enough for that, and the simulator counts the shortfall.
+    with negative and levered ones if the bounds allow them. The positions of the notionals in their
+    ranges are a logistic curve of the other numbers. If these ranges are shares of the assets,
+    swaps are scaled down together to the collateral behind the weights. If they are shares of the
+    liability, a policy does not observe enough for that, and the simulator counts the shortfall.
     """
 
     low: Frozen
@@ -122,7 +122,7 @@ class Cover(eqx.Module):
 
 
 def present(case: PensionCase) -> np.ndarray:
-    """[n + b] the numbers from which `AllocationLimits` makes about the present weights and
+    """[n + b] the numbers that `AllocationLimits` maps close to the present weights and
     notionals."""
     assets, overlay = case.assets, case.overlay
     position = [_place(assets.weight.used(), assets.low, assets.high)]
@@ -146,7 +146,7 @@ def _place(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def _inside(x: Array, low: Array, high: Array) -> Array:
-    """Where x lies in its range, off both ends."""
+    """The position of x in its range, away from both ends."""
     width = high - low
     return jnp.clip((x - low) / jnp.where(width > 0, width, 1.0), 1e-4, 1 - 1e-4)
 
@@ -180,13 +180,13 @@ class PensionPolicy(Policy):
 
 
 def new_policy(case: PensionCase, simulator: Simulator, schedule: Schedule, key) -> PensionPolicy:
-    """The network of a case, untrained: it keeps about the present holdings."""
+    """The network of a case, untrained: it approximately keeps the present holdings."""
     features = probe(simulator, schedule)[1].shape[0]
     return PensionPolicy(case, features, key=key, hidden=case.hidden)
 
 
 def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """[b] notionals where the policy puts them, from their `positions` in the ranges, 0 to 1.
+    """[b] notionals of the policy, from their `positions` in the ranges, 0 to 1.
 
     `values`: [b] the money to which limits refer (see `limit_unit`).
     """
@@ -201,7 +201,7 @@ def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> n
 
 
 def limit_unit(case: PensionCase) -> np.ndarray:
-    """[b] money that the limits of the swaps are shares of today: all assets, or the liability
+    """[b] money of today; the limits of the swaps are shares of it: all assets, or the liability
     payments nearest to each bucket."""
     if case.overlay is None or case.overlay.unit == "assets":
         return np.full(case.buckets, float(case.assets.amount.used()))

@@ -24,7 +24,7 @@ UNIT = 0.1  # of shares and funding ratios: in it they are tuned by steps as lar
 
 
 class ConstantMix(Policy):
-    """The same weights and swaps always: `logits` [n + b] (see `policy.Limits`)."""
+    """Constant weights and swaps: `logits` [n + b] (see `policy.Limits`)."""
 
     limits: AllocationLimits
     logits: Array
@@ -42,10 +42,10 @@ class ConstantMix(Policy):
 
 
 class GlidePath(Policy):
-    """From one mix to another, linear in the funding ratio between two bounds; swaps too.
+    """Moves from one mix to another, linearly in the funding ratio between two bounds; also swaps.
 
     `logits` [2, n + b] of the mixes at and below the lower bound, at and above the upper one;
-    `bounds` [2] in `UNIT`. It starts at the same `mix` everywhere.
+    `bounds` [2] in `UNIT`. It starts with the same `mix` at all ratios.
     """
 
     limits: AllocationLimits
@@ -74,7 +74,7 @@ class LiabilityDriven(Policy):
 
     The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
     are the logits of the classes within the two portfolios and `hedge` [b] of the swaps' places.
-    Where weights may be negative, the growth share lies within `reach`, and within its portfolio a
+    If weights may be negative, the growth share lies within `reach`, and within its portfolio a
     class weighs floor + (1 - sum of floors) softmax(mix), `floor` [n] being zero elsewhere.
     It starts at a constant `mix`.
     """
@@ -210,8 +210,8 @@ class PresentMix(Policy):
 
 
 def present_mixes(case: PensionCase) -> dict[str, tuple[str, Policy]]:
-    """{key: (name, policy)}: rebalanced at every step, and yearly where steps are shorter and the
-    policy sees time and weights."""
+    """{key: (name, policy)}: rebalanced at every step, and yearly if steps are shorter and the
+    policy observes time and weights."""
     item = round(1 / case.step)
     table: dict[str, tuple[str, Policy]] = {
         "present_mix": ("Present mix", PresentMix(case, 1)),
@@ -222,7 +222,7 @@ def present_mixes(case: PensionCase) -> dict[str, tuple[str, Policy]]:
 
 
 class OneOf(Policy):
-    """Decides as the rule at `position` does; only this one is tuned.
+    """Decides like the rule at `position`; only this rule is tuned.
 
     All rules are evaluated, which is cheap compared with a step of the fund; the position is data
     of the compiled program, not a constant of it.

@@ -1,4 +1,4 @@
-"""From the inputs of a fund of pots to the numbers that all its paths share."""
+"""The numbers that all paths of a fund of pots share, from its inputs."""
 
 from typing import Any, NamedTuple
 

@@ -1,4 +1,4 @@
-"""How a fund of pots shares its return, and the solidarity reserve at the end of a year.
+"""The shares of pots in the return of a fund, and the solidarity reserve at the end of a year.
 
     protection of a cohort = V (x R + (1 - x) Rc), V its pot and x its share of protection
     of the reserve         = S Rc: a pot with x = 0
@@ -6,7 +6,7 @@
     a cohort's part of it  = exposure x pot, over the sum of these and of the reserve
 
 R, the return of a cohort's annuity, is that of its payments on the curve of the path, so that a pot
-that is fully protected buys the same pension whatever rates do; Rc is the return of cash over the
+that is fully protected buys the same pension at any rates; Rc is the return of cash over the
 step. If all assets of the fund earn Rc, so do every pot and the reserve, for any protections and
 exposures: there is no ex-ante redistribution.
 
@@ -52,8 +52,8 @@ class Reserve(NamedTuple):
 
 
 class ClosedPots(NamedTuple):
-    """After the end of a year: `pots` [C], `reserve`, the money `filled` into it (negative where it
-    was too large and was returned) and `released` from it."""
+    """After the end of a year: `pots` [C], `reserve`, the money `filled` into it (negative if it
+    was too large and money was returned) and `released` from it."""
 
     pots: Float[Array, " C"]
     reserve: Array
@@ -105,7 +105,7 @@ def closed(
 
     **Arguments:**
 
-    - `missing`: function of pots [C] to the money missing for their pensions in payment [C].
+    - `missing`: a function from pots [C] to the money that their pensions in payment lack [C].
     """
     total = jnp.sum(pots) + reserve
     scale = ROUND * total

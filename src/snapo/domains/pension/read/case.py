@@ -133,7 +133,7 @@ def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
-    """The same for TOML data that was read already; other files are looked for next to `file`."""
+    """The same for TOML data that was read already; other files are searched for next to `file`."""
     top = parse(PensionTable, data, str(file), "")
     reader = _Reader(file, top, parsed(file, top), [], set())
     fund = reader.table(tables.FundTable, "fund")

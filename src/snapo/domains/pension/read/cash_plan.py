@@ -34,7 +34,7 @@ class PlanClock(NamedTuple):
 
 
 def read_cash_plan(reference: FileReference, timer: PlanClock) -> CashPlan:
-    """The payments within the horizon; a note reports later ones, which are left out."""
+    """The payments within the horizon; a note reports later ones, which are omitted."""
     rows = read_rows(reference, ("amount",), ("date", "year"))
     column = _column(rows)
     results, last = [], -math.inf

@@ -40,7 +40,7 @@ class TableReader(TableContext):
 
 
 def empty(name: str, shape: tuple[int, ...] = (0,)) -> CaseInput:
-    """A number that the case does not have: no value, zeros of `shape` where it is used."""
+    """A number that the case does not have: no value, and zeros of `shape` in its use."""
     return CaseInput(name, np.zeros(0), (), "1", np.zeros(shape, np.int64))
 
 
@@ -95,7 +95,7 @@ def rising(rows: Sequence[Row], column: str, minimum: float = 0.0) -> np.ndarray
 
 
 def years(value: float) -> str:
-    """A time as text: "10y", or "18m" where it is whole months, else "2.35y"."""
+    """A time as text: "10y", or "18m" for whole months, else "2.35y"."""
     if abs(value - round(value)) < NEVER:
         return f"{round(value)}y"
     months = 12 * value
@@ -117,7 +117,7 @@ def known_words(
     available: Sequence[str],
     missing: str = "there is no such name",
 ) -> None:
-    """Every word of a list must be known, and occur once."""
+    """Checks that every word of a list is valid and occurs once."""
     for i, item in enumerate(values):
         if item not in available:
             raise CaseError(file, where, item, f"{missing}; {nearest(item, available)}")

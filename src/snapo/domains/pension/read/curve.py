@@ -51,7 +51,7 @@ IDLE = {"kind": "hull-white", "mean_reversion": 0.1, "volatility": 0.0}
 
 class RateQuotes(NamedTuple):
     """The file of a curve: the key and the name of its file; its inputs by name, each with a
-    column of its own; the name of the rate far out."""
+    separate column; the name of the ultimate rate."""
 
     key: str
     file: str
@@ -179,7 +179,7 @@ def _quoted(
 
 
 def read_rates(section: TableReader, table: RatesTable | None, grid: TimeGrid) -> ShortRate:
-    """The model with its numbers; without the table, one at rest."""
+    """The model with its numbers; without the table, a model without any motion."""
     if table is None:
         table = parse(RatesTable, IDLE, str(section.file), section.name)
     if table.kind not in MODELS:

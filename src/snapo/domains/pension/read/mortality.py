@@ -179,8 +179,8 @@ def _banded(
 
 
 def bands(reference: FileReference, name: str, ages: range, quantity: FundQuantity) -> CaseInput:
-    """Numbers by sex that hold from an age on; a number that no age of the table meets is left
-    out."""
+    """Numbers by sex that apply from an age on; a number that applies to no age of the table is
+    omitted."""
     rows = read_rows(reference, ("sex", "age", quantity.column))
     used, labels = [], []
     index = np.zeros((2, len(ages)), np.int64)

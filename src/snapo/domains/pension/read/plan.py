@@ -78,7 +78,7 @@ def _check_limits(section: TableContext, floor: CaseInput, cap: CaseInput) -> No
 
 
 def read_indexation(section: TableContext, table: IndexationTable) -> Indexation:
-    """Increases once a year; cap and floor only where the rule has them."""
+    """Increases once a year; cap and floor only if the rule has them."""
     kind = table.kind
     used = INCREASES[kind].takes
     cuts = ["required_ratio"] if table.cut_years else []
@@ -173,7 +173,7 @@ def read_contribution(
 
 
 def read_liability(section: TableContext, table: LiabilityTable, annual: bool) -> Liability:
-    """How payments are valued; `annual`: the compounding of the case."""
+    """The valuation of payments; `annual`: the compounding of the case."""
     requested = table.basis != "risk-free"
     if requested and table.rate is None:
         raise section.error("rate", None, f'basis "{table.basis}" needs this key')
@@ -187,7 +187,7 @@ def read_liability(section: TableContext, table: LiabilityTable, annual: bool) -
 
 
 def check_limited(case: PensionCase) -> None:
-    """Options in limited increases can be valued where increases are limited and models hold.
+    """Options in limited increases can be valued if increases are limited and the models apply.
 
     **Raises:** `CaseError` with the reason if they cannot.
     """

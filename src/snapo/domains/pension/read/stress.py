@@ -1,4 +1,4 @@
-"""Reads `[stress]`: shocks from a file; lines of the same scenario hold together.
+"""Reads `[stress]`: shocks from a file; lines of the same scenario apply together.
 
 A line moves a curve ("curve", "break_even": `label` is a tenor in years, between tenors the size
 is linear and beyond them constant; no label moves all nodes equally; "multiply" is of annual rates,
@@ -39,7 +39,7 @@ class Shock:
     size: float
 
     def of(self, values: np.ndarray, size: np.ndarray | float | None = None) -> np.ndarray:
-        """The values after the shock, of this `size` where it is not the same for all."""
+        """The values after the shock, of this `size` if it is not the same for all."""
         size = self.size if size is None else size
         return values + size if self.kind == "add" else values * (1 + size)
 

@@ -24,9 +24,9 @@ class AssetRow:
 
     - `kind`: the word in the table; `description`: its meaning in one phrase, for the report.
     - `part`: the part of an attribution that its return over cash belongs to.
-    - `collateral`: the share that is eligible where the table has none.
+    - `collateral`: the share that is eligible if the table has none.
     - `risk`: the risk, in addition to rates and spreads, that a regulator sees in it where the
-      table has none, one of `records.regulation.RISKS`; "none" only where there is none.
+      table has none, one of `records.regulation.RISKS`; "none" only if there is none.
     - `linked`: whether its payments follow prices.
     - `own_shock`: whether it has a separate mean and volatility, and counts as growth.
     """
@@ -115,8 +115,8 @@ class Overlay(TreeRecord):
     """Receiver swaps by tenor bucket; b buckets.
 
     - `inflation`: the number of zero-coupon swaps of inflation, which are the last buckets (they
-      receive the growth of prices); the others are of rates, at par but for those at the positions
-      `zero_coupon`.
+      receive the growth of prices); the others are interest rate swaps, at par except at the
+      positions `zero_coupon`.
     - `maturities`: [b] whole steps, rising among swaps of rates and of inflation. `notional`:
       money, the value of the fixed leg when the swap is struck, index [b].
     - `low`, `high`: [b] limits as a share of `unit`: the unit of assets, or of the value of the
@@ -144,6 +144,6 @@ class Overlay(TreeRecord):
 
     @property
     def at_par(self) -> np.ndarray:
-        """[b] whether each is a par swap of rates."""
+        """[b] whether each is an interest rate swap at par."""
         position = np.arange(len(self.maturity))
         return (position < len(position) - self.inflation) & ~np.isin(position, self.zero_coupon)

@@ -114,8 +114,8 @@ class DerivedNumbers(TreeRecord):
 class PensionModel(TreeRecord):
     """A fund, its markets and its people: all that its paths depend on.
 
-    That of a case has all numbers. That of a simulator is made with `of` from a case: it has every
-    number that is not an input, as an array.
+    The model of a case has all numbers. The model of a simulator is made from a case with `of`: it
+    has every number that is not an input, as an array.
 
     - `step`: 1/12 or 1 years; `steps`: T; `start_month`: 1 to 12, the calendar month of time 0.
     - `measure`: "P" real-world, "Q" risk-neutral.

@@ -96,7 +96,7 @@ class Currencies(TreeRecord):
 
 
 class Correlation(TreeRecord):
-    """Instantaneous correlations: positive definite, repaired beforehand where the case asked.
+    """Instantaneous correlations: positive definite, repaired beforehand if the case asked.
 
     - `names`: [k] of the correlated motions: "rate", "rate 2", "inflation", "price index", "wage",
       ratings, currencies, and classes with a separate shock. Others, and mortality, are

@@ -10,14 +10,14 @@ from snapo.problem.record import TreeRecord, field
 
 class Indexation(TreeRecord):
     """Increases once a year in calendar month `month`: the month of pensions in payment, and of all
-    other rights equally where the plan has no `Revaluation`.
+    other rights equally if the plan has no `Revaluation`.
 
     "none"; "fixed": by `rate`, a part of the payments themselves (see `people.fixed_increases`);
     "full": price growth since the last time; "capped": the same within `floor` and
     `cap` (per year); "conditional": the capped one times a ramp, 0 at `lower_ratio` and 1 at
     `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging` months
     (1 to 12). Cuts: if the policy ratio lies below `required_ratio`, pensions are cut by
-    (1 - ratio / required_ratio) / `cut_years`; no cuts where `cut_years` is 0.
+    (1 - ratio / required_ratio) / `cut_years`; no cuts if `cut_years` is 0.
 
     `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`, `rate`: index [].
     """
@@ -58,7 +58,7 @@ class Contribution(TreeRecord):
     - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
       plus `spread_factor` per year times (liability - assets), surplus is spread too;
       "target": normal cost plus the gap to `target_ratio` times the liability, as level payments
-      in periods of `level_steps`; where that is None, the gap over `recovery_years` a year.
+      in periods of `level_steps`; if that is None, the gap over `recovery_years` a year.
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.
     - `floor`, `cap`: share of salaries; `sponsor_limit`: maximum money per year, grows with wages.
@@ -124,7 +124,7 @@ class PensionPlan(TreeRecord):
 
 
 class Liability(TreeRecord):
-    """How payments are valued at any time.
+    """The valuation of payments at any time.
 
     - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
       for all terms. `rate`: index [], `annual` or continuous; an annual spread is added to annual

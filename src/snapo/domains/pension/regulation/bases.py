@@ -108,13 +108,13 @@ def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
 
 
 def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:
-    """Every basis side by side. Where payments follow prices, margins are over real rates."""
+    """Every basis side by side. If payments follow prices, margins are over real rates."""
     plain = replace(case, liability=replace(case.liability, basis="risk-free"))
     return side_by_side(case, due(plain, inputs))
 
 
 def side_by_side(case: PensionCase, paid: Due) -> Bases:
-    """The same from expected payments, discounted only on the curve."""
+    """The same results from expected payments, discounted on the curve only."""
     assert case.funding is not None
     assets = float(case.assets.amount.used())
     funding = case.funding

@@ -29,7 +29,7 @@ def in_force(
 
     - `local`: {name: file} of the rules that come with the package.
 
-    **Raises:** `CaseError` if the file is missing or incomplete, or holds nothing for the day.
+    **Raises:** `CaseError` if the file is missing or incomplete, or has no rules for the day.
     """
     try:
         if name in local:
@@ -67,7 +67,7 @@ def read_regulation(
 ) -> Regulation | None:
     """The rules in force on `day`; None without the table.
 
-    **Raises:** `CaseError` if the file is missing or incomplete, or holds nothing for the day.
+    **Raises:** `CaseError` if the file is missing or incomplete, or has no rules for the day.
     """
     if table is None:
         return None

@@ -1,5 +1,4 @@
-"""A fund's position before its regulator: required own funds, policy ratio, and the way to
-recover.
+"""A fund's position before its regulator: required own funds, policy ratio, and recovery.
 
 Required own funds follow the standard model: S1 rates, S2 shares and property, S3 currencies, S4
 commodities, S5 credit, S6 insurance, S10 active management; S7 to S9 are zero by law. Annex 3 of
@@ -88,9 +87,9 @@ CLOSE = 1e-12  # of the liability
 
 @dataclass(frozen=True)
 class Stand:
-    """`losses` on the assets that are required; `required` own funds, money, `minimum` own funds;
-    `required_ratio`, `minimum_ratio`, and `policy_ratio`, over the liability; the date and the
-    source of the rules."""
+    """`losses` on the required assets; `required` and `minimum` own funds, money; the ratios
+    `required_ratio`, `minimum_ratio` and `policy_ratio` to the liability; the date and the source
+    of the rules."""
 
     losses: Losses
     required: float
@@ -157,7 +156,7 @@ def regulation_of(case: PensionCase) -> Regulation:
 
 
 def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability: float) -> Losses:
-    """Losses by risk with all `assets`, money, in the present mix."""
+    """Losses by risk if all `assets` (money) are in the present mix."""
     regulation = regulation_of(case)
     rules, held = regulation.rules, assets * case.assets.weight.used()
     notional = np.zeros(0)

@@ -1,6 +1,6 @@
 """Today's balance sheet: key rates of assets, swaps and liabilities, trades, collateral, stresses.
 
-All of it is closed form on today's curve; no path is simulated.
+All numbers are in closed form on today's curve; no path is simulated.
 """
 
 from collections.abc import Callable
@@ -79,7 +79,7 @@ class TradeList:
 
 @dataclass(frozen=True)
 class Headroom:
-    """How far rates may move until eligible assets are used up as collateral, in basis points.
+    """The move of rates, in basis points, that uses up all eligible assets as collateral.
 
     - `eligible`: before the move. `pv01`: gain of the swaps of rates for a fall by 1 bp.
     - `headroom`: None if swaps do not move with rates at all, and where no move up to `FARTHEST`
@@ -191,7 +191,7 @@ def trades(
 
 
 def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> Headroom | None:
-    """How far rates may move, both sides revalued (see `fund.collateral`); None without swaps."""
+    """Largest move of rates, both sides revalued (see `fund.collateral`); None without swaps."""
     if case.overlay is None:
         return None
     held = float(case.assets.amount.used()) * weights

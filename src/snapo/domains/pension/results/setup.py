@@ -47,7 +47,7 @@ PENSION = OutcomeMeasure(
 
 
 def outcome_measure(case: PensionModel) -> OutcomeMeasure:
-    """The funding ratio; the mean pension over that of today where nothing is promised."""
+    """The funding ratio; the mean pension over that of today if nothing is promised."""
     return FUNDING if case.pots is None else PENSION
 
 
@@ -74,7 +74,7 @@ def simulator_of(case: PensionCase) -> PensionSimulator:
 def setup_at(setup: Setup, case: PensionCase, engine: str) -> Setup:
     """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
 
-    Nothing is compiled where the case has the same form.
+    Nothing is compiled if the case has the same form.
     """
     problem = replace(setup.problem, simulator=simulator_of(case), inputs=pension_inputs(case))
     if problem.form != setup.problem.form:

@@ -50,7 +50,7 @@ MEASURES = {"P": "real-world (P)", "Q": "risk-neutral (Q)"}
 def pension_study(case: PensionCase, options: Options) -> Study:
     """All that a run of the case does.
 
-    **Raises:** `CaseError` if a figure of the actuary's is missed: before anything is written.
+    **Raises:** `CaseError`, before anything is written, if a figure of the actuary is not met.
     """
     notes = (options.about or {}).get("notes")  # of a run that passed, and goes on
     if notes is None:

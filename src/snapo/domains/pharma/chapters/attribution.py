@@ -33,15 +33,15 @@ from .sensitivities import MATRIX
 
 
 class Path(NamedTuple):
-    """A way through the flowsheet, from the unit that the parameter acts in to the one where the
-    attribute is measured, and its contribution, in the case's units."""
+    """A path through the flowsheet, from the unit in which the parameter acts to the unit in which
+    the attribute is measured, and its contribution, in the case's units."""
 
     units: tuple[str, ...]
     value: float
 
 
 class Split(NamedTuple):
-    """`paths`: {(attribute, parameter): paths}; without an entry nothing connects the two.
+    """`paths`: {(attribute, parameter): paths}; without an entry the two are not connected.
 
     `closure`: [Q, P] |sum of paths - matrix| over the largest of the matrix's row.
     """
@@ -125,8 +125,8 @@ NODES = 61  # of a profile whose sensitivity over time is shown
 def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:
     """The case with `count` evenly spaced nodes in the linear profile "unit.temperature".
 
-    The profile itself is the same where its old nodes are among the new ones, otherwise within
-    the chords. Parameters that are entries of the profile are left out: they are other nodes now.
+    The profile is unchanged if its old nodes are among the new ones; otherwise it is interpolated.
+    Parameters that are entries of the profile are omitted, since its nodes have changed.
     """
     user, _, field = name.partition(".")
     unit = next(item for item in case.units if item.name == user)
@@ -150,7 +150,7 @@ def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:
 
 @dataclass(frozen=True)
 class PathShare:
-    """The effect of a parameter on an attribute along one way through the units."""
+    """The effect of a parameter on an attribute along one path through the units."""
 
     attribute: str
     parameter: str

@@ -42,8 +42,8 @@ class BatchResult:
     """One batch; `status`: "ok", or why there is no batch.
 
     - `attributes`: values by name; `holds`, `distance` [Q]: whether each is within its limits, and
-      its room to them, NaN without one. `errors`: the errors of a step of the units with stiff
-      steps.
+      its distance to them, NaN without limits. `errors`: the errors of a step of the units with
+      stiff steps.
     - `trajectories`: {unit: {"time" or a state: values}}; `solubility`: the solubility of every
       crystalliser.
     """
@@ -125,7 +125,7 @@ def _profile_rows(case: PharmaCase, result: BatchResult) -> Iterable[tuple]:
 
 
 def units(run: RunFiles, result: BatchResult) -> list[Block]:
-    """All measures of one batch, and the trajectories of the units that no other section draws."""
+    """All measures of one batch, and the trajectories of units that no other section shows."""
     case = stated(run)
     rows = [
         (unit.name, name, "" if of == "1" else unit_words(of),

@@ -1,4 +1,4 @@
-"""Capability: how often batches keep their limits, and where their spread comes from."""
+"""Capability: how often batches meet their limits, and the sources of their spread."""
 
 from dataclasses import dataclass
 
@@ -52,14 +52,14 @@ def measure(run: StudyRun) -> Capability:
 
 
 def measure_spread(run: StudyRun) -> Spread:
-    """Where the spread comes from, to first order, to compare with the drawn batches."""
+    """The sources of the spread, to first order, for comparison with the drawn batches."""
     available = MATRIX.of(run)
     assert available is not None
     return spread(open_loop(run).case, available.varied)
 
 
 def show(run: RunFiles, result: Capability) -> list[Block]:
-    """Spread, Cpk and out-of-specification rates, and which source causes how much of them."""
+    """Spread, Cpk and out-of-specification rates, and the contribution of each source."""
     sources, attributes = SPREAD.of(run), stated(run).attributes
     linear = [None] * len(attributes) if sources is None else sources.total
     rows = [

@@ -88,7 +88,7 @@ class ControlCourse:
 
 @dataclass(frozen=True, eq=False)
 class RuleShares:
-    """A rule on the same batches, and the surplus of policy and recipe; its settings."""
+    """A rule on the same batches, its settings, and the surplus of policy and recipe over it."""
 
     name: str
     value: Number
@@ -142,10 +142,11 @@ def measure(run: StudyRun) -> ClosedLoopResult:
 def rates(
     ours: np.ndarray, theirs: np.ndarray, values: np.ndarray, groups: np.ndarray
 ) -> KeptShares:
-    """Shares of batches [N] that keep all limits, of policy, best and given recipe, with errors.
+    """Shares of batches [N] that meet all limits, by policy, best and initial recipe, with errors.
 
-    `groups` [N]: batches of one group are not independent. Limits on two sides are kept or missed
-    by both batches of an antithetic pair, so that pairs taken for two would halve the variance.
+    `groups` [N]: batches of one group are not independent. Both batches of an antithetic pair often
+    meet or violate a two-sided limit together, so that counting them as two would halve the
+    variance.
     """
     numbers = [
         number
@@ -161,7 +162,7 @@ def _mean(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
 
 
 def better(gain: float, error: float) -> str:
-    """Which of both keeps all limits more often on the same batches: "policy", "recipe", ""."""
+    """The one that meets all limits more often on the same batches: "policy", "recipe", or ""."""
     if abs(gain) <= SIGNIFICANT * error:
         return ""
     return "policy" if gain > 0 else "recipe"
@@ -205,7 +206,7 @@ def trajectories(
     case: PharmaCase, stages: Sequence[Stage], inputs: Mapping[str, Input], actions: np.ndarray
 ) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """(name, time, values) of each control, from actions [T, N, size]: values [T, N] after each
-    decision, in the domain's units; `time` [T]: s since the unit's start. Ramps hold over the
+    decision, in the domain's units; `time` [T]: s since the unit's start. Ramps are met over the
     nominal duration."""
     assert case.control is not None
     rows = []

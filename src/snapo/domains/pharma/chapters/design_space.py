@@ -1,4 +1,4 @@
-"""The design space: the map, the largest box inside, and where the space ends."""
+"""The design space: the map, the largest box inside, and the boundary of the space."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,8 @@ class SpaceMap:
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
     - `levels`: the levels of contours; `required`: probability. `box`: the largest inside, None if
-      the set point itself does not do. `ends`: the ends of the space along the lines of the map.
+      the set point itself does not do. `ends`: the boundary of the space along the lines of the
+      map.
     """
 
     axes: tuple[str, ...]
@@ -122,7 +123,7 @@ def boundary_rows(
 
 
 def show(run: RunFiles, result: SpaceMap) -> list[Block]:
-    """The probability that all limits hold over the axes, and the attribute that breaks them."""
+    """The probability of meeting all limits over the axes, and the attribute that fails first."""
     names = stated(run).attribute_names
     blocks: list[Block] = [_in_words(result)]
     blocks += [_map(result, at, position, names) for at, position in _slices(result)]
@@ -305,7 +306,7 @@ def _boxes(axes: "Axes", result: SpaceMap) -> None:
 
 
 def _binding(axes: "Axes", result: SpaceMap, which: np.ndarray, attributes) -> None:
-    """Which attribute most often breaks its limits at each point; a dot where none does."""
+    """The attribute that most often violates its limits at each point; a dot if none does."""
     x, y = result.grid[:2]
     marks = "osD^vP"
     for i in np.unique(which):

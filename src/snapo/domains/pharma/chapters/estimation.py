@@ -155,7 +155,7 @@ def estimates(process: PharmaProcess) -> Estimates:
 
 
 def not_handed_on(result: ParameterFit) -> list[str]:
-    """Why the numbers of a fit are not handed on with their covariance, in sentences."""
+    """The reason why the numbers of a fit are not handed on with their covariance, in sentences."""
     reasons = [] if result.converged else [f"The fit did not converge: {result.message}."]
     reasons += [f"{text[:1].upper()}{text[1:]}." for text in result.unidentified]
     for name, bound in zip(result.names, result.at_bound):
@@ -242,7 +242,7 @@ def _agreement(result: Estimates) -> Chart:
 
 
 def _weighed(result: ParameterFit) -> str:
-    """How the covariance follows from the errors of the measurements."""
+    """A sentence on the covariance and the errors of the measurements."""
     scale = number(result.scale)
     if finite(result.tail) is None:
         return (
@@ -259,7 +259,7 @@ def _weighed(result: ParameterFit) -> str:
 
 
 def _use(reasons: Sequence[str]) -> str:
-    """How the fit is used from here on."""
+    """A sentence on the use of the fit from here on."""
     if reasons:
         return "Since not all numbers are identified, no fitted.csv is written."
     return (

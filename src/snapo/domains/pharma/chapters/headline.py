@@ -98,7 +98,7 @@ def status(run: StudyRun | RunFiles) -> str:
 
 
 def reservations(fit: ParameterFit) -> str:
-    """Why a fit is not reliable, or ""."""
+    """The reason why a fit is not reliable, or ""."""
     if not fit.converged:
         return f"the fit did not converge: {fit.message}"
     if not fit.tail < DOUBT:
@@ -146,7 +146,7 @@ def _note(run: RunFiles) -> str:
 
 
 def marks(run: RunFiles) -> list[Mark]:
-    """Verdicts on the numbers, then on the process; nothing good is above a bad status."""
+    """Verdicts on the numbers, then on the process; a bad status comes first."""
     rows, state = checks(run), run.result.status or "ok"
     verdicts = check_marks([(name, valid) for name, valid, _ in rows], "numerical checks")
     if state not in GOOD and all(mark.good for mark in verdicts):
@@ -232,7 +232,7 @@ class Making:
 
     @classmethod
     def of(cls, case: PharmaCase) -> "Making":
-        """All that is known before the run; a training records its versions and seed itself."""
+        """The information before the run; a training records its versions and seed itself."""
         files = {file.name: file.read_bytes() for file in case_files(case.file.parent)}
         alone = case.control is None
         return cls(

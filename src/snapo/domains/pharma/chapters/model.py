@@ -1,6 +1,6 @@
 """The statement of a case: purpose, flowsheet, equations, parameters with their sources, numbers.
 
-It is known before a number is computed, so that it is a part of `about` of a study.
+It is available before a number is computed, so that it is a part of `about` of a study.
 """
 
 import re
@@ -127,7 +127,7 @@ class UncertaintyStatement:
 
 @dataclass(frozen=True)
 class NumberStatement:
-    """A number as used in the computation; `parameter`: the parameter that it is, or ""."""
+    """A number as used in the computation; `parameter`: the name of its parameter, or ""."""
 
     input: str
     label: str
@@ -147,7 +147,7 @@ class NumericsStatement:
 
 @dataclass(frozen=True)
 class Statement:
-    """Everything that is known before a number is computed; `connections`: "from" and "to"."""
+    """The description before any number is computed; `connections`: "from" and "to"."""
 
     purpose: str = ""
     scope: str = ""
@@ -295,7 +295,7 @@ def show(run: RunFiles, result: Statement) -> list[Block]:
 
 
 def number_text(value: float, unit: str = "") -> str:
-    """A number that the case gives, with all its digits: 313.15 K, 4.46 × 10¹⁰ 1/m3/s."""
+    """A number of the case with all its digits: 313.15 K, 4.46 × 10¹⁰ 1/m3/s."""
     if value == 0 or 1e-3 <= abs(value) < 1e7:
         text = f"{value:,.10f}".rstrip("0").rstrip(".").replace("-", "−")
         if value != float(f"{value:.10f}"):

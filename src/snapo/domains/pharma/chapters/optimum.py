@@ -146,8 +146,8 @@ def optimal(request: Optimise, values: Sequence[float]) -> dict[Entry, float]:
 
 
 def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecipe:
-    """Decisions, limits and ramps with their multipliers, the probability to keep all limits before
-    and after, and how the solution was computed. User units."""
+    """Decisions, limits and ramps with their multipliers, the probability of meeting all limits
+    before and after, and how the solution was computed. User units."""
     recipe, conditions = optimum.recipe, optimum.recipe.conditions
     start = np.array([decision.start for decision in request.decisions])
     (first, before), (last, after) = (_at(run, request, x) for x in (start, recipe.x))
@@ -240,7 +240,7 @@ def _unit(request: Optimise) -> str:
 
 
 def show(run: RunFiles, result: BestRecipe) -> list[Block]:
-    """The goal, the numbers chosen, the limits that hold them, and the conditions."""
+    """The goal, the decisions, the limits that bind them, and the optimality conditions."""
     blocks: list[Block] = [Text(_goal(result)), _facts(result), _decisions(result), _limits(result)]
     if result.ramps:
         blocks.append(_ramps(result))

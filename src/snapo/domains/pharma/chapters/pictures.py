@@ -97,7 +97,7 @@ def minutes_below(*panels: "Axes") -> None:
 
 
 def plane(axes: "Axes", temperature, concentration, curve: tuple[np.ndarray, np.ndarray]) -> None:
-    """The way of a batch through the c-T plane, above its solubility; time runs to the left."""
+    """The path of a batch through the c-T plane, above its solubility; time runs to the left."""
     axes.plot(*curve, color=LIGHT["limit"], linestyle=(0, (5, 2)), label="Solubility")
     axes.plot(temperature, concentration, color=LIGHT["main"], linewidth=2.0, label="Batch")
     axes.plot(temperature[0], concentration[0], "o", color=LIGHT["main"], label="Start")
@@ -117,7 +117,7 @@ def residuals(axes: "Axes", shares: np.ndarray) -> None:
 
 
 def agreement(axes: "Axes", measured: np.ndarray, fit: np.ndarray, unit: str) -> None:
-    """Fitted over measured, with the line on which both agree."""
+    """Fitted against measured values, with the line on which both agree."""
     endpoints = [min(measured.min(), fit.min()), max(measured.max(), fit.max())]
     axes.plot(endpoints, endpoints, color=LIGHT["other"], linewidth=0.9, label="Agreement")
     axes.plot(measured, fit, "o", color=LIGHT["main"], markersize=4, label="Measurements")

@@ -1,4 +1,4 @@
-"""Proven ranges: of one parameter at a time, and of two at once."""
+"""Proven ranges: of one parameter at a time, and of two together."""
 
 from snapo.report.folder import RunFiles
 from snapo.report.page import Block, Mark, Missing, Table
@@ -26,7 +26,7 @@ def measure(run: StudyRun) -> tuple[ProvenRange, ...]:
 
 
 def measure_pairs(run: StudyRun) -> tuple[Pair, ...]:
-    """The proven ranges of every two parameters at once."""
+    """The proven ranges of every two parameters together."""
     complete, proven = sampled(run), RANGES.of(run)
     space = complete.case.design_space
     assert space is not None and proven is not None

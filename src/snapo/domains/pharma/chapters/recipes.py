@@ -40,7 +40,7 @@ def tune(run: StudyRun) -> RecipeLogits:
 
 
 def recipe(run: StudyRun, name: str) -> Feedback:
-    """A recipe as its part left it."""
+    """A recipe, as saved by its part of the run."""
     logits = RECIPES.of(run)
     assert logits is not None
     return logits.policy(closed_loop(run), name)
@@ -78,7 +78,7 @@ class TunedRule:
     of: tuple[str, ...]
 
     def policy(self) -> Loops:
-        """The rule as its part left it."""
+        """The rule, as saved by its part of the run."""
         policy = Loops(self.table, self.wires, self.setpoints)
         for i, (gain, time) in enumerate(zip(self.gains, self.times)):
             policy = policy.tuned(i, float(gain), float(time))
@@ -86,7 +86,7 @@ class TunedRule:
 
 
 def tune_rules(run: StudyRun) -> tuple[TunedRule, ...]:
-    """Every rule of the case with its first settings, and trained as long as the policy is."""
+    """Every rule of the case with its first settings, and trained for as long as the policy."""
     loop, rows = closed_loop(run), []
     control, plan = loop.case.control, loop.training
     assert control is not None

@@ -104,7 +104,7 @@ class CriticalityTable:
 
 
 def criticality(process: PharmaProcess, seed: int, draws: int = DRAWS) -> CriticalityTable:
-    """The nominal batch at both ends of every normal range, and the same drawn ones."""
+    """The nominal batch, and the same drawn batches, at both ends of every normal range."""
     case = process.case
     entries = batches.varied(case)
     here = batches.nominally(process, {})

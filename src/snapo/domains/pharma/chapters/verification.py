@@ -37,14 +37,13 @@ CLOSED = 1e-10  # relative gap of a balance
 class Balance:
     """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 if all are 0.
 
-    Material that a unit has not taken in counts as accumulation. It cannot be less than nothing, so
-    the
-    balance of a unit that takes more than there is stays open.
+    Material that has not entered a unit counts as accumulation. It cannot be negative, so the
+    balance of a unit that takes more than its feed does not close.
 
-    Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
-    if they use it (of mass: the error of rounded molar masses); "solvent": kg with anti-solvent
-    and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent heat, `inflow`
-    with the heat of reaction.
+    The balances of one batch. "mass" is in kg, a species in kmol: `inflow` includes seed, and
+    `made` is by reactions, negative if they use it (for mass, the error of rounded molar masses).
+    "solvent" is in kg, with anti-solvent and wash liquid. "energy" is in J, the sensible heat above
+    0 K plus the latent heat of vapour; `inflow` includes the heat of reaction.
     """
 
     unit: str
@@ -131,7 +130,7 @@ def _solvent(streams: Iterable[Stream]) -> float:
 
 @dataclass(frozen=True)
 class CheckedPoint:
-    """A point of operation: the largest gap of the adjoint, and where it is.
+    """A point of operation: the largest gap of the adjoint, and its position.
 
     - `at`: values of the parameters. `kinks`: entries whose one-sided derivatives differ.
     """
@@ -157,7 +156,7 @@ def largest_gap(row: ConvergenceRow) -> float:
 
 
 def examine(run: StudyRun) -> Convergence:
-    """In time, and on cells along a length and over sizes where there are any."""
+    """The convergence in time, and on cells along a length and over sizes if there are any."""
     complete = process(run)
     return replace(convergence(complete), cells=on_finer_cells(complete))
 
@@ -279,7 +278,7 @@ DIFFERENCES = Chapter(
 
 
 def verification(run: RunFiles) -> Section:
-    """Every check that this very run was put to."""
+    """Every check of this run."""
     batch, attribution = ONE_BATCH.of(run), ATTRIBUTION.of(run)
     loops = [
         Text(

@@ -1,4 +1,4 @@
-"""The process in closed loop: a policy decides temperatures and ratios on measurements. As a
+"""The process in closed loop: a policy decides temperatures and ratios on measurements. Also as a
 problem: its objective, the best of several recipes, and its setups.
 """
 
@@ -38,10 +38,10 @@ from .staging import LoopRecord, decided, staged
 class ControlLoop(NamedTuple):
     """A closed loop, ready for `snapo.solve`.
 
-    - `inputs`: {name: Input}. `baseline`: the recipe of the case as a policy that sees nothing;
+    - `inputs`: {name: Input}. `baseline`: the recipe of the case as a policy without observations;
       trained, it is the best fixed recipe. `policy`: the same recipe with feedback.
-    - `stages`: in order. `outputs`: names of the attributes' totals. Beside them "success" is 1
-      if all limits hold, and "violation" adds up the distances beyond them in margins.
+    - `stages`: in order. `outputs`: names of the attributes' totals. In addition, "success" is 1 if
+      all limits are met, and "violation" is the sum of the violations in margins.
     """
 
     simulator: Simulator
@@ -161,10 +161,10 @@ def best_recipe(
     engines: Engines,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[Feedback, Feedback]:
-    """The best of several recipes, each trained; and it again, trained as long once more.
+    """The best of several recipes, each trained; and the same recipe after a second training.
 
-    `feedback`: the case's recipe. The first is where a policy starts that is to be compared with
-    the second.
+    `feedback`: the case's recipe. A policy that is to be compared with the second starts from the
+    first.
     """
 
     def tuned(recipe: Feedback, plan: TrainingPlan, subject: str) -> tuple[float, Feedback]:
@@ -218,7 +218,7 @@ class ClosedLoop:
         return {}
 
     def setup(self) -> Setup:
-        """The policy starts from the first recipe, once that is there."""
+        """The policy starts from the first recipe, once that exists."""
         available = self.first is not None
         if available not in self._setups:
             policy = (self.first or self.loop.baseline).closed()
@@ -230,7 +230,7 @@ class ClosedLoop:
     def setup_at(self, before: Setup, other: PharmaCase) -> Setup:
         """The setup of a case that differs only in the numbers of its inputs.
 
-        Nothing is compiled where the case has the same form.
+        Nothing is compiled if the case has the same form.
         """
         loop = closed_loop(other, seed=self.training.seed)
         problem = replace(before.problem, simulator=loop.simulator, inputs=loop.inputs)

@@ -2,9 +2,9 @@
 readings of sensors: the state one dead time earlier.
 
 An analyser at the end of a sample line, or a slow method, shows the past. The true readings at the
-last decisions are kept, the latest first, and the one a dead time ago is read between two of them
-in a straight line; before the unit's start it is the first one. The sensor's error is added when it
-is read.
+last decisions are kept, the latest first, and the reading a dead time ago is interpolated linearly
+between two of them; before the unit's start it is the first one. The sensor's error is added when
+it is read.
 """
 
 import math
@@ -24,7 +24,7 @@ from .records import Measurement
 
 
 def history_length(sensors: Sequence[Measurement], interval: float) -> int:
-    """How many true readings must be known, `interval` s apart; 0 without any dead time.
+    """The number of true readings required, `interval` s apart; 0 without any dead time.
 
     One more than needed for the dead time, since a unit's duration may vary from batch to batch.
     """
@@ -90,7 +90,7 @@ class Feedback(Policy):
         return eqx.tree_at(lambda policy: policy.gain, self, Frozen(np.ones((), np.float32)))
 
     def on(self, table: np.ndarray) -> "Feedback":
-        """The same policy about another recipe, [T, size] logits."""
+        """The same policy around another recipe, [T, size] logits."""
         return eqx.tree_at(lambda policy: policy.table, self, jnp.asarray(table, jnp.float32))
 
     def actions(self) -> np.ndarray:

@@ -65,7 +65,7 @@ class Cascade:
 
 @dataclass(frozen=True)
 class ControlRule:
-    """A baseline for the policy: PI controllers about the recipe.
+    """A baseline for the policy: PI controllers around the recipe.
 
     `tuning`: for missing settings: "simc" (Skogestad 2003) or "ziegler-nichols" (1942).
     """
@@ -100,8 +100,8 @@ class Goal:
 
     - `kind`: "mean" and "cvar" are of `attribute` (maximised, or minimised with `sense` -1) with
       limits as penalties; "probability" is of all limits together and needs no attribute.
-    - `level`: the level of "cvar". `penalty`: lost per `Attribute.margin` of violation, in units of
-      `attribute`'s margin.
+    - `level`: the level of "cvar". `penalty`: the loss per `Attribute.margin` of violation, in
+      units of `attribute`'s margin.
     """
 
     kind: Literal["mean", "cvar", "probability"]

@@ -31,7 +31,7 @@ class FirstOrder(NamedTuple):
 def first_order(times: np.ndarray, response: np.ndarray, step: float) -> FirstOrder:
     """The process that best fits a response [n] at `times` s [n] after a step of this size.
 
-    By least squares over time constants and dead times, each with its best gain.
+    The fit is by least squares over time constants and dead times, each with its best gain.
 
     **Raises:** `ValueError` if nothing responds.
     """
@@ -63,7 +63,8 @@ def simc(process: FirstOrder, closed: float | None = None) -> tuple[float, float
 def ziegler_nichols(process: FirstOrder) -> tuple[float, float]:
     """Gain and integral time in s: Kc = 0.9 tau / (k theta), Ti = theta / 0.3.
 
-    From the reaction curve. J. G. Ziegler and N. B. Nichols, Trans. ASME 64 (1942) 759.
+    The settings from the reaction curve. J. G. Ziegler and N. B. Nichols, Trans. ASME 64 (1942)
+    759.
     """
     return 0.9 * process.lag / process.gain / process.dead, process.dead / 0.3
 
@@ -123,7 +124,7 @@ def first_settings(
     rule: ControlRule,
     recipe: np.ndarray,
 ) -> Tuned:
-    """A rule about a recipe, [T, size] actions; missing settings are tuned from step responses."""
+    """A rule around a recipe, [T, size] actions; missing settings are tuned from step responses."""
     connections, loops = connected(case, stages, rule)
     control = case.control
     assert control is not None

@@ -1,6 +1,6 @@
 """PI controllers and cascades of them as a policy: a baseline for the trained one.
 
-A loop moves its control about the recipe: v = recipe + K e + I, e = setpoint - reading, at every
+A loop moves its control around the recipe: v = recipe + K e + I, e = setpoint - reading, at every
 decision. Its integral moves by dt / Ti (K e + applied - v): the part removed by limits and ramps is
 reset with the time Ti, so that it does not wind up (Astrom and Hagglund 2006, section 3.5). In a
 cascade the outer loop's v is the setpoint of the inner one.
@@ -114,13 +114,13 @@ class Loops(Memory):
         return action, jnp.stack(selected).astype(kind)
 
     def on(self, recipe: np.ndarray) -> "Loops":
-        """The same loops about another recipe, [T, size] actions in 0..1."""
+        """The same loops around another recipe, [T, size] actions in 0..1."""
         inside = np.clip(recipe, EDGE, 1 - EDGE)
         table = jnp.asarray(np.log(inside / (1 - inside)), jnp.float32)
         return eqx.tree_at(lambda policy: policy.table, self, table)
 
     def tuned(self, number: int, gain: float, time: float) -> "Loops":
-        """The same with this gain and integral time in s in one loop."""
+        """The same loops, but one of them with this gain and this integral time in s."""
         signs = np.array(self.signs.array)
         signs[number] = np.sign(gain)
         return eqx.tree_at(
@@ -134,12 +134,12 @@ class Loops(Memory):
         )
 
     def with_setpoints(self, setpoints: np.ndarray) -> "Loops":
-        """The same with other setpoints, [L, T]."""
+        """The same loops with other setpoints, [L, T]."""
         frozen = Frozen(np.asarray(setpoints, np.float32))
         return eqx.tree_at(lambda policy: policy.setpoints, self, frozen)
 
     def gains(self) -> np.ndarray:
-        """[L] with their signs, in shares of the control's range per reading."""
+        """[L] gains with their signs, in shares of the control's range per reading."""
         return np.asarray(self.signs.array) * np.exp(np.asarray(self.log_gain, float))
 
     def times(self) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""One batch of the process as stages of decisions: each unit on which something is decided or
-measured over time, and at the end, if there is something to decide there, the others.
+"""One batch of the process as stages of decisions: each unit with decisions or measurements over
+time and, at the end, all others if they have decisions.
 
-All other units run between the stages, in one go. A stage's state holds the whole batch: its
-drawn numbers, the streams made so far, the last value of every control and the last reading of
+All other units run between the stages, without decisions. A stage's state holds the whole batch:
+its drawn numbers, the streams made so far, the last value of every control and the last reading of
 every sensor.
 """
 
@@ -39,11 +39,11 @@ StageState = dict[str, Any]
 
 
 class Stage(Simulator):
-    """One stage. It holds no case, but the form of a `LoopRecord`.
+    """One stage. It contains the form of a `LoopRecord` instead of a case.
 
-    - `name`: the name of its unit; "" of a stage that decides once, before all that is left runs.
-    - `before`, `total`: decisions of the stages before it, and of all. `history`: how many true
-      readings its sensors look back to.
+    - `name`: the name of its unit; "" for a stage with one decision, before all other units run.
+    - `before`, `total`: decisions of the stages before it, and of all. `history`: the number of
+      past true readings that its sensors use.
     """
 
     form: Form[LoopRecord] = eqx.field(static=True)
@@ -67,7 +67,7 @@ class Stage(Simulator):
 
     @property
     def unit(self) -> Timed | None:
-        """The unit of the stage, formed."""
+        """The unit of the stage, in the form for simulators."""
         units = timed(self.flowsheet.units)
         return next((unit for unit in units if unit.name == self.name), None)
 
@@ -333,9 +333,9 @@ class Stage(Simulator):
         return jax.lax.scan(advance, first, (drive, endpoints))[0]
 
     def terminal(self, constants, state: StageState, smooth):
-        """The other units, every attribute, whether all limits hold and by how much they do not.
+        """Runs the other units: every attribute, whether all limits are met, and their violation.
 
-        Only the last stage's counts: that of an earlier one is empty.
+        Only the last stage has one; those of earlier stages are empty.
         """
         if self.before + self.horizon < self.total:
             return {}

@@ -1,5 +1,5 @@
-"""Which units of a process are stages of decisions, and all that these follow from: also which
-numbers differ from batch to batch, and how they are drawn."""
+"""The units of a process that are stages of decisions, with everything that determines them: also
+the numbers that differ from batch to batch, and their draws."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from .records import Control, Manipulated
 @dataclass(frozen=True, eq=False)
 class Varied:
     """[V] the differences from batch to batch: the uncertain numbers, and after them the process
-    parameters that do not hold exactly; `correlated`: [V, V] Cholesky factor of their normals."""
+    parameters that vary; `correlated`: [V, V] Cholesky factor of their normals."""
 
     inputs: tuple[str, ...]
     entries: tuple[int, ...]
@@ -65,7 +65,7 @@ def staged(units: Iterable[Unit], control: Control) -> tuple[Timed, ...]:
 
 
 def decided(units: Iterable[Unit], control: Control, stage: str) -> tuple[int, ...]:
-    """Numbers of the `Manipulated` that belong to a stage's unit, or ("") to all the others."""
+    """Indices of the `Manipulated` of a stage's unit, or (for "") of all other units."""
     names = {entry.name for entry in staged(units, control)}
 
     def unit_of(item: Manipulated) -> str:
@@ -77,8 +77,8 @@ def decided(units: Iterable[Unit], control: Control, stage: str) -> tuple[int, .
 
 @dataclass(frozen=True, eq=False)
 class LoopRecord:
-    """All of a case that a closed loop follows from: the flowsheet, the decisions, the limits, and
-    how batches differ."""
+    """The part of a case that determines a closed loop: the flowsheet, the decisions, the limits,
+    and how batches differ."""
 
     flowsheet: Flowsheet
     control: Control

@@ -21,8 +21,8 @@ class Checked(NamedTuple):
 
     - `adjoint`, `difference`: fourth-order central differences. `error`: their gap over the
       largest entry of the row, or over a margin in half the normal range if that is more.
-    - `kink`: whether forward and backward differences stay apart as the step halves, so that the
-      derivative there is one-sided.
+    - `kink`: whether forward and backward differences remain different as the step is halved, so
+      that the derivative there is one-sided.
     """
 
     point: np.ndarray

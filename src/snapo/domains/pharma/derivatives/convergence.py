@@ -69,10 +69,10 @@ VALUES, DERIVATIVES = 1e-6, 1e-5  # gaps that count as agreement
 class ConvergenceRow:
     """One number of the answer: a value ("value" as `parameter`) or a derivative.
 
-    `mesh`, `finer`, `adaptive`: by the case's method, by twice its steps or a tenth of its
-    tolerance, and error-controlled (where the case is, the tighter one again); gaps are relative
-    to the value, for a derivative to the largest in its attribute's row, or where these are
-    smaller to the attribute's margin and a margin in half the normal range.
+    `mesh`, `finer`, `adaptive`: by the case's method; with twice its steps or a tenth of its
+    tolerance; and error-controlled (the tighter one again if the case is). The gap of a value is
+    relative to it, the gap of a derivative to the largest of its attribute. The scale is at least
+    the attribute's margin, for a derivative per half the normal range.
     """
 
     attribute: str
@@ -95,7 +95,7 @@ class Convergence:
 
 
 def _own(process: PharmaProcess, inputs) -> Jacobian:
-    """By the parameters, from the function that gives a run its matrix: it is compiled once."""
+    """The parameters' columns of the matrix of a run, whose function is compiled only once."""
     entries = batches.varied(process.case)
     result = matrix(process, inputs, entries=entries)
     columns = [entries.index(entry) for entry in process.entries]
@@ -122,12 +122,12 @@ def _differences(process: PharmaProcess, inputs) -> Jacobian:
 
 
 def convergence(process: PharmaProcess, inputs=None, tolerance: float = 1e-10) -> Convergence:
-    """Every attribute and its derivative with respect to every parameter, three ways; the case's
-    own is judged.
+    """Every attribute and its derivative with respect to every parameter, by three methods; that of
+    the case is tested.
 
-    `tolerance` is that of the adaptive solution, or the case's if that is tighter. Where units hold
-    steps its derivatives are differences of its values: through an implicit solver with error
-    control the adjoint takes minutes to compile.
+    `tolerance` is that of the adaptive solution, or the case's if that is tighter. If units hold
+    their steps, its derivatives are differences of its values: through an implicit solver with
+    error control the adjoint takes minutes to compile.
     """
     numerics = process.case.numerics
     tight = min(tolerance, numerics.tolerance)

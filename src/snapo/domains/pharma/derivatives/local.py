@@ -1,4 +1,4 @@
-"""Derivatives of every unit by itself, from which paths through the flowsheet are put together."""
+"""Separate derivatives of every unit, from which paths through the flowsheet are composed."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

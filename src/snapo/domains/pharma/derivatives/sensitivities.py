@@ -67,8 +67,8 @@ def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spr
     """Parameters by criticality, the most critical first.
 
     Room is the distance to the nearest limit minus `VARIATION` standard deviations of the batches
-    about the set point. `outside`: the attribute is beyond its limit already, `spent`: its
-    its variation takes all the room; a share has then no meaning.
+    around the set point. `outside`: the attribute is beyond its limit already, `spent`: its its
+    variation takes all the room; a share has then no meaning.
     """
     room = AttributeLimits.of(case).distance(matrix.values)
     left = (room - VARIATION * varied.total)[:, None]
@@ -108,7 +108,7 @@ def _of_variance(varied: "Spread", shares: np.ndarray, name: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Where the batch-to-batch spread of each attribute comes from, to first order.
+    """The sources of the batch-to-batch spread of each attribute, to first order.
 
     - `sources`: [V] names; `part`: [Q, V] standard deviation that each one causes.
     - `total`: [Q] of independent sources together, in quadrature (a correlation adds its terms).

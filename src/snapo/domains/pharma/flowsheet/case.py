@@ -1,4 +1,4 @@
-"""A pharmaceutical process as resolved data: its flowsheet, and the questions to it.
+"""A pharmaceutical process as resolved data: its flowsheet, and the requested studies.
 
 Conventions for every record. Numbers are in the domain's units, to which reading converts:
 K, s, m, m3, kg, kmol/m3 (the same number as mol/L), kg/m3, Pa, J/mol, W, and "1" for a pure
@@ -40,9 +40,9 @@ class Connection:
 
 @dataclass(frozen=True, eq=False)
 class Flowsheet:
-    """All that material flows through, and how time is integrated.
+    """The flowsheet, and the integration over time.
 
-    - `units`: in the order in which material flows. `measures`: names of those that are asked for.
+    - `units`: in the order in which material flows. `measures`: the names of the requested ones.
     """
 
     network: FlowNetwork
@@ -60,7 +60,7 @@ class PharmaCase:
     - `purpose`: a sentence for the report. `assumptions`: the user's, in addition to those of the
       units.
     - `pairs`: pairs of parameter names for second derivatives of every attribute.
-    - `held`: names of `CaseInput`s that are no inputs.
+    - `held`: names of `CaseInput`s that are not inputs.
     - `parts`: names of those parts of a run that are wanted, () for all.
     - `control`, `design_space`, `estimation`, `optimise`: None if it does not ask for them.
     """
@@ -93,7 +93,7 @@ class PharmaCase:
 
     @property
     def flowsheet(self) -> Flowsheet:
-        """With the measures that attributes, and an optimisation, name."""
+        """The case with the measures that attributes and an optimisation refer to."""
         terms = () if self.optimise is None else self.optimise.terms + self.optimise.per
         names = [attribute.measure for attribute in self.attributes]
         names += [term.of for term in terms if term.entry is None]

@@ -131,7 +131,7 @@ def _blanks(sheet: Flowsheet, group: Group) -> tuple[Stream, ...]:
 
 
 def entry_words(sheet: Flowsheet, loop: str) -> list[str]:
-    """Words for every entry of the guess of a loop, which is called by its units."""
+    """A description of every entry of the guess of a loop, which is called by its units."""
     group = next(g for g in groups(sheet.units, sheet.connections) if g.loop == loop)
     return labels(_blanks(sheet, group), group.torn, sheet.network.species)
 

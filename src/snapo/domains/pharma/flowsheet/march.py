@@ -1,8 +1,9 @@
 """The time loops of many batches on the native engine: lanes are batches, steps those of the mesh.
 
-All between the units is algebra, which XLA does for many batches in parallel. The expensive part, a
-unit's steps, is one kernel: one step at a time, and the schedule of all. Derivatives are propagated
-forward with the values, and a unit carries only those with respect to numbers that affect it.
+Everything between the units is algebra, which XLA computes for many batches in parallel. The
+expensive part, a unit's steps, is one kernel: one step at a time, and the schedule of all.
+Derivatives are propagated forward with the values, and a unit carries only those with respect to
+numbers that affect it.
 """
 
 from collections.abc import Callable, Sequence
@@ -107,8 +108,8 @@ BatchKind = Literal["shared", "drawn", "moving"]
 
 @dataclass(frozen=True)
 class StepProgram:
-    """A step as it was traced, whose numbers are arguments: steps with the same text compute the
-    same."""
+    """A traced step whose numbers are arguments: steps with the same text compute the same
+    function."""
 
     text: ProgramText
     function: Callable = field(compare=False, repr=False)
@@ -183,7 +184,7 @@ class Marches:
     """Attributes of many batches on the mesh, and their derivatives with respect to `by`, at draws
     of `entries`.
 
-    Raises `engine.Unsupported`, when called, where the native engine cannot run a unit.
+    Raises `engine.Unsupported`, when called, if the native engine cannot run a unit.
     """
 
     def __init__(self, process: Batches, entries: Sequence[Entry], by: Sequence[Entry]):

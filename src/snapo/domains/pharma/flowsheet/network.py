@@ -1,4 +1,4 @@
-"""Mass action: the reactions of a case, and how fast each goes at a temperature and composition."""
+"""Mass action: the reactions of a case, and their rates at a temperature and composition."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class FlowNetwork:
     several.
 
     - `species`, `reactions`: [S], [R] names. `molar_mass`: [S] kg/kmol (the same as g/mol).
-    - `stoichiometry`: [R, S], negative where used; `molar_mass` times a row adds up to zero.
+    - `stoichiometry`: [R, S], negative if used; `molar_mass` times a row adds up to zero.
     - `order`: [R, S] exponents, not negative; by default those of the reactants.
     - `prefactor`: "kinetics.prefactor", index [R], labels are the reactions, (m3/kmol)^(n-1)/s
       with n the reaction's total order; `activation`: "kinetics.activation", [R], J/mol.
@@ -48,7 +48,7 @@ class FlowNetwork:
 
     @property
     def runs_out(self) -> np.ndarray:
-        """[R, S] where a reaction uses a species on which its rate does not depend."""
+        """[R, S] whether a reaction uses a species on which its rate does not depend."""
         return (self.stoichiometry < 0) & (self.order == 0)
 
 
@@ -66,8 +66,8 @@ def rate_constants(
 def rates(network: FlowNetwork, constants: Array, concentration: Sequence[Array]) -> list[Array]:
     """[R] rates in kmol/m3/s from `constants` [..., R] and kmol/m3 of each species.
 
-    Written out reaction by reaction: species of order 0 appear only in the factor that stops the
-    reaction, so 0^0 never occurs.
+    The formula is written out reaction by reaction: species of order 0 appear only in the factor
+    that stops the reaction, so 0^0 never occurs.
     """
     results = []
     for i in range(len(network.reactions)):
@@ -86,7 +86,7 @@ def rates(network: FlowNetwork, constants: Array, concentration: Sequence[Array]
 
 def fastest_rate(network: FlowNetwork, temperature: np.ndarray, maximum: np.ndarray) -> float:
     """1/s: a bound on the norm of d r / d extents below concentrations `maximum` [S] in kmol/m3, at
-    the given temperatures in K; infinite if an order lies between 0 and 1."""
+    these temperatures in K; infinite if an order lies between 0 and 1."""
     if ((network.order > 0) & (network.order < 1)).any():
         return np.inf
     inverse = 1 / temperature[:, None] - (1 / network.reference if network.reference else 0.0)
@@ -103,7 +103,7 @@ def fastest_rate(network: FlowNetwork, temperature: np.ndarray, maximum: np.ndar
 
 
 def _power(c: Array, order: float) -> Array:
-    """c^order; a fractional power of a number that round-off made negative is 0."""
+    """c^order; a fractional power of a number that is negative by round-off is 0."""
     if order.is_integer():
         return c ** int(order)
     present = c > 0

@@ -1,4 +1,4 @@
-"""Which units come before which, and which of them are in a loop."""
+"""The order of the units, and the loops among them."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
@@ -102,8 +102,9 @@ def settled(
 ) -> tuple[dict[tuple[str, str], Carried], dict[str, tuple[Carried, ...]]]:
     """Results for every outlet, and for the inlets of every unit.
 
-    `of_unit` computes those of the outlets from the inlets; `fed`: those of the feeds; `start`:
-    initial value in a loop. Units are evaluated until nothing changes.
+    `of_unit` computes the values of the outlets from those of the inlets; `fed`: the values of the
+    feeds; `start`: initial value in a loop. Units are evaluated repeatedly until the result no
+    longer changes.
     """
     source = {(c.target, c.inlet): (c.source, c.outlet) for c in connections}
     made, into = dict(fed), {}

@@ -1,4 +1,4 @@
-"""Impossible values of a measure, which equations give where their assumptions fail."""
+"""Impossible values of a measure, which equations give if their assumptions fail."""
 
 import math
 
@@ -9,7 +9,7 @@ ROUND_OFF = 1e-9  # in the domain's unit: round-off that makes a zero negative
 
 
 def smallest(measure: str) -> float:
-    """The least value of a measure that is possible, in the domain's unit.
+    """The smallest possible value of a measure, in the domain's unit.
 
     Amounts, times, sizes and shares are not below 0; a supersaturation (c - c*)/c* not below -1.
     New crystals are the crystals minus the seed, of which some may have dissolved.

@@ -62,7 +62,7 @@ class Batch(NamedTuple):
 class PharmaProcess:
     """A case with its compiled functions: made once, called often without compiling again.
 
-    - `case`: as it was given, with the steps that it needs. `form`: the form of its flowsheet,
+    - `case`: the case, with the steps that it needs. `form`: the form of its flowsheet,
       which is all that the functions are compiled for.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
       `entries`: [P] their positions. `traces` counts how often the flowsheet was traced.
@@ -117,7 +117,7 @@ class PharmaProcess:
         return {name: np.asarray(item, np.float64) for name, item in result.items()}
 
     def compiled(self, key: Any, make: Callable[[], Callable]) -> Callable:
-        """The function that `make` gives, compiled once for each `key`; float64, NumPy out."""
+        """The function that `make` returns, compiled once for each `key`; float64, NumPy out."""
         if key not in self._compiled:
             self._compiled[key] = jax.jit(make())
         function = self._compiled[key]
@@ -131,9 +131,9 @@ class PharmaProcess:
     def either(
         self, key: Any, make: Callable[[bool], Callable], *arguments, of=lambda result: result
     ):
-        """The function `make(own)` at `arguments`: first on held steps, and where those are refused
-        on steps chosen for this run, compiled for the first run that needs it. A result is refused
-        if a number in `of(result)` is non-finite."""
+        """The function `make(own)` at `arguments`: first on held steps; if those are refused, on
+        steps chosen for this run, compiled when first needed. A result is refused if a number in
+        `of(result)` is non-finite."""
         result = self.compiled(key, lambda: make(False))(*arguments)
         if self.case.numerics.held and not all(map(_finite, jax.tree.leaves(of(result)))):
             result = self.compiled(("own", key), lambda: make(True))(*arguments)
@@ -223,7 +223,7 @@ class PharmaProcess:
         `entries`.
 
         The rest is as in `inputs`. All chunks have the same shape: the last one is padded with its
-        first row. They run on all cores. "auto" takes the native engine where it can run the case.
+        first row. They run on all cores. "auto" takes the native engine if it can run the case.
         """
         key = tuple(entries), tuple(sensitivities)
         nominal, draws = self.nominal_inputs(inputs), np.asarray(draws, np.float64)

@@ -3,9 +3,9 @@
 Some streams of the loop are torn: from a guess x the units compute them as g(x), and g(x) = x is
 required. Newton's method solves that with the full Jacobian of g; if a step does not reduce the
 residual, shorter ones are tried, and the substitution of x by g(x), which is always possible. The
-search carries no derivatives. Two further steps with the matrix held do: with M the Jacobian of x -
-g at the solution, x - M^-1 (x - g(x)) has the derivative M^-1 dg of the implicit function theorem,
-and after the second step second derivatives are exact too.
+search carries no derivatives. Two further steps with the matrix held fixed are sufficient: with M
+the Jacobian of x - g at the solution, x - M^-1 (x - g(x)) has the derivative M^-1 dg of the
+implicit function theorem, and after the second step second derivatives are exact too.
 """
 
 from collections.abc import Callable
@@ -34,8 +34,9 @@ Turn = Callable[[tuple[Stream, ...], Any], tuple[Stream, ...]]
 
 
 class Closed(NamedTuple):
-    """`change`: the change of the guess in one more turn, relative; `rounds` that it took; `worst`:
-    which of `labels` changes most; `converged`: whether the change is within the tolerance."""
+    """`change`: the relative change of the guess in one more iteration; `rounds`: the number of
+    iterations; `worst`: which of `labels` changes most; `converged`: whether the change is within
+    the tolerance."""
 
     change: Float[Array, ""]
     rounds: Float[Array, ""]
@@ -44,7 +45,7 @@ class Closed(NamedTuple):
 
 
 def labels(streams: tuple[Stream, ...], names: tuple[str, ...], species: tuple[str, ...]):
-    """Words for every entry of the guess."""
+    """A description of every entry of the guess."""
     results = []
     for name, stream in zip(names, streams):
         for field in GUESSED:
@@ -84,7 +85,7 @@ def close(
     valid = result <= jnp.maximum(numerics.loop_tolerance, precise)
 
     def polished(u, _):
-        """One more Newton step, which gives the last digits and the derivatives."""
+        """One more Newton step, which supplies the last digits and the derivatives."""
         return u - jnp.linalg.solve(slope, gap(u, first, around)), None
 
     u, slope = still((jnp.where(valid, u, jnp.nan), slope))
@@ -93,7 +94,7 @@ def close(
 
 
 def _search(gap: Callable[[Array], Array], start: Array, numerics: Numerics):
-    """Where `gap` is zero, from `start`, and its matrix there; the change that is left, its place,
+    """The zero of `gap`, from `start`, and its matrix there; the change that is left, its place,
     and the rounds of Newton's method."""
 
     def change(u, off):

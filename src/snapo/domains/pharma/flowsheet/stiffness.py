@@ -1,14 +1,14 @@
-"""Which units of a case are stiff or need error control, and the steps that they take.
+"""The units of a case that are stiff or need error control, and the steps that they take.
 
 Explicit steps of h seconds are stable while h times the fastest rate at which a state answers stays
 below 2.78 (classical Runge-Kutta, on the negative axis). That rate is measured along the solution
-of the nominal batch, which Rosenbrock steps with error control find; where it is above the limit,
-those steps are held, and every batch takes them. Units that need error control (a jacket, a dryer's
-tray, a gas that dissolves, reactions that may use something up at once) hold them in any case.
+of the nominal batch, computed by Rosenbrock steps with error control. If it is above the limit,
+these steps are held, and every batch uses them. Units that need error control (a jacket, a dryer's
+tray, a gas that dissolves, reactions that may use up a species immediately) hold them in any case.
 
 For a unit without such steps, and if the case does not set their number, the explicit steps of
-every piece are doubled until no attribute of the nominal batch changes. Where a bound shows that
-all steps are short enough nothing is computed.
+every piece are doubled until no attribute of the nominal batch changes. If a bound shows that all
+steps are short enough, nothing is computed.
 """
 
 from dataclasses import replace
@@ -37,7 +37,7 @@ PRECISE, SHORT = 0.1, 20.0
 
 
 def with_steps(case: PharmaCase) -> PharmaCase:
-    """The case with the steps of its stiff units, and on a mesh that is as fine as it needs."""
+    """The case with the steps of its stiff units, and on a mesh that is fine enough."""
     case = with_stiff_steps(case)
     numerics = case.numerics
     if not numerics.open:

@@ -13,7 +13,7 @@ from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 @dataclass(frozen=True)
 class Grid:
-    """`edges`: [N + 1] m, rising, of N cells; () of a stream that has no crystals."""
+    """`edges`: [N + 1] m, rising, of N cells; () for a stream without crystals."""
 
     edges: tuple[float, ...]
 
@@ -57,7 +57,7 @@ class Stream(TreeRecord):
     - `density`, `shape`: of the crystals: kg/m3, and kv in volume = kv size^3.
     - `inner_size`, `inner_density`: d32 in m and density in kg/m3 of the crystals inside granules,
       to which moments, density and shape then refer; 0 if crystals are not granulated.
-    - `numbers`: [N] crystals in each cell of the `grid`; [0] where there is none.
+    - `numbers`: [N] crystals in each cell of the `grid`; [0] if there is none.
     - `grid`: `NO_CRYSTALS` of a clear liquid; None if only the moments are known.
     - `inner_numbers`, `inner_grid`: the same of the crystals inside granules; None if they are
       not counted.
@@ -134,7 +134,7 @@ def flat(stream: Stream) -> Float[Array, " K"]:
 
 
 def unflat(vector: Float[Array, " K"], like: Stream) -> Stream:
-    """The stream that `flat` made a vector of; `like` has its shapes."""
+    """The stream from the vector that `flat` returned; `like` has its shapes."""
     return jax.flatten_util.ravel_pytree(like)[1](vector)
 
 
@@ -157,7 +157,7 @@ class Ledger(NamedTuple):
 
 
 def ledger(species: int, **entries: Any) -> Ledger:
-    """A ledger in which all is zero but these entries."""
+    """A ledger in which everything is zero except these entries."""
     none, zero = jnp.zeros(species), jnp.zeros(())
     return Ledger(none, none, none, none, zero, zero)._replace(**entries)
 

@@ -1,5 +1,5 @@
-"""Batches for every statistic of a study: one list of varied numbers, so one compiled function; and
-quality limits as arrays: which hold, and how far a value is from them.
+"""Batches for every statistic of a study: one list of varied numbers, and so one compiled function.
+Also quality limits as arrays: which are met, and the distance of a value from them.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ CHUNK = 128  # batches side by side; few rows are filled up to it, so that nothi
 
 
 def varied(case: PharmaCase) -> tuple[Entry, ...]:
-    """What varies from batch to batch, and after it the parameters that hold exactly."""
+    """The numbers that vary from batch to batch, followed by the parameters that do not."""
     available = all_entries(case)
     every = [(parameter.input, parameter.entry) for parameter in case.parameters]
     return available + tuple(entry for entry in every if entry not in available)
@@ -79,7 +79,7 @@ class AttributeLimits(NamedTuple):
         return cls(np.array(low), np.array(high), np.array(possible))
 
     def hold(self, values: np.ndarray) -> np.ndarray:
-        """[…, Q] whether each limit holds; a non-finite value breaks a limit."""
+        """[…, Q] whether each limit is met; a non-finite value violates a limit."""
         selected = (values >= self.low) & (values <= self.high)
         selected = selected | ~self.any() & np.isfinite(values)
         return np.asarray(selected & (values >= self.lower))

@@ -1,10 +1,10 @@
-"""Where the design space ends, with an interval, along the lines of its map.
+"""The boundary of the design space, with an interval, along the lines of its map.
 
 Every point of the map has the same draws. Between two points the distance of each draw from each
 limit is interpolated linearly, so that the share of the draws that keep all limits is known at any
 position on a line, to second order in the map's spacing. The boundary is where that share falls
-below the required one. A position belongs to its 95 % interval where Wilson's interval of the share
-there contains the required one: the test of a share, inverted (Casella and Berger, Statistical
+below the required one. A position belongs to its 95 % interval if Wilson's interval of the share
+there contains the required one: an inverted test of a share (Casella and Berger, Statistical
 Inference, section 9.2).
 """
 
@@ -26,7 +26,7 @@ LEVEL = 0.95
 def interval(share, of: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest probability supported by the `share` of a number of draws (Wilson 1927).
 
-    It is of use near 0 and 1 too: of 128 draws that all hold, the lowest is 0.971.
+    It is also valid near 0 and 1: if all of 128 draws meet the limits, its lower limit is 0.971.
     """
     z = ndtri((1 + level) / 2)
     p = np.asarray(share, np.float64)
@@ -54,7 +54,8 @@ class Boundary:
       axis, -1 on that one; `side`: -1 if the space ends towards low values, +1 towards high.
     - `position`: the position of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside
       the space; in the unit of the grid. NaN if the end is outside of the line.
-    - `binding`: number of the attribute that most often breaks its limits just beyond it.
+    - `binding`: number of the attribute that most often violates its limits just beyond the
+      boundary.
     """
 
     axis: int
@@ -123,7 +124,7 @@ def _shares(rooms: np.ndarray, positions: np.ndarray):
 
 
 def _between(fine: np.ndarray, excess: np.ndarray, one: int, other: int) -> float:
-    """Where `excess` is zero between two neighbours on both sides of it."""
+    """The point with zero `excess` between two neighbours, one on each side of it."""
     share = excess[one] / (excess[one] - excess[other])
     return float(fine[one] + share * (fine[other] - fine[one]))
 

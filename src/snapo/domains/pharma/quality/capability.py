@@ -62,7 +62,7 @@ def capability(process: "PharmaProcess", count: int, seed: int) -> Capability:
 
 
 def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
-    """The same from attributes [n, Q]; non-finite rows broke down and break all limits."""
+    """The same from attributes [n, Q]; non-finite rows are failures that violate all limits."""
     limits, count = AttributeLimits.of(case), len(values)
     selected = limits.hold(values)
     valid = np.isfinite(values).all(-1)

@@ -25,7 +25,7 @@ class Point(NamedTuple):
 
     - `probability`: that all limits hold; `error`: its standard error.
     - `by_attribute`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
-    - `binding`: the attribute that most often breaks its limits, -1 if none does.
+    - `binding`: the attribute that most often violates its limits, -1 if none does.
     - `failed`: the share of runs without a finite result; they break every limit.
     - `low`, `high`: 95 % interval of the probability.
     """
@@ -132,7 +132,7 @@ class LargestBox:
 def largest_box(
     result: ProbabilityMap, nominal: Sequence[float], required: float
 ) -> LargestBox | None:
-    """The largest box between grid points that holds the set point and only good points.
+    """The largest box between grid points that contains the set point and only good points.
 
     Exact search: every pair of grid points on each axis that encloses `nominal` (the case's units),
     points counted by a summed-area table. None if the set point's cell is not good.

@@ -1,7 +1,7 @@
-"""Batches that differ: values of everything uncertain, and of parameters that do not hold exactly.
+"""Batches that differ: values of everything uncertain, and of parameters that vary.
 
-Every draw starts as a standard normal, so that two set points see the same batches. Draw i is the
-same however many are drawn.
+Every draw starts as a standard normal, so that two set points have the same batches. Draw i does
+not depend on the number of draws.
 """
 
 import math
@@ -28,7 +28,7 @@ def all_entries(case: PharmaCase) -> tuple[Entry, ...]:
 
 
 def unknown(case: PharmaCase) -> np.ndarray:
-    """[E] of `batches.varied`: whether an entry is one number that is not known, the same in every
+    """[E] of `batches.varied`: whether an entry is an unknown number that is the same in every
     batch."""
     between = case.uncertainty.between or tuple(w == "step" for w in case.uncertainty.when)
     rest = {(parameter.input, parameter.entry) for parameter in case.parameters} - set(
@@ -49,7 +49,7 @@ def draw(
 def process_draws(
     case: PharmaCase, n: int, seed: int, about: Mapping[str, np.ndarray] | None = None
 ) -> np.ndarray:
-    """[n, P] values of `process_entries(case)`, about the inputs `about`."""
+    """[n, P] values of `process_entries(case)`, around the inputs `about`."""
     result = process_entries(case)
     kinds = [parameter.distribution for parameter in case.parameters if parameter.distribution]
     inputs = normals(case, n, seed)[:, len(entries(case)) :]
@@ -66,7 +66,7 @@ def all_draws(
 def nominal(
     case: PharmaCase, which: Iterable[Entry], about: Mapping[str, np.ndarray] | None = None
 ) -> np.ndarray:
-    """Values of some entries, in `about` where it has them and else as the case gives them."""
+    """Values of some entries, from `about` if it has them, otherwise from the case."""
     inputs = {item.name: item.values for item in _givens(case)} | dict(about or {})
     return np.array([inputs[name][entry] for name, entry in which], np.float64)
 

@@ -2,9 +2,9 @@
 
 Residuals are (model - measured) / error, their derivatives the model's own. With errors known as
 standard deviations the covariance is (J^T J)^-1 (Bard, Nonlinear Parameter Estimation, 1974);
-intervals use Student's t with n - p degrees of freedom, which is slightly conservative. Where chi^2
-is significantly too large, or the errors are known only up to a factor, the covariance is
-multiplied by chi^2 / (n - p), to agree with the residuals.
+intervals use Student's t with n - p degrees of freedom, which is slightly conservative. If chi^2 is
+significantly too large, or the errors are known only up to a factor, the covariance is multiplied
+by chi^2 / (n - p), to agree with the residuals.
 
 The search begins at the numbers of the case and at points of a Halton sequence within the bounds.
 Minima with a chi^2 as good as the best one that are not connected to it are reported.
@@ -39,7 +39,7 @@ class ParameterFit:
     """The fitted numbers, in the domain's units; P numbers, n measurements.
 
     - `values`, `low`, `high`: [P] with their confidence interval; NaN if not identified.
-    - `at_bound`: [P] "low" or "high" where a number is at that bound, else ""; its interval is then
+    - `at_bound`: [P] "low" or "high" if a number is at that bound, else ""; its interval is then
       one-sided, and the others assume it held there.
     - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted);
       0 for numbers at a bound. `scale`: the factor on (J^T J)^-1.
@@ -76,7 +76,7 @@ class ParameterFit:
 
 
 def fit(process: "PharmaProcess", estimation: Estimation) -> ParameterFit:
-    """Least squares within the bounds, from the case's numbers and from others."""
+    """Least squares within the bounds, starting from the case's numbers and from other points."""
     model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
     low, high = (variables_of(np.array(x), log) for x in (estimation.low, estimation.high))
@@ -153,7 +153,7 @@ def _scale(chi2: float, freedom: int, errors: str) -> float:
 
 
 def variables_of(values: np.ndarray, log: np.ndarray) -> np.ndarray:
-    """[P] the fitted variables of numbers: their logarithm where `log`."""
+    """[P] the fitted variables of numbers: their logarithm if `log`."""
     return np.where(log, np.log(np.where(log, values, 1.0)), values)
 
 
@@ -163,7 +163,7 @@ def numbers_of(variables, log: np.ndarray):
 
 
 def _numbers(variables: np.ndarray, log: np.ndarray) -> np.ndarray:
-    """The same of plain numbers."""
+    """The numbers of fitted variables in NumPy."""
     return np.where(log, np.exp(np.where(log, variables, 0.0)), variables)
 
 

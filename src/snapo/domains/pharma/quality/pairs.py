@@ -1,9 +1,9 @@
-"""Proven ranges of two parameters at once, and how much one changes the effect of the other.
+"""Proven ranges of two parameters together, and the change of the effect of one by the other.
 
 A proven range holds with all others at their set point; at a corner of two ranges limits may fail.
-From the set point to each of the four corners the way is searched for the first failure, the same
-share of both ranges at a time: the smallest of the four is the share of both ranges that may be
-used together.
+The line from the set point to each of the four corners, the same share of both ranges at each
+point, is searched for the first failure: the smallest of the four is the share of both ranges that
+may be used together.
 
 The interaction of x and y in an attribute f is (f(+, +) - f(+, -) - f(-, +) + f(-, -)) / 4 at the
 corners of the normal operating ranges: half of the difference that one makes to the effect of the
@@ -56,8 +56,8 @@ class Together:
 class Pair:
     """Two parameters.
 
-    - `nominal`, `probable`: their proven ranges together, None if one of them has none or where
-      it was not searched.
+    - `nominal`, `probable`: their proven ranges together, None if one of them has no range or it
+      was not searched.
     - `interaction`: [Q] in the attributes' units; `used`: its largest share of the distance to a
       limit, and `maximum` the attribute's number, -1 if none has a limit.
     - `holds_normal`: whether the nominal model keeps all limits at the corners of normal operation.
@@ -83,7 +83,7 @@ def pairs(
     samples: int,
     seed: int,
 ) -> list[Pair]:
-    """Every pair of the parameters, with both kinds of proven ranges, each by itself."""
+    """Every pair of the parameters, with both kinds of proven ranges of each."""
     both = list(combinations(process.case.parameters, 2))
     fixed, drawn = goods(process, required, samples, seed)
     plain = _together(process, both, nominal, fixed, NOMINAL)
@@ -102,7 +102,7 @@ def _room(together: Together | None) -> float:
 
 
 class _Way(NamedTuple):
-    """From the set point to one corner of a pair's ranges."""
+    """The segment from the set point to one corner of a pair's ranges."""
 
     pair: int
     corner: tuple[int, int]

@@ -1,4 +1,4 @@
-"""Proven acceptable ranges: how far one parameter may move with all others at their set point.
+"""Proven acceptable ranges: the range of one parameter with all others at their set point.
 
 There are two criteria: the nominal model, and a required probability under all variation. All edges
 of all parameters are searched side by side, so that batches run together.
@@ -24,8 +24,8 @@ Changes = Mapping[Entry, float]  # of a set point, in the domain's unit
 
 
 class GradedPoints(NamedTuple):
-    """[n] whether points do; the number of the attribute that fails; whether they do even at the
-    lower, and even at the upper end of their interval."""
+    """[n] whether points are fine; the index of the worst attribute; whether points are fine even
+    at the lower end, or only at the upper end, of the interval of their probability."""
 
     fine: np.ndarray
     fails: np.ndarray
@@ -37,8 +37,8 @@ Good = Callable[[Sequence[Changes]], GradedPoints]
 
 
 def goods(process: "PharmaProcess", required: float, samples: int, seed: int) -> tuple[Good, Good]:
-    """By the model at its nominal numbers; and with the `required` probability of `samples` draws,
-    a parameter with a distribution varying about its point."""
+    """Ranges by the model at its nominal numbers; and with the `required` probability of `samples`
+    draws, a parameter with a distribution varying about its point."""
     case = process.case
     limits = AttributeLimits.of(case)
     margins = np.array([attribute.margin for attribute in case.attributes])
@@ -91,7 +91,7 @@ class AcceptableRange:
 @dataclass(frozen=True)
 class ProvenRange:
     """`nominal`: of the model at its nominal numbers; `probable`: with the `required` probability,
-    as `samples` draws say."""
+    estimated from `samples` draws."""
 
     parameter: str
     unit: str
@@ -134,7 +134,7 @@ def set_point(process: "PharmaProcess", parameter: Parameter) -> float:
 
 
 class _Edge(NamedTuple):
-    """An edge lies after `inner` and not after `outer`, where attribute `fails` breaks a limit."""
+    """An edge lies after `inner` and not after `outer`, where attribute `fails` violates one."""
 
     parameter: Parameter
     inner: float
@@ -225,7 +225,7 @@ def _bracket(selected, scan, fine, fails, here: int, step: int) -> _Edge:
 
 
 def _zoom(edges: list[_Edge], valid: Good, count: int, observed: _Seen) -> list[_Edge]:
-    """Every bracket made smaller by `count` points within it."""
+    """Every bracket, narrowed by `count` points within it."""
     open_ones = [i for i, edge in enumerate(edges) if edge.fails >= 0 and edge.inner == edge.inner]
     if not open_ones:
         return edges

@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Distribution:
-    """How a number varies from batch to batch, about its nominal value.
+    """The variation of a number from batch to batch, around its nominal value.
 
     - "normal": standard deviation `spread`; "lognormal": nominal times exp(spread z - spread^2/2),
       so that the mean is the nominal; "uniform": nominal plus or minus `spread`. The unit of
@@ -49,13 +49,12 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Attribute:
-    """A quality attribute: a measure of a unit and the limit that it must keep.
+    """A quality attribute: a measure of a unit and the limit that it must meet.
 
     - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: the unit of the limits and of all
       tables; attribute = `scale` times the measure in the domain's unit.
     - `low`, `high`: limits in `unit`; None if there is none. `citation`: the source of the limit
-      (guideline, version, table), or a note that the user set it; never empty if there is a
-      limit.
+      (guideline, version, table), or a note that the user set it; never empty if there is a limit.
     - `margin`: a small difference in `unit`, above 0: the width of smooth indicators.
     """
 
@@ -94,7 +93,7 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class DesignSpace:
-    """Where the probability of meeting all limits is mapped.
+    """The map of the probability of meeting all limits.
 
     - `axes`: two or three names of `Parameter`s, over their `low` to `high`; `points`: per axis.
     - `samples`: draws of the uncertainty per point, the same at every point.
@@ -114,8 +113,8 @@ class Experiment:
     """One measured batch: its settings, and its measurements with their times.
 
     - `settings`: ((`CaseInput` name, entry, value in the domain's unit), …) other than the case's.
-    - `units`: [n] those of the case for `value`, with (scale, offset) of each in `scales`, as of a
-      `Parameter`.
+    - `units`: [n] the units of `value` in the case, with (scale, offset) of each in `scales`, as
+      for a `Parameter`.
     - `time`: [n] s since the unit's start, `state`: [n] "unit.state" measured, `value`: [n] in the
       domain's unit, `error`: [n] standard deviation, above 0.
     """
@@ -132,7 +131,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Estimation:
-    """Which numbers are fitted to which experiments.
+    """The numbers that are fitted, and the experiments to which they are fitted.
 
     - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
     - `low`, `high`: [P] bounds in the domain's unit.

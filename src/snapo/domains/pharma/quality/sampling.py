@@ -26,10 +26,10 @@ def sampler(
     process: PharmaProcess, made: Callable[[PharmaProcess, int], PharmaProcess] | None = None
 ) -> tuple[PharmaProcess, dict[str, Any]]:
     """The process for statistics, and the accuracy that its mesh costs. `made`: makes the same
-    process on other steps, `on_steps` where none is given.
+    process on other steps, by default `on_steps`.
 
-    On a quarter of the steps, if the nominal attributes then move by at most 1 % of their
-    margins; the process itself if they move by more, and if it has no mesh.
+    The process on a quarter of the steps, if the nominal attributes then move by at most 1 % of
+    their margins; the process itself if they move by more, and if it has no mesh.
     """
     case = process.case
     steps = max(8, case.numerics.steps // COARSER)

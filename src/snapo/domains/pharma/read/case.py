@@ -158,7 +158,7 @@ def without_checks(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
-    """The same for TOML data that was read already; other files are looked for next to `file`."""
+    """The same for TOML data that was read already; other files are searched for next to `file`."""
     top = parse(PharmaTable, data, str(file), "")
     notes: list[str] = []
     network = read_network(file, top.species, top.reactions, top.reference_temperature, notes)

@@ -52,12 +52,12 @@ class UnitQuantity(Quantity):
     form: Literal["input", "profile", "number"] = "input"
 
     def __call__(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
-        """A field of a record with this meaning, required where there is no default."""
+        """A field of a record with this meaning, required if there is no default."""
         changed = replace(self, meaning=meaning, **changes)
         return key(declared(changed, default), changed.alias)
 
     def field(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
-        """The same as a field of a `CaseTable`."""
+        """A field of a `CaseTable` with this meaning."""
         return declared(replace(self, meaning=meaning, **changes), default)
 
     def profile(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
@@ -132,7 +132,7 @@ def key(field: Any, name: str = "", **more: Any) -> Any:
 
 
 def species_key(meaning: str, allowed: str) -> Any:
-    """A field for one of the case's species: its name, or its number where the field is an int."""
+    """A field for one of the case's species: its name, or its number if the field is an int."""
     return key(doc(meaning, allowed=allowed), type=TextKey, species=True)
 
 

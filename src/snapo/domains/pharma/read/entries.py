@@ -57,7 +57,7 @@ class EntryNumbers(NamedTuple):
         return result[0]
 
     def check(self, section: Location, key: str, raw: Any, entry: Entry, value: float) -> None:
-        """Refuses a `value` that the number may not have."""
+        """Refuses a `value` that is not allowed for the number."""
         values = self.givens[entry[0]]
         if not values.low <= value <= values.high:
             raise section.error(key, raw, f"{self.name_of(entry)} is {limits(values)}")

@@ -27,7 +27,7 @@ COLUMNS = ("time", "state", "value", "error")
 def read_estimation(
     file, raw: dict | None, numbers: EntryNumbers, species, units: Sequence[Unit], notes
 ) -> Estimation | None:
-    """Which numbers are fitted, within which bounds, to which experiments."""
+    """The numbers that are fitted, their bounds, and the experiments to which they are fitted."""
     if raw is None:
         return None
     table = parse(EstimationTable, raw, str(file), "estimation")

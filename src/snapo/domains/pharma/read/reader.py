@@ -44,7 +44,7 @@ def within(meaning: str, bounds: Range, default: Any = ...) -> Any:
 
 
 def tables(meaning: str, name: str) -> Any:
-    """A field for one table of an array, or more."""
+    """A field for an array of tables, at least one."""
     return doc(meaning, allowed=f"one table {name} or more", min_length=1)
 
 

@@ -28,7 +28,7 @@ ROUNDS = 3  # a solver that stops short starts again from where it stopped
 class Conditions(NamedTuple):
     """The Karush-Kuhn-Tucker conditions at a point, in variables scaled to 0..1.
 
-    With f the goal to be minimised (minus the goal where it is maximised), grad f is the sum of
+    With f the goal to be minimised (minus the goal if it is maximised), grad f is the sum of
     non-negative multipliers times the gradients of the active constraints (x - low, high - x and
     the inequalities): relaxing one of these by one unit improves the goal by its multiplier.
 
@@ -164,8 +164,8 @@ class BestSoFar:
             raise Stopped(f"it stopped after {taken:.0f} s")
 
     def best(self, start: np.ndarray) -> np.ndarray:
-        """The best point evaluated: least violation first, then the goal; the start where none
-        was."""
+        """The best point evaluated, by the smallest violation, then the goal; the start if there is
+        none."""
         return start if self._best is None else self._best[1]
 
 
@@ -244,7 +244,7 @@ def optimum(
 
 
 def _short_of(conditions: Conditions, tolerance: float, stopped: str) -> str:
-    """Why a point does not count as the best one."""
+    """The reason why a point does not count as the best one."""
     why = stopped or "the solver ended"
     return (
         f"{why} short of the tolerance {tolerance:.1g}: stationarity "
@@ -253,7 +253,7 @@ def _short_of(conditions: Conditions, tolerance: float, stopped: str) -> str:
 
 
 class _Scaled(NamedTuple):
-    """The problem as SciPy wants it: made small, in variables u of 0..1."""
+    """The problem in SciPy's form: a minimum, in variables u from 0 to 1."""
 
     traced: TracedRecipe
     arguments: tuple
@@ -265,13 +265,13 @@ class _Scaled(NamedTuple):
     best_so_far: BestSoFar
 
     def at(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same, watched."""
+        """The scaled problem; the best point so far is recorded."""
         result = self.scaled(u)
         self.best_so_far.see(u, result[0], -self.sense * self.scale * result[0][0])
         return result
 
     def scaled(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers [K] and derivatives [K, n]; the goal's with the sign to make it small."""
+        """Numbers [K] and derivatives [K, n]; the goal with the sign for a minimum."""
         width = self.high - self.low
         values, slopes = self.traced(self.low + width * u, *self.arguments)
         sign = np.ones(len(values))

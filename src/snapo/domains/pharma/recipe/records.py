@@ -45,7 +45,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Optimise:
-    """Goal = sum of `terms`, divided by the sum of `per` where there is one; at the nominal model.
+    """Goal = sum of `terms`, divided by the sum of `per` if there is one; at the nominal model.
 
     - `sense`: 1 to make it large, -1 to make it small.
     - `reserve`: the attributes stay this many margins within their limits, and `deviations`: this

@@ -18,7 +18,7 @@ LATE = 1e-9  # of a unit's duration: round-off of a time that is asked for
 
 @dataclass(frozen=True)
 class Numerics:
-    """How time is integrated.
+    """The method that integrates over time.
 
     - `method`: "mesh", fixed steps between the breaks that events and profile nodes set, or
       "adaptive", error-controlled to `tolerance` (relative; absolute is that of scaled states).

@@ -1,11 +1,11 @@
 """Time integration: classical Runge-Kutta on a broken mesh, Rosenbrock steps that are held, or
 error-controlled by diffrax.
 
-Whether fixed steps were short enough is seen from the residual of the differential equation between
-them. For every step the cubic Hermite interpolant is inserted into the equation at the midpoint
-(Enright, SIAM J. Numer. Anal. 1989). Where a step is too long for the fastest motion the residual
-is as large as the state itself, even if the ends look smooth; elsewhere it falls with the fourth
-power of the step.
+The residual of the differential equation between fixed steps shows whether they were short enough.
+For every step the cubic Hermite interpolant is inserted into the equation at the midpoint (Enright,
+SIAM J. Numer. Anal. 1989). If a step is too long for the fastest motion, the residual is as large
+as the state itself, even if the ends look smooth; elsewhere it falls with the fourth power of the
+step.
 """
 
 from collections.abc import Callable
@@ -171,7 +171,7 @@ LOOSE = 0.05
 
 def too_long(problem: Dynamics, numerics: Numerics, track: Track) -> Float[Array, ""]:
     """s at which the residuals of a `track` on the mesh first add up to more than `LOOSE`; the
-    duration where they never do."""
+    duration if they never do."""
     mesh = make_mesh(
         edges_of(tuple(profile for profile, _ in problem.controls)), numerics.steps, problem.event
     )

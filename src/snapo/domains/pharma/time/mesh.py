@@ -1,4 +1,4 @@
-"""Time steps that are broken where the solution has kinks, and graded towards an event.
+"""Time steps with nodes where the solution has kinks, graded towards an event.
 
 A fixed mesh converges to the derivatives of the solution only if no step straddles a kink. So
 the mesh is broken at every profile node, and at the event (supersaturation crosses zero), which
@@ -38,7 +38,7 @@ class PiecewiseTime(NamedTuple):
         return jnp.asarray(local)[self.source]
 
     def endpoints(self, profile: Profile, value) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-        """The profile where each piece begins and where it ends; in between it is straight."""
+        """The profile at the start and the end of each piece; in between it is linear."""
         local = self.of(profile)
         first = values_in(profile, value, local, self.breaks[:-1])
         return first, values_in(profile, value, local, self.breaks[1:])
@@ -47,7 +47,8 @@ class PiecewiseTime(NamedTuple):
 class Mesh(NamedTuple):
     """n steps over one unit's time, in shares of its duration.
 
-    `stages`: [n, 3] start, middle and end of each step. `piecewise`: the pieces that they divide.
+    `stages`: [n, 3] start, middle and end of each step. `piecewise`: the pieces that these steps
+    divide.
     """
 
     stages: Float[Array, "n 3"]

@@ -121,8 +121,8 @@ Rate = Callable[[Array, Array], Array]
 
 
 class Push(NamedTuple):
-    """The drive over one step: `at` [6, D] at its `NODES`, `bend` [D] its slope at the start, per
-    length of the step."""
+    """The driving inputs over one step: `at` [6, D] at its `NODES`, `bend` [D] its slope at the
+    start, per length of the step."""
 
     at: Float[Array, "6 D"]
     bend: Float[Array, " D"]

@@ -16,8 +16,8 @@ FIRST = 1e-6  # share of the duration that is tried first
 
 
 class ChosenSteps(NamedTuple):
-    """`end`: where the steps end, shares of the duration, of which the first `count` hold;
-    `fastest`: 1/s, the fastest answer of any state on the way, from the norms of df/dy."""
+    """`end`: the ends of the steps as shares of the duration, the first `count` of which are valid;
+    `fastest`: 1/s, the fastest response of any state, from the norms of df/dy."""
 
     end: Float[Array, " most"]
     count: Array
@@ -27,7 +27,7 @@ class ChosenSteps(NamedTuple):
 def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
     """Steps of which each has an error of at most `tolerance`; `maximum` are tried.
 
-    Where they do not reach the end, the last is where they came to. Without derivatives.
+    If they do not reach the end, the last one is the point that they reached. Without derivatives.
     """
     nodes = jnp.asarray(edges_of(tuple(profile for profile, _ in problem.controls)))
 
@@ -82,7 +82,7 @@ def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
 
 
 def times_of(selected: ChosenSteps) -> Float[np.ndarray, " n+1"]:
-    """The times of the steps, as shares of the duration. Where the steps did not reach the end, one
+    """The times of the steps, as shares of the duration. If the steps did not reach the end, one
     more does, which its error estimate refuses."""
     return np.unique(
         np.concatenate([[0.0], np.asarray(selected.end)[: int(selected.count)], [1.0]])

@@ -1,9 +1,9 @@
 """A stiff unit on held steps: chosen once by error control, the same in every run.
 
-With the steps held as shares of the duration, the end is a fixed composition of smooth maps of the
-inputs, and its derivatives, in any mode and order, are exactly those of the numbers computed. The
-error estimate of every step is computed again in every run, so that a run for which the steps are
-too long is known.
+With the steps held as shares of the duration, the final state is a fixed composition of smooth maps
+of the inputs, and its derivatives, in any mode and order, are exactly those of the numbers
+computed. The error estimate of every step is computed again in every run, so that a run for which
+the steps are too long is known.
 """
 
 from typing import NamedTuple
@@ -61,7 +61,7 @@ def limit_of(tolerance: float) -> float:
 
 
 class Stepped(NamedTuple):
-    """`final` y [m], not a number where a step was refused; `states`: [n + 1, m] or None; `share`
+    """`final` y [m], NaN if a step was refused; `states`: [n + 1, m] or None; `share`
     of the duration at which the refused step begins, else 1; `error`: the largest of a step."""
 
     final: Float[Array, " m"]

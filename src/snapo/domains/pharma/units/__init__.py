@@ -1,4 +1,4 @@
 """The unit operations: a file each, found by `registry`.
 
-A new one is an `operation.Unit`: its table, ports, equations, balances and measures.
+A new unit is an `operation.Unit`: its table, ports, equations, balances and measures.
 """

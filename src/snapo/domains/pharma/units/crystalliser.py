@@ -1,8 +1,8 @@
 """Batch crystalliser: cooling, anti-solvent, seed and nuclei.
 
-Its crystals are a `Population`, by moments or by finite volumes. Dissolved solute follows from
-them, c = c_0 + rho kv (mu3_0 - mu3), so that mass closes by construction; with dosing all of it
-in amounts per m3 of the first charge.
+Its crystals are a `Population`, by moments or by finite volumes. Dissolved solute is c = c_0 + rho
+kv (mu3_0 - mu3), so the mass balance closes by construction. With dosing, all numbers are amounts
+per m3 of the first charge.
 """
 
 from dataclasses import dataclass, replace

@@ -64,7 +64,7 @@ class Dissolution(Instant):
         return LedgerFinish((), measures, ledger(len(network.species)))
 
     def dissolved(self, product: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
-        """1 - (1 - D Cs t / (rho h r))^3, 1 once they are gone, over all sizes 2 r of the crystals;
-        they fall out of granules at once."""
+        """The mean of 1 - (1 - D Cs t / (rho h r))^3 over all sizes 2 r of the crystals, and 1 for
+        dissolved ones. Granules release their crystals at time 0."""
         time = use(inputs, self.test_time)
         return over_sizes(lambda complete: gone(time, complete), lasting(self, product, inputs))

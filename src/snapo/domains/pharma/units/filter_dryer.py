@@ -2,8 +2,8 @@
 
 Filtration at constant pressure is Ruth's equation, dt/dV = Kp V + B. A wash through the cake runs
 at the rate at which filtration ended; a reslurry wash mixes the cake with fresh solvent, which
-dilutes the dissolved species, and filters again. Drying is that on a heated shelf under vacuum,
-with a cake kept uniform by agitation: constant rate, then falling.
+dilutes the dissolved species, and filters again. Drying is as on a heated shelf under vacuum, with
+a cake that agitation keeps uniform: at a constant rate, then at a falling one.
 """
 
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class Nutsche(Filter):
         return share ** use(inputs, self.washes)
 
     def deliver(self, network, inlets, inputs):
-        """All of the washes' liquid, as often as there are washes."""
+        """The liquid of all washes together."""
         deliver = super().deliver(network, inlets, inputs)
         if self.washes is None:
             return deliver

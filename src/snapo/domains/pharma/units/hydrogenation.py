@@ -31,8 +31,8 @@ NEWTON = 12  # steps for the gas that reacts by an order that is neither 0 nor 1
 class Hydrogenation(Timed):
     """Batch of liquid under a gas.
 
-    `henry`: He = p / c* at `reference`; `enthalpy`: the enthalpy of dissolution, so that c* falls
-    with temperature where it is below 0.
+    `henry`: He = p / c* at `reference`; `enthalpy`: the enthalpy of dissolution, if it is negative,
+    c* falls with temperature.
     """
 
     duration: CaseInput = TIME("reaction time", example="3 h")
@@ -105,7 +105,7 @@ class Hydrogenation(Timed):
         ]
 
     def dynamics(self, network, inlets, inputs):
-        """y: extents [R], and of the dynamic kind the gas that came in, all kmol/m3."""
+        """y: extents [R] and, for the dynamic kind, the gas that came in, all kmol/m3."""
         feed, gas, count = inlets[0], self.gas, len(network.reactions)
         charge, transfer = feed.concentration(), use(inputs, self.transfer)
         dynamic = self.dissolved == "dynamic"

@@ -9,11 +9,11 @@ M_T = rho kv mu_3, and a mass balance closes it: one equation for S = (c - c*) /
 volume of suspension that is M_T = M_T,in + c_in - c; per volume of solution, of which the
 suspension holds 1 - M_T / rho, M_T = M_T,in + (1 - M_T,in / rho) (c_in - c) / (1 - c / rho).
 
-That is solved by bisection without derivatives; two Newton steps then carry them, which is the
-implicit function theorem. With j below 1, or crystals in the feed, there is one steady state with
-crystals; of a clear feed with j = 1 none if nuclei are washed out faster than they form: the
-outlet is then the feed. Crystals in a feed below saturation would dissolve, which this does not
-follow: the outlet is then no number.
+This equation is solved by bisection without derivatives; two Newton steps then give them, which is
+the implicit function theorem. With j below 1, or crystals in the feed, there is one steady state
+with crystals; of a clear feed with j = 1 none if nuclei are washed out faster than they form: the
+outlet is then the feed. Crystals in a feed below saturation would dissolve, which is not modelled:
+the outlet is then NaN.
 """
 
 from dataclasses import dataclass, replace
@@ -72,7 +72,7 @@ class Msmpr(Instant):
 
     - `nucleation`: at `reference_growth` and `reference_suspension`, with the powers i and j.
     - `edges`: [N + 1] m of cells on which the product's crystals are counted, or None.
-    - `basis`: the basis of concentrations, as of a batch crystalliser.
+    - `basis`: the basis of concentrations, as for a batch crystalliser.
     """
 
     solute: str = species_key("species that crystallises", "the name of a species")
@@ -235,9 +235,9 @@ class Msmpr(Instant):
     def counted(self, result: Steady, moments, residence, fed, grid: Sizes) -> Float[Array, " N"]:
         """Crystals in each cell per m3, with the third moment of all of them.
 
-        The number of nuclei decreases as exp(-L / (G tau)). Those `fed`, per m3 on their `grid`,
-        are as many at all sizes of their cell; of them a share exp(-x) stays over x of L / (G tau),
-        in that cell and in those after it.
+        The number of nuclei decreases as exp(-L / (G tau)). Crystals `fed`, per m3 on their `grid`,
+        are spread evenly over the sizes of their cell; a share exp(-x) of them stays over x of L /
+        (G tau), in that cell and in later ones.
         """
         if self.edges is None:
             return jnp.zeros(0)
@@ -264,7 +264,7 @@ class Msmpr(Instant):
 
 
 def _root(gap, low, high) -> Array:
-    """Where a rising function is zero, with its first and second derivatives."""
+    """The zero of a rising function, with its first and second derivatives."""
     still = jax.lax.stop_gradient
 
     def halve(_, endpoints):

@@ -30,8 +30,8 @@ from ..time.profile import Profile
 class Inlet(NamedTuple):
     """A port that must be fed, by exactly one connection.
 
-    - `crystals`: "refused" where the unit takes only liquids; "needed"; "counted" where they are
-      needed with their numbers on a grid; else "allowed". `grid`: crystals must be counted on it.
+    - `crystals`: "refused" if the unit takes only liquids; "needed"; "counted" if they are needed
+      with their numbers on a grid; else "allowed". `grid`: crystals must be counted on it.
     - `dosed`: the shape over time in which the unit takes its inlet in; None for all at the start
       or evenly.
     - `lasting`: whether the unit runs continuously, over its feed's duration.
@@ -45,8 +45,8 @@ class Inlet(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The delivery of a unit; `reached` of `duration` s (equal where all went well; both 0 for a
-    unit without time), its `track`, and from the track's rows to states; `error` as in `Solved`;
+    """The results of a unit; `reached` of `duration` s (equal if all went well; both 0 for a unit
+    without time), its `track`, and from the track's rows to states; `error` as in `Solved`;
     `rough`: s from which the steps of a mesh were too long, None if that was not examined."""
 
     finish: LedgerFinish
@@ -62,8 +62,8 @@ class Outcome(NamedTuple):
 class Unit(ABC):
     """The contract of a unit operation with reading, flowsheet, balances and report.
 
-    - `type`: the word of the file; `variant`: that of its `kind` where it chooses among the
-      classes of one type, else "". `title`: its name in the report.
+    - `type`: its word in the file; `variant`: its `kind`, if that selects a class of the type, else
+      "". `title`: its name in the report.
     - `table`: `[units.NAME]`, of its declared fields and `more_keys`. `reacts`: whether it reads
       the case's reactions.
     - `symbols`: the symbols of the equations, each with its meaning; `assumptions`: sentences for
@@ -112,7 +112,7 @@ class Unit(ABC):
 
     @abstractmethod
     def sizes(self, inlets: tuple[Sizes, ...]) -> tuple[Sizes, ...]:
-        """On which grid crystals are counted at each outlet, from those at the inlets."""
+        """The grid on which crystals are counted at each outlet, from the grids at the inlets."""
 
     def lasts(self, inlets: tuple[float, ...]) -> tuple[float, ...]:
         """s over which every outlet flows, from those of the inlets; 0 for a batch. Nominal."""
@@ -140,15 +140,15 @@ class Unit(ABC):
         record: bool = False,
         end: Float[Array, " m"] | None = None,
     ) -> Outcome:
-        """Runs the unit; with `record`, its track is kept. `end`: its final y, where known."""
+        """Runs the unit; with `record`, its track is kept. `end`: its final y, if known."""
 
     def finer(self) -> Self:
-        """The unit on twice as many cells along its length or over sizes; itself without any."""
+        """The unit on twice as many cells along its length or over sizes; itself if it has none."""
         return self
 
     def unsound(self, track: dict[str, np.ndarray], inputs: dict[str, Any]) -> str:
-        """Where a run, by its states over time, went beyond the assumptions of the unit's model, in
-        words; "" if it did not."""
+        """A sentence if the states of a run over time violate the assumptions of the unit's model;
+        otherwise ""."""
         return ""
 
     @property
@@ -170,7 +170,7 @@ class Timed(Unit):
     @property
     @abstractmethod
     def error_controlled(self) -> bool:
-        """Whether a mesh that it chose may be too coarse: stiff, or limited by its cells."""
+        """Whether the mesh may be too coarse: the unit is stiff, or limited by its cells."""
 
     @property
     def steps_transfer(self) -> bool:

@@ -1,4 +1,4 @@
-"""Reactors: tanks of the case's network, one or many in series, fed at the start or all the time.
+"""Reactors: tanks with the case's reactions, one or several in series, fed at once or continuously.
 
 Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are integrated,
 and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction. Stirred and
@@ -31,7 +31,7 @@ from .reactors.length import ELEMENTS, POINTS, Along
 class Jacket(TableRecord):
     """Heat balance: rho cp V dT/dt = -sum(H_i r_i) V - UA (T - T_jacket) + inflow's sensible heat.
 
-    `conductance`: UA; for a plug-flow reactor of its whole length.
+    `conductance`: UA, for a plug-flow reactor over its whole length.
     """
 
     heat_capacity: CaseInput = UnitQuantity("J/m3/K", POSITIVE, example="1.9e6 J/m^3/K")(
@@ -116,7 +116,7 @@ class Reactor(Timed):
 
     @property
     def steps_transfer(self):
-        """No: for cells in series every implicit step would factorise a large matrix."""
+        """False: for cells in series every implicit step would factorise a large matrix."""
         return self.kind != "plug-flow"
 
     def sizes(self, inlets):
@@ -188,7 +188,7 @@ def _heat(jacket: Jacket | None, network: FlowNetwork, inputs) -> _Heat | None:
 
 
 def _controls(unit: Reactor, inputs):
-    """Temperature, of the jacket where there is one."""
+    """Temperature, of the jacket if there is one."""
     profile = unit.jacket.temperature if unit.jacket else unit.temperature
     return ((profile, use(inputs, profile.value)),)
 

@@ -1,4 +1,4 @@
-"""Splitter: a stream taken apart."""
+"""Splitter: divides a stream."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -21,7 +21,7 @@ EXTENSIVE = (
 
 @dataclass(frozen=True, eq=False)
 class Splitter(Instant):
-    """Divides a stream into one for each of `ports`, in the shares given.
+    """Divides a stream into one for each of `ports`, by `share`.
 
     `share`: index [n - 1], each 0 to 1, of all outlets but the last, which takes the rest.
     """
@@ -91,7 +91,7 @@ class Splitter(Instant):
         return LedgerFinish(self.split(inlets[0], inputs), {}, ledger(len(network.species)))
 
     def split(self, stream: Stream, inputs: dict[str, Any]) -> tuple[Stream, ...]:
-        """The stream in the shares given, the last outlet taking the rest."""
+        """The stream divided by the shares; the last outlet takes the rest."""
         shares = use(inputs, self.share)
         shares = jnp.append(shares, 1 - jnp.sum(shares))
         return tuple(

@@ -1,4 +1,4 @@
-"""Tank: streams put together."""
+"""Tank: mixes streams."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -65,11 +65,11 @@ AMOUNTS = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "soli
 
 
 def mixed(streams: tuple[Stream, ...]) -> Stream:
-    """The sum of the amounts, over the longest of their durations, or as one batch where one of
-    them is a batch; temperature by volume, that is with equal heat capacities per volume.
+    """The sum of the amounts, over the longest of their durations, or as one batch if one of them
+    is a batch; temperatures are weighted by volume, that is with equal heat capacities per volume.
 
     Crystals must be of one kind: density and shape come from the streams with crystals. They
-    stay counted where all are counted on one grid.
+    stay counted if all are counted on one grid.
     """
     total = {name: sum(getattr(stream, name) for stream in streams) for name in AMOUNTS}
     times = jnp.stack([item.duration for item in streams])

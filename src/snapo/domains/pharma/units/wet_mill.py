@@ -2,8 +2,8 @@
 
 Crystals of volume v break at S(v) per s into p fragments on average, whose number density over
 volume is b(w | v) = (2 + z) (w / v)^z / v with z = (2 - p) / (p - 1): p = 2 is uniform binary
-breakage, and the fragments of one crystal have its weight. Where S is proportional to v and
-p = 2, Ziff and McGrady (Journal of Physics A 18, 3027, 1985) have the solution in closed form.
+breakage, and the fragments of one crystal have its weight. If S is proportional to v and p = 2,
+Ziff and McGrady (Journal of Physics A 18, 3027, 1985) have the solution in closed form.
 
 Cells represent crystals of their mean volume, and a fragment is shared between the two cells on
 both sides of it so that number and volume are both kept (Kumar and Ramkrishna, Chemical Engineering
@@ -73,7 +73,7 @@ class WetMill(Timed):
 
     @property
     def error_controlled(self):
-        """The largest cell sets how long a step may be."""
+        """The rate of the largest cell limits the length of a step."""
         return True
 
     def sizes(self, inlets):

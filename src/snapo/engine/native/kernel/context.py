@@ -165,7 +165,7 @@ class Build:
         return Function(header, code, self.layouts)
 
     def equal(self, program: Program, reads: list[Leaf]) -> Replaced:
-        """The inputs of a program that repeat an earlier one; `reads` are the first inputs."""
+        """The inputs of a program that repeat earlier ones; `reads` are the first inputs."""
         first: dict[Leaf, ProgramValue] = {}
         pairs = [
             (value, first.setdefault(self.first.get(leaf, leaf), value))

@@ -98,7 +98,7 @@ AHEAD = 2  # rows of tape that are fetched before they are needed
 
 
 def fetch_ahead(s: KernelSweep, ops: list[Op], tape: Layout, rows: int) -> None:
-    """Lets the dot products fetch the tape so many rows ahead, to be written or (behind) read.
+    """Lets dot products fetch the tape `rows` ahead, to write; negative: behind, to read.
 
     Processors do not predict rows that descend, and a long tape is not in the cache.
     """
@@ -197,9 +197,10 @@ def _pass_back(s: KernelSweep, values: EmittedValues, transposed: Transposed) ->
 def run(build: Build) -> None:
     """`run(context, first block, last block)`: every block forward, and in an adjoint kernel back.
 
-    A horizon whose tape would be too long is done in segments: the carry at each segment's start
-    is saved on the way forward, and on the way back a segment goes forward again, with a tape.
-    Several columns of weights are propagated backwards one after the other, over the same tape.
+    A horizon whose tape would be too long is divided into segments: the carry at each segment's
+    start is saved on the way forward, and on the way back a segment goes forward again, with a
+    tape. Several columns of weights are propagated backwards one after the other, over the same
+    tape.
     """
     function = build.function("run", ", i64 %begin, i64 %end")
     code = function.code
@@ -320,7 +321,7 @@ def _both(build: Build, phase: Phase) -> None:
 
 @dataclass(frozen=True)
 class KernelCode:
-    """All that running a kernel takes: the text of its module, and the bytes of its rows.
+    """All that is needed to run a kernel: the text of its module, and the bytes of its rows.
 
     - `strides`: {layout: bytes of a row}; `sizes`: {name: bytes of scratch memory}.
     - `filled`: {layout: bytes of a row that come from the caller}; `prepare` computes the others.

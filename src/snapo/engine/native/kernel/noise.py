@@ -45,7 +45,7 @@ SPARE = 2 * SIDE_BY_SIDE + 2  # rows that may be written beyond the last
 
 
 def normal(code: Code, word: Ref, dtype: str) -> Ref:
-    """The normal of a word, operation by operation as `snapo.problem.noise.counter` has it."""
+    """The normal of a word, operation by operation as in `snapo.problem.noise.counter`."""
     a = Arithmetic(code, dtype, word.lanes)
     centre, outer = _PPND16 if dtype == "float64" else _PPND7
     mask = code.constant(0x7FFFFFFF, "uint32", word.lanes)
@@ -82,7 +82,7 @@ def _flip(code: Code, z: Ref, sign: Ref, dtype: str) -> Ref:
 
 
 def ahead(size: int) -> int:
-    """How many steps' normals to draw at once: many chains of arithmetic then run side by side."""
+    """The number of steps whose normals are drawn together, in parallel chains of arithmetic."""
     steps = 1
     while steps * size < ENOUGH:
         steps *= 2
@@ -92,7 +92,8 @@ def ahead(size: int) -> int:
 def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> str:
     """The function that draws `size` normals for each of `count` steps from `first` on.
 
-    Into `out`, [count, size, lanes] and `SPARE` rows beyond; `%words` is as long, of 32 bits.
+    They go to `out`, [count, size, lanes] with `SPARE` further rows; `%words` has as many 32-bit
+    words.
     """
     name = f"draw_{dtype}_{size}"
     if not module.first(name):
@@ -165,7 +166,7 @@ def vector(code: Code, scalar: str) -> Ref:
 
 
 def bind(s: KernelSweep, values: EmittedValues, value: ProgramValue) -> None:
-    """Binds this step's noise, drawn or given."""
+    """Binds this step's noise, drawn or supplied."""
     if not s.build.traced.setup.counter:
         _supplied(s, values, value)
     elif not value.size:

@@ -17,7 +17,7 @@ from .context import Build, Function, field
 def bind(
     values: EmittedValues, program: Program, piece: Piece, tables: Shared, fixed: bool
 ) -> None:
-    """Binds the positions of all that a piece reads; tables do not change where `fixed`."""
+    """Binds the positions of all that a piece reads; if `fixed`, tables do not change."""
     for value, leaf in zip(program.inputs, piece.reads):
         values.bind(value, tables.address(leaf, fixed))
 
@@ -25,8 +25,8 @@ def bind(
 def trace(build: Build) -> None:
     """The programs of all that the paths share, and which of their outputs are equal.
 
-    A simulator's functions compute some numbers of a step more than once, each for itself: limits
-    of the flow for the observation and for the step. What paths do with equal ones is done once.
+    The functions of a simulator compute some numbers of a step separately, such as limits of the
+    flow for the observation and for the step. Operations of paths on equal numbers are done once.
     """
     phases = build.traced.phases.values()
     pieces = [(phase.cut.call, phase.cut.call_leaves) for phase in phases]

@@ -56,7 +56,7 @@ class Scene(NamedTuple):
 
 
 class Now(NamedTuple):
-    """A step of the market, as a return sees it.
+    """A step of the market, as used by returns.
 
     `shock` [Z] the Gaussian vector, `volatility` [g] of the factors, `index_volatility` of prices,
     `cash` the log return of cash, `factors` [g] of rates and expected inflation and `spread` [R]
@@ -82,7 +82,7 @@ class AssetMixture(NamedTuple):
 
 
 class AssetClass(AssetRow, ABC):
-    """The behaviour of a kind of classes, which sets the attributes of `AssetRow` and
+    """The behaviour of one kind of asset classes, which sets the attributes of `AssetRow` and
 
     - `columns`: those of `SPECIAL` that it has; `without`: the reason why it has no others.
     """
@@ -98,7 +98,7 @@ class AssetClass(AssetRow, ABC):
     @classmethod
     @abstractmethod
     def prepare(cls, scene: Scene, positions: Sequence[int]) -> tuple[Any, Any]:
-        """The numbers of these classes that all paths share: throughout, and [T, …] per step."""
+        """The numbers of these classes that all paths share: constants, and [T, …] per step."""
 
     @classmethod
     @abstractmethod
@@ -114,14 +114,14 @@ class AssetClass(AssetRow, ABC):
 
     @classmethod
     def ratings(cls, case: PensionModel, positions: Sequence[int]) -> np.ndarray:
-        """[k] positions of the ratings whose spreads count in their prices, -1 for none."""
+        """[k] positions of the ratings whose spreads affect their prices, -1 for none."""
         return np.full(len(positions), -1)
 
     @classmethod
     def mixture(
         cls, case: PensionModel, positions: Sequence[int], terms: Any, steps: Any, now: Now
     ) -> AssetMixture | None:
-        """The underlying bonds of these classes where their log returns are not Gaussian; else
+        """The underlying bonds of these classes if their log returns are not Gaussian; else
         None."""
         return None
 
@@ -177,7 +177,7 @@ def register(kind: AnyKind) -> AnyKind:
 
 
 def by_kind(case: PensionModel) -> list[tuple[type[AssetClass], tuple[int, ...]]]:
-    """The kinds that a case holds, in the order of their first class, with the positions."""
+    """The kinds in a case, in the order of their first class, with the positions."""
     by_type: dict[type[AssetClass], list[int]] = {}
     for i, class_ in enumerate(case.assets.classes):
         assert isinstance(class_, AssetClass)

@@ -6,8 +6,8 @@ Jarrow, Y. Yildirim, JFQA 38, 2003, with Gaussian rates); its return over a step
 `constant_maturity`). Indexation is without a lag, the principal without a floor.
 
 Coupon bonds have a fixed coupon or are at par. After each step they are sold, and bonds of the
-first maturity and of the same coupon are bought; at par, of the coupon at which the path's curve
-values them at their principal.
+first maturity and of the same coupon are bought; at par, the coupon is the one at which the path's
+curve values them at their principal.
 """
 
 from dataclasses import dataclass

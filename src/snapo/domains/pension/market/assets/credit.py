@@ -1,7 +1,7 @@
 """Corporate bonds: the curve plus a rating's spread, minus defaults.
 
-Over a bond of the same maturity the log return has minus duration times the change of the spread s
-= mean exp(u), with the spread's noise made a martingale. In the real world it earns the spread
+Over a bond of the same maturity the log return is minus the duration times the change of the spread
+s = mean exp(u), with the spread's noise made a martingale. In the real world it earns the spread
 minus defaults, and minus the fall of prices while u reverts to zero.
 """
 

@@ -101,7 +101,7 @@ def swap_returns(
 
 
 def swap_gains(case: PensionModel, before: Prices, after: Prices) -> Float[Array, " b"]:
-    """Gains of a unit of notional of each swap, when prices of payments move at once."""
+    """Gains of a unit of notional of each swap, after a sudden move of the prices of payments."""
     overlay = _overlay(case)
     fixed = ratio(fixed_legs(case), False, before, after)
     if not overlay.inflation:

@@ -5,9 +5,10 @@ index-linked bonds expected inflation -1). Over a step of length d its log retur
 
     drift - sum_i l_i s_i (B_i((m - 1) d) zeta_i + iota_i) + (index-linked) s_I dW_I + currency
 
-where minus half the variance of it all makes it a martingale under "Q". Under "P" each dW moves by
+where minus half of its total variance makes it a martingale under "Q". Under "P" each dW moves by
 lambda d, so that the drift has -sum_i l_i s_i lambda_i (B_i((m - 1) d) B_i(d) + int_0^d B_i) and,
-index-linked, s_I lambda_I d on top. Index-linked: of I(t) P_real(t, T), in money.
+index-linked, s_I lambda_I d on top. For index-linked bonds it is that of I(t) P_real(t, T), in
+money.
 """
 
 from typing import NamedTuple

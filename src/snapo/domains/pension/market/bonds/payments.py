@@ -58,7 +58,7 @@ def zero_coupon(maturity: ArrayLike, step: float) -> Payments:
 def coupons(
     of: Payments, price: Array | np.ndarray
 ) -> tuple[Float[Array, " k"], Float[Array, " k"]]:
-    """Coupons per year, the par rate of these prices [J] where they are at par; and annuities, the
+    """Coupons per year, the par rate of these prices [J] for bonds at par; and annuities, the
     prices of a coupon of 1 per year."""
     at_par, last = np.isnan(of.coupon), np.argmax(of.principal, axis=1)
     annuity = xp.asarray(of.period) @ price

@@ -87,9 +87,9 @@ def gains(
 
 
 def gain(of: Payments, price: Float[Array, " J"], growth: Float[Array, " J"]) -> Float[Array, " k"]:
-    """Gains of a unit of money in each holding whose payments at `price` rise by `growth`.
+    """The gain per unit of money in each holding, if the `price` of each payment rises by `growth`.
 
-    By sums over the payments, which need no matrix of amounts due.
+    It is computed by sums over the payments, without a matrix of amounts due.
     """
     coupon, annuity = coupons(of, price)
     last = np.argmax(of.principal, axis=1)

@@ -2,8 +2,8 @@
 
 r = phi(t) + sum of F factors, dx_i = -a_i x_i dt + s_i(t) (dW_i + lambda_i dt), x_i(0) = 0; lambda
 used under "P" only, and a negative one is a positive premium of long bonds. A model is a
-subclass, here or in a separate file of this folder, that names its factors; the names are those
-under which a case correlates them.
+subclass, here or in a separate file of this folder, that names its factors; a case uses these names
+for correlations.
 """
 
 from collections.abc import Sequence

@@ -49,7 +49,7 @@ class Human(NamedTuple):
 
 
 def human(case: PensionCase, inputs: dict[str, Any], figures: LiabilityFigures) -> Human:
-    """All of them; `figures` are the case's `reconcile.figures`."""
+    """All of these figures; `figures` are the case's `reconcile.figures`."""
     assets, liability = float(case.assets.amount.used()), figures.liability
     held = _parallel(case, inputs, case.curve)
     linked = _parallel(case, inputs, case.inflation.break_even)

@@ -64,7 +64,7 @@ class Examined(NamedTuple):
 def examine(case: PensionCase) -> Examined:
     """Figures, reconciliation and remarks.
 
-    **Raises:** `CaseError` if a figure of the actuary's is missed by more than its tolerance.
+    **Raises:** `CaseError` if a figure differs from the actuary's by more than its tolerance.
     """
     inputs = input_values(case)
     result = figures(case, inputs)
@@ -244,7 +244,7 @@ def reconciled(
 ) -> list[ReconciledFigure]:
     """The lines of the reconciliation; `available`: the figures, if they are known already.
 
-    **Raises:** `CaseError` if a figure of the actuary's is missed by more than its tolerance.
+    **Raises:** `CaseError` if a figure differs from the actuary's by more than its tolerance.
     """
     result = check(case, input_values(case), available)
     for line in result:

@@ -44,8 +44,8 @@ class Pace(NamedTuple):
     - `accrual`: the value of the rights that are earned, on the basis of the liability.
     - `contribution`: by the rule and with its limits; `agreed` payments in money are in it.
     - `benefits`, `expenses`: paid. `payroll`: salaries.
-    - `increase`: net of cuts, of a year in which prices grow as the one-year break-even: a share;
-      the fixed one where increases are fixed. `raised`: its part of a year's benefits;
+    - `increase`: a share, net of cuts, for a year in which prices grow at the one-year break-even;
+      if increases are fixed, the fixed rate. `raised`: its part of a year's benefits;
       `liability_raised`: its part of the liability, 0 if the payments contain it.
     """
 

@@ -1,14 +1,14 @@
 """The crystals in a crystalliser: by moments, or by finite volumes over their size.
 
 The moments 0 to 5 are exact where growth does not depend on size: mu_0' = B, and
-mu_k' = k G mu_(k-1) + B L0^k, per m3 of slurry. Where crystals dissolve they shrink, and none
-disappears: for that they have to be followed by finite volumes. All crystals grow and shrink by the
-same length l(t), so one of size L at a time s has the size L + l(t) - l(s) later. Once that is
-below 0 it is gone; in the moments it stays, of a size below 0, and grows again with the others.
+mu_k' = k G mu_(k-1) + B L0^k, per m3 of slurry. Crystals that dissolve shrink, but none disappears:
+this needs finite volumes. All crystals grow and shrink by the same length l(t), so one of size L at
+a time s has the size L + l(t) - l(s) later. Once that is below 0 it is gone; in the moments it
+stays, of a size below 0, and grows again with the others.
 
 By finite volumes, the population balance itself: n_t + (G n)_L = 0 with births B at the smallest
 size, n(L, t) crystals per m3 and m. The state is the number of crystals in each cell of a fixed
-grid; between cells they pass at n G, n being the density on the side from which they come, by
+grid; between cells they pass at n G, n being the density on the upstream side, by
 slopes with a limiter: of second order where n is smooth, and (almost) without new extremes where it
 is not. Crystals that dissolve shrink, and vanish below the smallest size. None grows out of the
 largest cell: crystals that accumulate there are reported, since the grid is too short. Moments take
@@ -160,7 +160,8 @@ def quantiles(
 
 
 def _inverse(endpoints, requested: float) -> Float[Array, ""]:
-    """Where in 0 to 1 a rising cubic, of values and slopes at its `ends`, is as `requested`.
+    """The point in 0 to 1 at which a rising cubic has the value `requested`; `ends`: its values and
+    slopes.
 
     By bisection without derivatives, then two Newton steps, which carry them.
     """
@@ -221,14 +222,14 @@ def by_finite_volumes(
 
 
 def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"]:
-    """What a density gains across each cell, limited; 0 in the first and in the last.
+    """The gain of a density across each cell, limited; 0 in the first and in the last cell.
 
     With F and B its gain by the forward and the backward difference:
     F B (F + B) / (F^2 + B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and
-    Astrophysics 108, 1982). It is the difference where both agree, at most 1.21 times the smaller
-    one where they agree in sign, and at most a fifth of it where they do not. Van Leer's has a
-    kink where F or B changes its sign: with it, central differences over 0.02 K of a cooling
-    crystalliser were 0.7 % off its derivative, and with this one 4e-5.
+    Astrophysics 108, 1982). It equals F if F = B. Its size is at most 1.21 times the smaller of F
+    and B if they have the same sign, and a fifth of it if not. Van Leer's has a kink where F or B
+    changes its sign: with it, central differences over 0.02 K of a cooling crystalliser were 0.7 %
+    off its derivative, and with this one 4e-5.
     """
     centre, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
     difference, inner = jnp.diff(n) / fixed(np.diff(centre)), fixed(width[1:-1])

@@ -66,7 +66,7 @@ class Seed(TableRecord):
 
 
 def seed_moments(seed: Seed, inputs: dict[str, Any], shape, density) -> Float[Array, " 6"]:
-    """m^k/m3 of the seed: as given, or of `loading` kg/m3 crystals of mean `size`.
+    """m^k/m3 of the seed: as in the case, or for `loading` kg/m3 of crystals of mean `size`.
 
     Lognormal with standard deviation `spread` times the mean: mu_k = N size^k s^(k (k - 1) / 2),
     s = 1 + spread^2. Without spread all are of one size.

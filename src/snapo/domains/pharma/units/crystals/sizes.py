@@ -1,4 +1,4 @@
-"""The cells over size by which crystals are counted, as a case gives them."""
+"""The cells over size by which crystals are counted, as a case defines them."""
 
 import math
 from dataclasses import replace

@@ -371,7 +371,7 @@ def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float
 
 
 def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarray:
-    """c*(T) in kg/m3 of the case's coefficients, without anti-solvent."""
+    """c*(T) in kg/m3 from the case's coefficients, without anti-solvent."""
     if record.kind == "van-t-hoff":
         assert record.value and record.enthalpy and record.reference
         energy = record.enthalpy.used() / GAS_CONSTANT

@@ -2,9 +2,9 @@
 
 u_t = -u_z by collocation at the points of Radau IIA in every element, the upstream one giving the
 first value (a discontinuous Galerkin method). With one point an element is a stirred tank, and the
-tube tanks in series. With four, a steady tube is integrated along its length by an implicit
-Runge-Kutta method of order seven: over eight elements exp(-7) comes out to 2e-6. For any number of
-points, each element conserves mass: its gain is inflow minus outflow.
+tube is a series of tanks. With four, a steady tube is integrated along its length by an implicit
+Runge-Kutta method of order seven: over eight elements exp(-7) is accurate to 2e-6. For any number
+of points, each element conserves mass: its gain is inflow minus outflow.
 """
 
 from typing import NamedTuple
@@ -61,8 +61,9 @@ class Along(NamedTuple):
 
 
 def radau(points: int) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s s"]]:
-    """The points of Radau IIA in 0 to 1, the last of them 1, and the integrals from 0 to each of
-    the polynomials that are 1 at one of them; the last row are the weights of all."""
+    """The points of Radau IIA in 0 to 1, of which the last is 1; and the integrals, from 0 to each
+    point, of the polynomials that are 1 at one point and 0 at the others. The last row has the
+    weights of the points."""
     legendre = np.zeros(points + 1)
     legendre[-2:] = -1.0, 1.0
     nodes = (np.sort(np.polynomial.legendre.legroots(legendre).real) + 1) / 2

@@ -1,16 +1,16 @@
 """High-shear wet granulation of the drug's crystals with an excipient: size, porosity, moisture.
 
-Granules meet and grow into one at a rate that does not depend on their sizes (random coalescence):
-each finds partners at b per s, and with the number N of granules and M2, the sum of the squares of
-the volumes of their solids, whose total V stays,
+Granules coalesce at a rate that does not depend on their sizes (random coalescence): each finds b
+partners per s. For the number N of granules, and M2, the sum of the squares of the volumes of their
+solids, with the constant total V,
 
     N' = -b N / 2,   M2' = b V^2 / N,
 
 the moments 0 and 2 of Smoluchowski's equation with the kernel b / N. They have a closed form: with
-b constant N = N0 exp(-b t / 2) and M2 = M2(0) + 2 V^2 / N0 (exp(b t / 2) - 1). Sizes are taken for
-lognormal with these moments. The granules consolidate: their porosity falls exponentially towards
-its least value (for both see the review of Iveson, Litster, Hapgood and Ennis, Powder Technology
-117, 3, 2001). Both rates depend on speed and moisture by an empirical power law.
+b constant N = N0 exp(-b t / 2) and M2 = M2(0) + 2 V^2 / N0 (exp(b t / 2) - 1). Sizes are assumed to
+be lognormal with these moments. The granules consolidate: their porosity falls exponentially
+towards its minimum (for both see the review of Iveson, Litster, Hapgood and Ennis, Powder
+Technology 117, 3, 2001). Both rates depend on speed and moisture by an empirical power law.
 
 A granule continues as a particle with its own density: the stream's moments are those of granules,
 with the sizes of the crystals inside kept with them.

@@ -37,8 +37,8 @@ def inside(product: Stream) -> tuple[Float[Array, " K"], Float[Array, " K"], Flo
     """Sizes in m of the drug's crystals, loose or in granules, with their shares of the volume, and
     their density in kg/m3.
 
-    Where crystals are counted on a grid these are points within its cells, in each of which the
-    density by number is constant; else one size, d32.
+    If crystals are counted on a grid, these are points within its cells, each with a constant
+    density by number; otherwise the only size is d32.
     """
     granules = product.inner_size > 0
     density = jnp.where(granules, product.inner_density, product.density)
@@ -66,14 +66,14 @@ def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Lasting:
 
 
 def over_sizes(dissolved: Callable[[Array], Array], crystals: Lasting) -> Float[Array, ""]:
-    """The mean by volume of a share that is `dissolved`, by the seconds that a crystal lasts."""
+    """The mean by volume of the share `dissolved`, a function of the lifetime of a crystal in s."""
     return jnp.sum(crystals.share * dissolved(crystals.lifetime))
 
 
 def gone(time, lifetime) -> Float[Array, ""]:
-    """The share of shrinking spheres that is dissolved after `time`, of which they take `lifetime`
-    s: 1 - (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and
-    Agitation", Industrial and Engineering Chemistry 23, 923-931, 1931)."""
+    """The share of shrinking spheres that is dissolved after `time`, if they need `lifetime` s: 1 -
+    (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and Agitation",
+    Industrial and Engineering Chemistry 23, 923-931, 1931)."""
     left = 1 - time / lifetime
     # The cube makes it twice differentiable at full dissolution.
     return 1 - jnp.where(left > 0, left, 0.0) ** 3
