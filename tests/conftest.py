@@ -83,7 +83,7 @@ def sketched(monkeypatch):
     monkeypatch.setattr(drawing, "_svg", sketch)
 
 
-MOST_MAPS = 40_000
+MOST_MAPS = 30_000
 MOST_DAYS = 14  # that compiled code is kept unused
 
 
