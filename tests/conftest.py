@@ -47,9 +47,10 @@ QUICK = pipeline.Pipeline(speed_level=0, code_level=0)
 FULL = pipeline.PIPELINE
 # Whose proofs do without LLVM's passes, which change rounding (`engine/native/test_runtime.py`):
 # simulators whose code takes longer to be made than to run. All others make the code that users
-# run.
+# run, and so does the kind "own", whose run is compared with that of another process.
 WIDE = tuple(
-    f"domains/{room}" for room in ("pension", "pharma", "control", "inventory", "energy", "test_")
+    f"domains/{room}"
+    for room in ("pension", "pharma", "control", "inventory", "energy", "test_every", "test_round")
 )
 
 
@@ -66,7 +67,8 @@ def pytest_runtest_setup(item):
     """Quick tests, and proofs of wide simulators, compile the native engine's code without LLVM's
     passes, in a quarter of the time."""
     proof = item.get_closest_marker("prove") or item.get_closest_marker("study")
-    wide = item.path.relative_to(ROOT).as_posix().startswith(WIDE) or "[pension" in item.name
+    wide = item.path.relative_to(ROOT).as_posix().startswith(WIDE) and "[own" not in item.name
+    wide = wide or "[pension" in item.name
     disk.PIPELINE = pipeline.PIPELINE = QUICK if LEVEL == "low" and (wide or not proof) else FULL
 
 
