@@ -218,6 +218,13 @@ def test_known_indices_in_prepare_are_followed():
 
 
 @pytest.mark.prove
+def test_a_write_past_the_end_is_the_only_finding_and_no_error():
+    findings = check(Moving(how=("write",)), inputs(), paths=8)
+    assert len(findings) == 1 and findings.ok
+    assert "an index is 4" in findings.items[0].subject and "drops" in findings.items[0].subject
+
+
+@pytest.mark.prove
 def test_indices_that_are_meant_or_do_not_matter_are_no_mistake():
     how = ("right", "clipped", "meant", "filled", "masked")
     wrong = [f for f in check(Moving(how=how), inputs(), paths=8) if "index" in f.subject]

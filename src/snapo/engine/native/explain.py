@@ -92,17 +92,17 @@ def unsupported(
     None if it can, including the gradient, every record, and clipping by `state_scale`.
     Nothing is compiled; tracing takes some tenths of a second, once for all simulators of one form.
 
-    `quickly`: where no code is the user's own, only the kernel of derivatives is traced, which
+    `quickly`: without code of the user's own, only the kernel of the derivatives is traced, which
     evaluation uses again.
     """
     if (missing := unavailable()) is not None:
         return missing
-    engine, every = Native(precision), (TRAJECTORY, True)
+    engine, record, clip = Native(precision), TRAJECTORY, True
     if quickly and of_rollout(simulator, policy, schedule, smooth) is None:
-        engine, every = Native("float64"), ((), False)
+        engine, record, clip = Native("float64"), (), False
         simulator = uncontrolled(simulator.on_paths(), ())
     with engine.numbers():
-        call, setup = _whole(engine, simulator, schedule, policy, smooth, *every)
+        call, setup = _whole(engine, simulator, schedule, policy, smooth, record, clip)
         key = call.key(setup, None)
         if key not in _reasons:
             _reasons[key] = _reason(call, setup)
