@@ -2,6 +2,7 @@
 markets, and cases of their own folders."""
 
 import platform
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +15,19 @@ from snapo.book.collect import position
 from snapo.book.executors import worker_pools
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
-from snapo.book.job import STRESSES, BookJob, BookPoint, Cost, Delta, JobResult, enclosed
+from snapo.book.job import (
+    STRESSES,
+    BookJob,
+    BookPoint,
+    Cost,
+    Delta,
+    JobResult,
+    enclosed,
+    opened,
+)
 from snapo.book.plan import BookPlan
 from snapo.book.run import plan_of, run_book
+from snapo.book.work import compute
 from snapo.case.error import CaseError
 from snapo.engine.workers import OTHER
 from snapo.lanes.machine import pipeline
@@ -85,8 +96,8 @@ def test_derivatives_of_all_points_or_of_none(tmp_path):
 
 @pytest.mark.parametrize("refuted", [False, True])
 def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
-    """Three of five that are alike, whatever the share; the others where one of them was refuted,
-    and in no case before that is known."""
+    """Three of five that are alike, whatever the share; in the others the input that was refuted in
+    one of them, and not before that is known."""
     rows = [{"name": f"{i}", "contract.injection_cost": 0.02 + i / 100} for i in range(5)]
     file = write_book(
         tmp_path, rows, stresses="", more="[tasks]\npaths = 512\njudge = 0.1\nexposure = false\n"
@@ -95,7 +106,7 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
 
     def compute(data):
         job = BookJob.unpack(data)
-        judged.append(job.judged)
+        judged.append((job.judged, job.bumped))
         trusted = not refuted if job.judged else None
         delta = Delta("injection_cost", ("",), "MWh", np.ones((32, 1)), trusted)
         point = BookPoint("ok", "", 1.0, 0.1, np.ones(512), {}, (delta,))
@@ -103,10 +114,28 @@ def test_a_share_of_the_contracts_is_judged(refuted, tmp_path, monkeypatch):
 
     monkeypatch.setattr(run, "compute", compute)
     assert run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")["status"] == "ok"
-    assert judged == [True, True, True, refuted, refuted]
+    others = (False, ("injection_cost",) if refuted else ())
+    assert judged == [*3 * [(True, ())], *2 * [others]]
     assert plan_of(read_book(file)).judged == {"0", "1", "2"}
     nobody = BookPlan(read_book(write_book(tmp_path / "b", rows, stresses="", more=TASKS)))
     assert not nobody.judged
+
+
+@pytest.mark.prove
+def test_a_derivative_refuted_in_a_similar_contract_is_tested_and_no_other(tmp_path):
+    """The value, the policy and all derivatives are those of a job without bumps, to the bit."""
+    more = "[tasks]\npaths = 512\njudge = 0\nexposure = false\n"
+    book = read_book(write_book(tmp_path, ONE, stresses="", more=more))
+    plain = BookJob.of(book.contracts[0], book.tasks, book.run.seed)
+    tested = replace(plain, bumped=("end_inventory", "injection_cost"))
+    results = [JobResult.unpack(opened(compute(job.pack()))[0]) for job in (plain, tested)]
+    first, second = results
+    assert first.policy == second.policy
+    assert first.points[0].shares.tobytes() == second.points[0].shares.tobytes()
+    for x, y in zip(first.points[0].deltas, second.points[0].deltas, strict=True):
+        assert x.input == y.input and x.blocks.tobytes() == y.blocks.tobytes()
+        assert x.trusted is None
+        assert isinstance(y.trusted, bool) == (y.input in tested.bumped), y.input
 
 
 @pytest.mark.prove

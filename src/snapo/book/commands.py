@@ -22,6 +22,7 @@ from snapo.study.kind import with_other_numbers
 from snapo.study.study import ProgressCallback
 
 from .axes import RANGE, read_design
+from .contract import JobContract
 from .executors import worker_pools
 from .file import (
     SHARED,
@@ -38,7 +39,7 @@ from .parquet import query as query
 from .plan import BookPlan
 from .run import Shard, run_book
 from .stress import BookStress, StressMove
-from .work import JobContract, valuation
+from .work import valuation
 
 # Processor seconds of the gas storage template (AMD EPYC, AVX-512): `python -m benchmarks.book
 # shapes`. A new shape costs so much more than a further contract.

@@ -39,7 +39,8 @@ class BookJob:
     - `stresses`: the moves of each.
     - `tasks`: the tasks of the book; `seed`: the seed of training and paths.
     - `base`: whether the unstressed point is computed too, before the stresses.
-    - `judged`: whether bumps test the derivatives.
+    - `judged`: whether bumps test the derivatives; `bumped`: the inputs whose derivatives they test
+      if it is not, since a bump refuted one of a similar contract.
     - `policy`: the file of a trained one; None: the job trains its policy, for the base or, if
       a policy is trained for each stress, for its only stress.
     - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
@@ -55,6 +56,7 @@ class BookJob:
     seed: int
     base: bool = True
     judged: bool = False
+    bumped: tuple[str, ...] = ()
     policy: bytes | None = None
     processor: str = ""
     fingerprint: str = ""
@@ -79,6 +81,7 @@ class BookJob:
             "seed": self.seed,
             "base": self.base,
             "judged": self.judged,
+            "bumped": self.bumped,
             "policy": None if self.policy is None else _text(self.policy),
             "adopted": None if self.adopted is None else _text(self.adopted),
             "processor": self.processor,
@@ -104,6 +107,7 @@ class BookJob:
             table["seed"],
             table["base"],
             table["judged"],
+            tuple(table["bumped"]),
             policy,
             table["processor"],
             table["fingerprint"],

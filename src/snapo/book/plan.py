@@ -140,17 +140,17 @@ class BookPlan:
     def base(self, contract: BookContract, read: ResultReader) -> BookJob | None:
         """The first job of a contract; None while it waits for similar ones.
 
-        If a bump refuted a derivative of one of them, bumps test all similar contracts, and each
-        trains its own policy.
+        If a bump refuted a derivative of one of them, bumps test the derivatives with respect to
+        this input in all similar contracts, and each trains its own policy.
         """
         first = self.first_of_case[contract.name]
         kind = self.similarity_keys[first.name]
         if first.name in self.awaited:
             return self._first_base(first)
-        refuted = self._refuted(kind, read) if self.judged else False
+        refuted = self._refuted(kind, read) if self.judged else ()
         if refuted is None:
             return None
-        job = self._base(first, refuted)
+        job = replace(self._base(first, False), bumped=refuted)
         if refuted or first.name not in self.adopting:
             return job
         shared = self.shared_policy(kind, read)
@@ -187,7 +187,9 @@ class BookPlan:
     def _shared(self) -> dict[str, SharedPolicy]:
         return {}
 
-    def _refuted(self, kind: str, read: ResultReader) -> bool | None:
+    def _refuted(self, kind: str, read: ResultReader) -> tuple[str, ...] | None:
+        """The inputs whose derivatives a bump refuted in a judged contract; None while a required
+        result is missing."""
         if kind not in self._verdicts:
             judged = [x for x in self.similar[kind] if x.name in self.judged]
             results = [read(name_of(self._base(x, True).pack())) for x in judged]
@@ -195,11 +197,12 @@ class BookPlan:
             if len(complete) < len(judged):
                 return None
             deltas = [delta for result in complete for delta in result.points[0].deltas]
-            self._verdicts[kind] = any(delta.trusted is False for delta in deltas)
+            refuted = {delta.input for delta in deltas if delta.trusted is False}
+            self._verdicts[kind] = tuple(sorted(refuted))
         return self._verdicts[kind]
 
     @cached_property
-    def _verdicts(self) -> dict[str, bool]:
+    def _verdicts(self) -> dict[str, tuple[str, ...]]:
         return {}
 
     def _base(self, contract: BookContract, judged: bool) -> BookJob:
@@ -228,5 +231,5 @@ class BookPlan:
             return
         for i in range(STRESSES, len(moves), STRESSES):
             stresses = tuple(moves[i : i + STRESSES])
-            more = {"judged": False, "stresses": stresses, "policy": result.policy}
-            yield replace(base, base=False, **more)
+            yield replace(base, base=False, judged=False, bumped=(), stresses=stresses,
+                          policy=result.policy)  # fmt: skip

@@ -62,7 +62,7 @@ def tested(similar: Sequence[BookContract]) -> Sequence[BookContract]:
 def test_job(base: BookJob, policy: bytes) -> BookJob:
     """The job of a tested contract, with the policy of the first one."""
     tasks = base.tasks.model_copy(update={"deltas": "none", "exposure": False})
-    return replace(base, stresses=(), judged=False, tasks=tasks, adopted=policy)
+    return replace(base, stresses=(), judged=False, bumped=(), tasks=tasks, adopted=policy)
 
 
 def shared_policy(

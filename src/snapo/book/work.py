@@ -13,8 +13,7 @@ import re
 import resource
 import tempfile
 import time
-import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -32,19 +31,17 @@ from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy, load_policy
 from snapo.problem.smooth import EXACT
 from snapo.solver import statistics
+from snapo.solver.derivatives.verdict import tested_by_bumps
 from snapo.solver.evaluate import path_totals, value_of_groups
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
 from snapo.study import initial_policy
-from snapo.study.assign import assigned, key_as_in
 from snapo.study.chapters.profile import leaves
-from snapo.study.domain import Domain, Options, RunsCode, find
-from snapo.study.kind import with_other_numbers
-from snapo.study.positions import InputPositions
-from snapo.study.positions.files import read_files
+from snapo.study.domain import RunsCode
 from snapo.study.prepare import return_memory, use_every_core
-from snapo.study.study import Recalculated, Setup, Study
+from snapo.study.study import Recalculated, Setup
 
+from .contract import JobContract, sentence
 from .job import (
     BATCHES,
     BookJob,
@@ -57,7 +54,7 @@ from .job import (
     enclosed,
 )
 from .plan import kinds_of
-from .stress import StressMove, check_tables, moved_numbers
+from .stress import StressMove
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
@@ -74,7 +71,7 @@ def compute(data: bytes) -> bytes:
         try:
             result = valuation(JobContract(job, Path(folder))).result()
         except (CaseError, ValueError, ArithmeticError) as error:
-            failed = BookPoint.without_value("failed", _sentence(error, folder))
+            failed = BookPoint.without_value("failed", sentence(error, folder))
             result = JobResult((failed,) * (len(job.stresses) + job.base))
     packed = result.pack()
     _keep_small()
@@ -110,52 +107,6 @@ def _keep_small() -> None:
             return_memory()
 
 
-def _sentence(error: Exception, folder: str) -> str:
-    return f"{type(error).__name__}: {error}".replace(folder, "").strip()[:500]
-
-
-class JobContract:
-    """The contract of a job: its case, and its case under a stress; `folder`: for its files.
-
-    **Raises:** `CaseError` for a case that cannot be read.
-    """
-
-    def __init__(self, job: BookJob, folder: Path):
-        self.job = job
-        self.file = folder / "case.toml"
-        tables, _ = assigned(tomllib.loads(job.case), _settings(job))
-        for name, content in job.files.items():
-            (folder / name).write_bytes(content)
-        self.file.write_text(job.case, encoding="utf-8")
-        self.domain: Domain = find(tables["kind"], self.file.name)
-        self.tables = with_other_numbers(self.domain, tables)
-        self.case = self.domain.read(self.file, self.tables)
-        self.study: Study = self.domain.study(self.case, Options())
-
-    def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
-        """The case under a stress; `inputs`: those of the unstressed case."""
-        check_tables(moves, self.tables)
-        settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
-        tables, case = self.tables, self.case
-        if settings:
-            tables, _ = assigned(tables, settings)
-            case = self.domain.read(self.file, tables)
-        values = moved_numbers(case, inputs, [move for move in moves if not move.value])
-        if not values:
-            return case
-        files = read_files(self.file.parent, tables)
-        of = self.study.inputs
-        return InputPositions(self.domain.read, files, inputs, of, case).case_at(values).case
-
-    def stressed(self, at: Callable[[tuple[StressMove, ...]], BookPoint]) -> Iterator[BookPoint]:
-        """The points of the stresses of the job, valued by `at`."""
-        for moves in self.job.stresses:
-            try:
-                yield at(moves)
-            except (CaseError, ValueError, ArithmeticError) as error:
-                yield BookPoint.without_value("failed", _sentence(error, str(self.file.parent)))
-
-
 def valuation(contract: JobContract) -> "_Decided | _Calculated":
     """The valuation of a contract; its `inputs` are those that a stress may move.
 
@@ -176,6 +127,7 @@ class _Decided:
 
     def __init__(self, contract: JobContract, setup: Setup):
         self.contract, self.job = contract, contract.job
+        self.bump_paths = setup.evaluation.judge_paths
         self.setup = setup if self.job.judged else _held_alone(setup)
         self.inputs = setup.problem.inputs_by_name
 
@@ -197,7 +149,7 @@ class _Decided:
             solution = self._solved(self.setup)
             assert solution.policy is not None
             policy = solution.policy
-            deltas = () if job.tasks.deltas == "none" else Delta.of_table(solution.sensitivities)
+            deltas = () if job.tasks.deltas == "none" else self._deltas(self.setup, solution)
             base = self._point(self.setup, solution.totals, {}, deltas)
         if job.tasks.exposure and base.status == "ok":
             base = base._replace(exposure=tuple(self._exposure(policy)))
@@ -207,6 +159,18 @@ class _Decided:
     def _solved(self, setup: Setup) -> Solution:
         """The contract trained and valued; a user's simulator is checked before."""
         return setup.solve(bar=False, check=isinstance(self.contract.domain, RunsCode))
+
+    def _deltas(self, setup: Setup, solution: Solution) -> tuple[Delta, ...]:
+        """The held derivatives, those of the job's `bumped` inputs tested."""
+        table, policy, evaluation = solution.sensitivities, solution.policy, setup.evaluation
+        if table is None or policy is None or not self.job.bumped:
+            return Delta.of_table(table)
+        held = {name: table.held[name] for name in self.job.bumped if name in table.held}
+        _, verdicts = tested_by_bumps(
+            setup.problem, policy, min(evaluation.sensitivity_paths, evaluation.paths), held,
+            maximum=self.bump_paths, centre=solution.totals, engine=setup.engines.evaluate,
+        )  # fmt: skip
+        return Delta.of_table(table._replace(verdicts=verdicts))
 
     def _adopted(self) -> Policy | None:
         """The policy with the trained numbers of a similar contract; None if there is none, or
@@ -235,7 +199,7 @@ class _Decided:
             check_held(self.setup.policy, setup.policy)
             return self._valued(setup, policy, changes, self.job.tasks.deltas == "all")
         solution = self._solved(setup if self.job.judged else _held_alone(setup))
-        deltas = Delta.of_table(solution.sensitivities) if self.job.tasks.deltas == "all" else ()
+        deltas = self._deltas(setup, solution) if self.job.tasks.deltas == "all" else ()
         return self._point(setup, solution.totals, changes, deltas)
 
     def _valued(
@@ -371,11 +335,6 @@ def _text(form: Any) -> str:
 
 def _hash(text: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
-
-
-def _settings(job: BookJob) -> list[str]:
-    """The settings of a case that the book decides."""
-    return [f"training.seed={job.seed}", f"evaluation.paths={job.tasks.paths}"]
 
 
 def batched(shares: np.ndarray) -> np.ndarray:

@@ -118,8 +118,8 @@ def reactions(
     centre: Totals | None = None,
     engine: Engine | None = None,
 ) -> dict[str, Reaction]:
-    """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks with
-    `maximum` paths in total.
+    """{input: reaction} of the inputs in `held`, on the same `paths` as the held derivatives, or on
+    their first blocks with `maximum` paths in total.
 
     Every input is bumped on a few of the blocks. If the reaction is inaccurate, all blocks and a
     wider move follow, the least certain input first, until about `rollouts` paths were valued.
@@ -133,8 +133,11 @@ def reactions(
     bumper = _Bumper(problem, policy, paths, count, maximum, centre, engine)
     if not np.isfinite(bumper.value):
         return {}
-    moves = {name: one_percent(values) for name, values in problem.inputs_by_name.items()}
-    moves = {name: by for name, by in moves.items() if by.any()}
+    moves = {
+        name: by
+        for name, values in problem.inputs_by_name.items()
+        if name in held and (by := one_percent(values)).any()
+    }
     along = {name: np.nan_to_num(blocks_along(held[name], by)) for name, by in moves.items()}
     table = bumper.screened(moves, along)
     for name in sorted(table, key=lambda name: _uncertainty(table[name]), reverse=True):

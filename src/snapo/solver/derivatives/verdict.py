@@ -8,13 +8,16 @@ reduces noise (a control variate), and the interval includes the rest.
 """
 
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 
+from snapo.problem.policies.memory import Memory
+from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
 from ..statistics import Estimate
-from .bump import Reaction
+from .bump import Reaction, reactions
 from .interval import (
     AGREE,
     HELD,
@@ -34,6 +37,15 @@ COLUMNS = (
     "input", "source", "held", "held_error", "bump", "bump_error", "reaction", "reaction_error",
     "more", "less", "probability",
 )  # fmt: skip
+
+
+def tested_by_bumps(
+    problem: Problem, policy: Policy, paths: int, held: Mapping[str, Estimate], **options: Any
+) -> tuple[dict[str, Reaction], dict[str, Verdict]]:
+    """{input: reaction} and {input: verdict} on held derivatives of `paths`; `options`: those of
+    `reactions`."""
+    bumped = reactions(problem, policy, paths, held, **options)
+    return bumped, verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
 
 
 def verdicts(

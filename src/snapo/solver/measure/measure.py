@@ -11,18 +11,17 @@ import numpy as np
 from snapo.engine import Engine, Engines, Native
 from snapo.lanes.machine.threads import in_thread
 from snapo.problem.objective import Totals
-from snapo.problem.policies.memory import Memory, remembered
+from snapo.problem.policies.memory import remembered
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import EXACT, Smooth
 from snapo.problem.unseen import note
 
-from ..derivatives.bump import reactions
 from ..derivatives.margin import floor_of, margin_of, passes, with_margin
 from ..derivatives.rebuilt import LONG, fewer, rebuilt_once
 from ..derivatives.surface import Surface, coordinates, rollouts, surface_of
 from ..derivatives.table import Sensitivities
-from ..derivatives.verdict import held_alone, reported, verdicts
+from ..derivatives.verdict import held_alone, reported, tested_by_bumps
 from ..evaluate import (
     Value,
     estimate,
@@ -235,11 +234,10 @@ def _sensitivities(
     )
     if not evaluation.judge_paths:
         return table._replace(reported=held_alone(problem, table.held)), soft
-    bumped = reactions(
+    bumped, result = tested_by_bumps(
         problem, policy, paths, table.held,
         maximum=evaluation.judge_paths, rollouts=run.effort.work, centre=exact, engine=engine,
     )  # fmt: skip
-    result = verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
     derivatives = reported(problem, table.held, table.smooth, bumped, result)
     if surface is not None:
         paths = run.effort.gone_back(passes(surface))

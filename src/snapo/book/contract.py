@@ -1,0 +1,70 @@
+"""The contract of a job: its files, its case, and the case under a stress."""
+
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.problem.inputs import Input
+from snapo.study.assign import assigned, key_as_in
+from snapo.study.domain import Domain, Options, find
+from snapo.study.kind import with_other_numbers
+from snapo.study.positions import InputPositions
+from snapo.study.positions.files import read_files
+from snapo.study.study import Study
+
+from .job import BookJob, BookPoint
+from .stress import StressMove, check_tables, moved_numbers
+
+
+class JobContract:
+    """The contract of a job: its case, and its case under a stress; `folder`: for its files.
+
+    **Raises:** `CaseError` for a case that cannot be read.
+    """
+
+    def __init__(self, job: BookJob, folder: Path):
+        self.job = job
+        self.file = folder / "case.toml"
+        tables, _ = assigned(tomllib.loads(job.case), _settings(job))
+        for name, content in job.files.items():
+            (folder / name).write_bytes(content)
+        self.file.write_text(job.case, encoding="utf-8")
+        self.domain: Domain = find(tables["kind"], self.file.name)
+        self.tables = with_other_numbers(self.domain, tables)
+        self.case = self.domain.read(self.file, self.tables)
+        self.study: Study = self.domain.study(self.case, Options())
+
+    def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
+        """The case under a stress; `inputs`: those of the unstressed case."""
+        check_tables(moves, self.tables)
+        settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
+        tables, case = self.tables, self.case
+        if settings:
+            tables, _ = assigned(tables, settings)
+            case = self.domain.read(self.file, tables)
+        values = moved_numbers(case, inputs, [move for move in moves if not move.value])
+        if not values:
+            return case
+        files = read_files(self.file.parent, tables)
+        of = self.study.inputs
+        return InputPositions(self.domain.read, files, inputs, of, case).case_at(values).case
+
+    def stressed(self, at: Callable[[tuple[StressMove, ...]], BookPoint]) -> Iterator[BookPoint]:
+        """The points of the stresses of the job, valued by `at`."""
+        for moves in self.job.stresses:
+            try:
+                yield at(moves)
+            except (CaseError, ValueError, ArithmeticError) as error:
+                yield BookPoint.without_value("failed", sentence(error, str(self.file.parent)))
+
+
+def sentence(error: Exception, folder: str) -> str:
+    """The message of a point that failed, without the worker's own folder."""
+    return f"{type(error).__name__}: {error}".replace(folder, "").strip()[:500]
+
+
+def _settings(job: BookJob) -> list[str]:
+    """The settings of a case that the book decides."""
+    return [f"training.seed={job.seed}", f"evaluation.paths={job.tasks.paths}"]
