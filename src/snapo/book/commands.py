@@ -178,7 +178,8 @@ def _axes(assignments: Sequence[str], sobol: int | None) -> tuple[list[dict[str,
             fixed.append(text)
     if not entries:
         message = (
-            "no key has several values; write a range (KEY=0:2000:5) or several values (KEY=1,2,5)"
+            "at least one key needs several values; write a range (KEY=0:2000:5) or a list "
+            "(KEY=1,2,5)"
         )
         raise CaseError(OPTION, "", fixed[0] if fixed else None, message)
     if sobol is not None and not any("sobol" in entry for entry in entries):
@@ -226,7 +227,7 @@ def check(path: Path) -> list[str]:
         f"{book.title}: {counted(len(book.contracts), 'contract')}{same}, "
         f"{counted(stresses, 'stress')}",
         *([f"markets: {', '.join(markets)}"] if markets else []),
-        f"{counted(plan.size, 'job')} of {counted(1 + stresses, 'point')} for each contract",
+        f"{counted(plan.size, 'job')}; {counted(1 + stresses, 'point')} for each contract",
         f"shapes of contracts: about {shapes:,}; contracts whose derivatives are tested by "
         f"bumps: {judged:,}",
         f"expected: {_duration(seconds)} of processor time, if the contracts are gas stores of a "

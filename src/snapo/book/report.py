@@ -70,7 +70,7 @@ def _policy(tasks: Mapping[str, Any]) -> str:
     if tasks["policy"] == "stress":
         return "trained again under every stress"
     if tasks["policy"] == "shape":
-        return "trained once for similar contracts if that costs at most 0.5 %"
+        return "trained once for similar contracts if that loses at most 0.5 % of the value"
     return "trained once for each contract, and unchanged under stress"
 
 

@@ -107,7 +107,7 @@ def run_book(
 ) -> dict[str, Any]:
     """Values a book into the folder `out`, by default `run` next to its file.
 
-    - `worker_pools`: where its jobs are computed; `shard`: only a part of its contracts.
+    - `worker_pools`: where its jobs are computed; `shard`: values only a part of the contracts.
     - `resume`: results that the folder has are not computed again.
 
     Returns the content of result.json. If it is interrupted, or the disk is full, results that have

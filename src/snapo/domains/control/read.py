@@ -75,13 +75,13 @@ class ControlPolicyTable(CaseTable):
     )
     memory: Literal["GRU", "Recent"] | None = doc(
         "memory of earlier observations", None,
-        '"GRU" (a recurrent network), "Recent" (the last observations) or left out',
+        '"GRU" (a recurrent network), "Recent" (the last observations), or no such key',
     )  # fmt: skip
     steps: int | None = _whole_number(
         "number of last observations that the policy remembers",
         2,
         1000,
-        ', of observations with memory = "Recent"',
+        ', the number of observations with memory = "Recent"',
     )
 
 
@@ -295,7 +295,7 @@ def read_starts(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> d
 
 
 def read_noise(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """{state: standard deviations of a step's disturbance} of the states that are named.
+    """{state: standard deviations of a step's disturbance} for the states in the table.
 
     For a state of several numbers: a list, or the rows of a matrix that multiplies normals.
     """

@@ -60,7 +60,7 @@ def measure(run: StudyRun) -> MethodValues:
     if reference is not None and (values := around(setup.problem)) is not None:
         notes = (
             "lattice without intraday trades: a bound from below",
-            "lattice without a schedule to keep: a bound from above",
+            "lattice without schedules: a bound from above",
         )
         names = "Auctions only", "Without auctions"
         rows += [MethodValue(*x[:2], None, x[2]) for x in zip(names, values, notes)]

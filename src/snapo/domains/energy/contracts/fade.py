@@ -42,8 +42,8 @@ class StoreFade(TreeRecord):
 
     def reach(self, count: int, stored: Array, charge: Array, discharge: Array) -> Array:
         """An upper limit on the energy taken in `count` steps, each of which stores at most
-        `charge` or takes at most `discharge`: a number of whole steps, so that it has the common
-        divisor of the volumes."""
+        `charge` or takes at most `discharge`. It is computed for a whole number of steps, so that
+        it is a multiple of the common divisor of the volumes."""
         steps = (stored / charge + count) * charge / (charge + discharge)
         return discharge * xp.minimum(xp.ceil(steps), count)
 

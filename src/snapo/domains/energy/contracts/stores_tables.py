@@ -26,7 +26,7 @@ ONLY: dict[str, Any] = {
     "injection_cost_settlement": "flow", "withdrawal_cost_settlement": "flow",
     "first_decision": "valuation-date", "nomination": None,
 }  # fmt: skip
-NOTHING = "it must be 0 in a store of several"
+NOTHING = "it must be 0 if there are several stores"
 ZERO = "min_injection", "min_withdrawal", "inventory_loss"
 
 
@@ -84,7 +84,7 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
     for key in ("start", "end", "volume_unit", "currency"):
         value = getattr(first, key)
         if getattr(second, key) != value:
-            message = f"it must be that of {table.stores[0]}, {value}"
+            message = f"it must be the same as in {table.stores[0]}, {value}"
             raise opened[1].where.error(key, getattr(second, key), message)
     today = table.inventory or [None] * STORES
     if len(today) != STORES:
@@ -116,7 +116,7 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
     table = parse(ContractTable, data["contract"], str(path), "contract", where.notes)
     for key, only in ONLY.items():
         if (value := getattr(table, key)) != only:
-            allowed = "no such key in a store of several" if only is None else f'"{only}"'
+            allowed = "left out if there are several stores" if only is None else f'"{only}"'
             raise inner.error(key, str(value), f"it must be {allowed}")
     for key in ZERO:
         if np.any(getattr(table, key).values):
@@ -174,7 +174,9 @@ def _bumped_by_lots(
         if not low.values.any():
             low = replace(low, judge_bump=lot)
             if lot and store.inventory.used() < lot:
-                meaning = f"{low.meaning}, which cannot be raised: the store begins with less"
+                meaning = (
+                    f"{low.meaning}, which cannot be raised, since the store begins with less gas"
+                )
                 low = replace(low, meaning=meaning)
         end = store.end
         if end is not None and not end.values.any():

@@ -33,8 +33,9 @@ NEAR = 1e-9  # of the largest volume: nearer levels are one
 
 
 class StepGrid(NamedTuple):
-    """One step: the passages of each move; nodes `before` and `after` it, an array by level.
-    - `end`: its settling; `ways`: its passages for machine code, None for none.
+    """One step: the passages of each move, and the nodes `before` and `after` the step, an array
+    for each level. - `end`: what happens at the end of the step; `ways`: the passages in the form
+    for machine code, or None.
     """
 
     passages: Passages
@@ -69,9 +70,9 @@ class ContractGrid:
 def grid_of(
     layout: ContractLayout, schedule: Any, parts: int = 1, apart: np.ndarray | None = None
 ) -> ContractGrid:
-    """The grid of a schedule with NumPy leaves; `parts`: the parts of the measure, for a finer one.
-
-    `apart` [levels]: a coarse grid is sufficient, with nodes at least this far apart.
+    """The grid of a schedule with NumPy leaves. `parts`: into how many parts the measure is
+    divided, for a finer grid. `apart` [levels]: a coarse grid is sufficient, with nodes at least
+    this far apart.
     """
     terms, found = schedule.steps.terms, schedule.steps.intervals
     start = np.asarray(schedule.constants.start, float)
