@@ -248,8 +248,9 @@ class Exposure(NamedTuple):
 class JobResult(NamedTuple):
     """The results of a job.
 
-    - `points`: the base first, if the job has one, then the points of its stresses. - `policy`:
-      the file of the trained policy; `shape`: the hash of everything for which code is compiled.
+    - `points`: the base first, if the job has one, then the points of its stresses.
+    - `policy`: the file of the trained policy; `shape`: the hash of everything for which code is
+      compiled.
     - `world`: equal for results whose path p is the same scenario (`Scenarios.world`).
     """
 
@@ -282,7 +283,9 @@ class JobResult(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> "JobResult":
-        """The result of these bytes. **Raises:** `ValueError` if they are not a result."""
+        """The result of these bytes.
+
+        **Raises:** `ValueError` if they are not a result."""
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = dict(file)
@@ -330,7 +333,9 @@ def enclosed(result: bytes, cost: Cost) -> bytes:
 
 
 def opened(data: bytes) -> tuple[bytes, Cost]:
-    """The result and its cost. **Raises:** `ValueError` if they are not complete."""
+    """The result and its cost.
+
+    **Raises:** `ValueError` if they are not complete."""
     head, _, result = data.partition(b"\n")
     try:
         table = json.loads(head)

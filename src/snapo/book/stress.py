@@ -53,8 +53,8 @@ class StressMove:
     case with another value.
 
     - `key`: a key of the case, "market.forward_curve".
-    - `when`: first and last day of the move; None: all days. - `value`: the new value, as TOML
-      writes it; "": the value in the case.
+    - `when`: first and last day of the move; None: all days.
+    - `value`: the new value, as TOML writes it; "": the value in the case.
     """
 
     key: str

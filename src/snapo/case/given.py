@@ -208,8 +208,8 @@ class SourceNumbers:
     the quotes of a forward curve.
 
     - `numbers` [n]: the numbers with their positions; `input`: the name of the input, which is
-      `matrix` [N, n] times the numbers. - `periods` [n]: the first and the last day to which each
-      number applies.
+      `matrix` [N, n] times the numbers.
+    - `periods` [n]: the first and the last day to which each number applies.
     - `implied` [m]: numbers of the same file that must be `weights` [m, n] times `numbers`.
     """
 

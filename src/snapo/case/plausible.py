@@ -48,8 +48,9 @@ class CheckedNumbers(NamedTuple):
       case's files.
     - `display_unit`: the unit of the trade; one `unit` is `display_factor` of these.
     - `source`: the input from which the numbers are made; if there is a note on the source, there
-      is none on them. - `range`: the plausible range in the declaration; `positions`: [n] the
-      positions of the numbers, if recorded.
+      is none on them.
+    - `range`: the plausible range in the declaration; `positions`: [n] the positions of the
+      numbers, if recorded.
     """
 
     name: str

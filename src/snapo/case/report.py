@@ -55,6 +55,7 @@ class ReportTable(CaseTable):
 
 def logo(folder: Path, name: str) -> str:
     """The address of an image that contains the whole picture in a file next to a case.
+
     **Raises:** `OSError`, and `ValueError` if the file is not only a picture, or too large.
     """
     if not name or Path(name).name != name or "\\" in name:

@@ -32,8 +32,9 @@ class Range(NamedTuple):
     """The numbers from `low` to `high`; messages and documentation show its text.
 
     - `endpoints`: "[)" if the upper endpoint is excluded, "(]" the lower one, "()" both.
-    - `note`: text that follows, such as ": the mean of ln S". - `noun`: what one of its numbers is
-      called; "" means "a number", or "a whole number" for integers.
+    - `note`: text that follows, such as ": the mean of ln S".
+    - `noun`: what one of its numbers is called; "" means "a number", or "a whole number" for
+      integers.
     """
 
     low: float = -math.inf

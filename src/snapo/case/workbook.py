@@ -238,8 +238,10 @@ BESIDE = (".npy", ".parquet", ".py")  # files of a case that no sheet can hold
 
 def unpacked(file: Path) -> Path:
     """The folder with case.toml and the CSVs of a workbook, which is written next to the workbook
-    and has its name. **Raises:** `CaseError` if openpyxl is missing, the file is not a workbook,
-    or a sheet cannot be read; the message names sheet and line.
+    and has its name.
+
+    **Raises:** `CaseError` if openpyxl is missing, the file is not a workbook, or a sheet cannot be
+    read; the message names sheet and line.
     """
     book = _book(file)
     data: dict[str, Any] = {}

@@ -226,9 +226,10 @@ POINTS, PATHS, STEPS = 2048, 8, 256  # at most; paths of each run
 
 
 class SamplePoints:
-    """A method's program, and its arguments at [steps * paths] points in the order of the steps. -
-    `moving`: for each argument, whether it differs between points. - `steps`: the number of steps
-    from which the points come.
+    """A method's program, and its arguments at [steps * paths] points in the order of the steps.
+
+    - `moving`: for each argument, whether it differs between points.
+    - `steps`: the number of steps from which the points come.
     """
 
     def __init__(

@@ -44,7 +44,7 @@ class Mistake:
 
 
 def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path) -> list[str]:
-    """The mistakes that `read` does not handle, one line each; an empty list is correct.
+    """The mistakes that `read` does not handle, one line each; the list is empty if it handles all.
 
     **Arguments:**
 
@@ -175,9 +175,9 @@ def _inside(data: Any, path: Route) -> Any:
 
 
 def spoilt_files(folder: Path, labels: Iterable[str] = ()) -> Iterator[Mistake]:
-    """Mistakes in every CSV next to the case in `folder`: the file, its header, each column.
-
-    `labels`: columns of names, if any text is valid, even one that looks like a number.
+    """Mistakes in every CSV next to the case in `folder`: in the file, its header, and each
+    column. `labels`: columns of names in which any text is valid, even a text that looks like a
+    number.
     """
     labels = set(labels)
     for file in sorted(folder.glob("*.csv")):

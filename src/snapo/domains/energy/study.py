@@ -71,7 +71,10 @@ def _relaxation(prepared: "_Prepared", problem: Problem) -> Callable[[], EnergyR
     if kind != "mean":
         return f'only a mean is bounded from above, but the objective is "{kind}"'
     if not grid_of(simulator_of(problem).layout, problem.schedule).exact:
-        return "its volumes have no common divisor with few enough nodes: bounds would be too low"
+        return (
+            "its volumes have no common divisor with few enough nodes, so that upper bounds "
+            "would be too low"
+        )
     return lambda: prepared.relaxation
 
 

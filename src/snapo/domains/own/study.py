@@ -45,8 +45,8 @@ class SimulatorError(CaseError):
 def checked(case: OwnCase) -> Findings:
     """The remarks of `snapo.check` on a simulator that can be trained.
 
-    **Raises:** `SimulatorError` if it cannot be trained; `CaseError` if the case, or a limit of the
-    class, does not refer to an output.
+    **Raises:** `SimulatorError` if it cannot be trained; `CaseError` if the case, or a limit of
+    the class, refers to an output that does not exist.
     """
     findings = check(case.simulator, case.inputs)
     if not findings.ok:

@@ -100,8 +100,8 @@ def _bound(name: str, values: Any, size: int) -> BoxBound:
         return float(item)
     if item.shape != (size,):
         raise ValueError(
-            f"Box: {name} has shape {item.shape} and size is {size}; give one number for all "
-            "components, or one for each."
+            f"Box: {name} has shape {item.shape}, but size is {size}; specify one number for all "
+            f"components, or one for each."
         )
     # Equal sets compare equal, however they were written.
     numbers = tuple(item.tolist())
@@ -188,8 +188,9 @@ class Box(Actions):
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """(1 - share) action + share x, with x uniform between two bounds, or the absolute value of
-        a normal from a single bound; without bounds, action + share x with a normal x."""
+        """(1 - share) action + share x, with x uniform between two bounds, or at the absolute
+        value of a normal from a single bound. Without bounds it is action + share x with a normal
+        x."""
         low, high = self.bounds()
         above, below = np.isfinite(low), np.isfinite(high)
         minimum, maximum = (
@@ -275,7 +276,7 @@ class Integers(Actions):
     """Actions that are whole numbers: `size` of them, each between its `low` and its `high`.
 
     In training an action may lie anywhere between its bounds; in the value it is rounded to the
-    nearest whole number (a half to the even one).
+    nearest whole number (a half to the nearest even number).
 
     **Arguments:** as for `Box`; finite bounds are whole numbers.
 

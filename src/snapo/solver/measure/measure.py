@@ -300,8 +300,8 @@ def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
     measures = problem.objective, *(limit.measure for limit in problem.constraints)
     return [
-        f"Few paths in the tail: the {item.describe()} uses {item.tail * paths:.0f} of {paths:,} "
-        f"paths, and its error is inaccurate with fewer than {TAIL}; take "
+        f"There are few paths in the tail: the {item.describe()} uses {item.tail * paths:.0f} of {paths:,} "
+        f"paths, and its error is inaccurate with fewer than {TAIL}; use "
         f"{int(np.ceil(round(TAIL / item.tail, 6))):,} paths."
         for item in measures
         if item.tail < 1 and item.tail * paths < TAIL
@@ -319,7 +319,7 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
     if run.evaluation.judge_paths:
         notes.append(
             "The part of the intervals of derivatives that is due to the policy was measured on "
-            f"{run.effort.fewest} paths (with shorter paths on {FEWEST})."
+            f"{run.effort.fewest} paths (if paths are shorter, {FEWEST} are used)."
         )
         if rebuilt_once(run.problem):
             notes.append(
@@ -336,7 +336,8 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
     ]
     if ruin:
         notes.append(
-            f"{ruin} {'path ends' if ruin == 1 else 'paths end'} in ruin: utility minus infinity."
+            f"{ruin} {'path ends' if ruin == 1 else 'paths end'} in ruin, with a utility of "
+            f"minus infinity."
         )
     if any(dropped.values()):
         counts = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)

@@ -52,9 +52,10 @@ class EnergyFlow(NamedTuple):
 class ContractMove(NamedTuple):
     """A passage through one step.
 
-    - `name`: its name in reports; `before`, `after`: the modes. - `flows`: indices of the flows
-      that may be above zero; a method that compares volumes uses at most one of them in a step. -
-      `changes`: the changes of each level, for all flows.
+    - `name`: its name in reports; `before`, `after`: the modes.
+    - `flows`: indices of the flows that may be above zero; a method that compares volumes uses at
+      most one of them in a step.
+    - `changes`: the changes of each level, for all flows.
     """
 
     name: str
@@ -357,7 +358,8 @@ class EnergyContract(TreeRecord):
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         """The prices on which the cash flow depends, made from the prices of the case; by default
-        the same. `where`: the table `[contract]`. **Raises:** `CaseError` if these prices are not
-        supported.
+        the same. `where`: the table `[contract]`.
+
+        **Raises:** `CaseError` if these prices are not supported.
         """
         return prices

@@ -28,12 +28,13 @@ class UnitValues(NamedTuple):
 
     - `slopes` [pairs, rows …, n]: the slopes of one more unit along the flow from a row.
     - `moves` [moves, rows …, n]: the value of the mode and the levels to which a move leads,
-      relative to the first move of its mode; None if there is no choice. - `units` [pairs,
-      searches]: the volume of a row along each flow. The last profitable row is determined in that
-      number of searches. None if no volume spans more than one row. - `between`: the same for
-      levels between rows: the number of searches for the last profitable piece between two rows of
-      any level. `units` is then None. - `every` [pairs, rows]: the volume of a row, if the value
-      jumps between levels; all of these rows are then compared, and `units` and `between` are None.
+      relative to the first move of its mode; None if there is no choice.
+    - `units` [pairs, searches]: the volume of a row along each flow. The last profitable row is
+      determined in that number of searches. None if no volume spans more than one row.
+    - `between`: the same for levels between rows: the number of searches for the last profitable
+      piece between two rows of any level. `units` is then None.
+    - `every` [pairs, rows]: the volume of a row, if the value jumps between levels; all of these
+      rows are then compared, and `units` and `between` are None.
     """
 
     rows: LevelRows

@@ -27,9 +27,10 @@ from .grid import ContractGrid, arrived, best
 
 @dataclass(frozen=True, eq=False)
 class FittedContract:
-    """The value at the start of each of T steps, and after the last one. - `coefficients`: T + 1
-    arrays [modes, nodes, K], the coefficients of the functions of `basis`. - `value`: today's
-    value, an approximation.
+    """The value at the start of each of T steps, and after the last one.
+
+    - `coefficients`: T + 1 arrays [modes, nodes, K], the coefficients of the functions of `basis`.
+    - `value`: today's value, an approximation.
     """
 
     basis: AnyBasis

@@ -34,8 +34,10 @@ NEAR = 1e-9  # of the largest volume: nearer levels are one
 
 class StepGrid(NamedTuple):
     """One step: the passages of each move, and the nodes `before` and `after` the step, an array
-    for each level. - `end`: what happens at the end of the step; `ways`: the passages in the form
-    for machine code, or None.
+    for each level.
+
+    - `end`: what happens at the end of the step; `ways`: the passages in the form for machine code,
+      or None.
     """
 
     passages: Passages
@@ -132,10 +134,10 @@ _LEVELS = {False: "of both stores and of the joint flow", True: "between which t
 def best(
     step: StepGrid, layout: ContractLayout, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """[modes, nodes, columns] the value of the best move and volume from each node.
-
-    `cash` [flows, columns]: earnings of a unit; `fixed` [moves] or [moves, columns];
-    `after` [modes, nodes after, columns]. Columns are nodes of price factors, or paths.
+    """[modes, nodes, columns] the value of the best move and volume from each node. `cash` [flows,
+    columns]: earnings of a unit; `fixed` [moves] or [moves, columns]: amounts of the moves;
+    `after` [modes, nodes after, columns]: the value after the step. Columns are nodes of price
+    factors, or paths.
     """
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]

@@ -19,7 +19,7 @@ TEXT = (
     "Change of the value if the price of one quoted product rises by 1 and all other quotes stay "
     "the same. The daily curve is linear in the quotes, so these are the deltas by day, "
     "with the curve's own weights. Undiscounted, they are the volumes of futures that hedge the "
-    "position: a positive one is sold."
+    "position: a positive volume is sold."
 )
 
 

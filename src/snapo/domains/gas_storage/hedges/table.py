@@ -24,12 +24,12 @@ class HedgeTable(CaseTable):
 
     deltas: list[list[str]] | None = doc("sets of products that hedge exposures", None, SETS)
     least_variance: list[list[str]] | None = doc(
-        "sets of products: in the first of every family, the variance of the next day is hedged",
+        "sets of products; the first product of every family hedges the variance of the next day",
         None,
         SETS,
     )
     paths: Annotated[int, Range(256, 1 << 20)] = doc(
-        "simulated paths; twice as many are used to fit the exposures", PATHS
+        "simulated paths; the exposures are fitted on twice as many", PATHS
     )
 
 

@@ -38,7 +38,7 @@ class ThreeFactorSeasonal(FactorPrices):
     `season`(T) (none). Source: the multi-factor seasonal model of the package cmdty-storage.
 
     - `spot_mean_reversion` (1/year), `spot_volatility`, `long_term_volatility`,
-      `seasonal_volatility` (1/sqrt(year)): one number each, index [].
+      `seasonal_volatility` (1/sqrt(year)): each is one number, index [].
     - `season`: [T + 1] cos(2 pi d / 365.25), d = days from 1 February of the valuation year.
     """
 

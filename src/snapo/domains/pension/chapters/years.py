@@ -36,7 +36,10 @@ def funding(run: PensionRun, result: PathTables) -> Sequence[Block]:
         f" {share(fan['p95'][-1])} at the end."
     )
     svg = draw("funding-fan", alt, lambda axes: quantile_fan(axes, years, scaled, "%", 100.0), 270)
-    caption = "Assets over liability on the case's basis, under the learned policy; dotted: 100 %."
+    caption = (
+        "Assets divided by the liability on the case's basis, under the learned policy; "
+        "the dotted line is 100 %."
+    )
     rows = [
         (
             number(years[i], 0),

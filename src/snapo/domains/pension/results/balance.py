@@ -32,7 +32,7 @@ class CurveLadder:
     """Change of value for +1 bp at each node of a curve [nodes], money: assets, swaps, liability.
 
     - `tenor` [nodes], years; `quote`: the kind of its rates.
-    - `real_assets`, `real_liability`: the part that follows the price index, so real rates;
+    - `real_assets`, `real_liability`: the part that follows the price index, and so real rates;
       empty for break-evens.
     """
 
@@ -81,11 +81,12 @@ class TradeList:
 class Headroom:
     """The move of rates, in basis points, that uses up all eligible assets as collateral.
 
-    - `eligible`: before the move. `pv01`: gain of the swaps of rates for a fall by 1 bp.
-    - `headroom`: None if swaps do not move with rates at all, and where no move up to `FARTHEST`
-      uses the assets up: then `enough` is true.
-    - `direction`: "rise", or "fall" where swaps in sum pay the fixed rate.
-    - `required`: by the case.
+    - `eligible`: the eligible assets before the move. `pv01`: gain of the swaps of rates for a fall
+      by 1 bp.
+    - `headroom`: the move; None if swaps do not move with rates at all, or if no move up to
+      `FARTHEST` uses up the assets, so that `enough` is true.
+    - `direction`: "rise", or "fall" if the swaps together pay the fixed rate.
+    - `required`: the move that the case requires.
     """
 
     eligible: Number = np.nan

@@ -81,7 +81,10 @@ def _rule(rule: Indexation) -> str:
         return f"{_percent(rule.rate)} a year"
     if rule.kind == "conditional":
         low, high = float(rule.lower_ratio.used()), float(rule.upper_ratio.used())
-        return f"{between()}, from none at a policy ratio of {low:.0%} to all of it at {high:.0%}"
+        return (
+            f"{between()}, from nothing at a policy ratio of {low:.0%} to the full increase "
+            f"at {high:.0%}"
+        )
     return {"none": "none", "full": FULL}.get(rule.kind) or between()
 
 
@@ -102,7 +105,7 @@ def _mortality(case: PensionCase) -> str:
         text += ", without improvement"
     inputs = input_values(case)
     men, women = (life_expectancy(case, inputs, sex, AT_AGE) for sex in (MALE, FEMALE))
-    return f"{text}; expectation of life at {AT_AGE}: men {men:.1f} years, women {women:.1f}"
+    return f"{text}; life expectancy at {AT_AGE}: men {men:.1f} years, women {women:.1f}"
 
 
 def _valuation(case: PensionCase) -> str:
