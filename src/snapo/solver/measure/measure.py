@@ -300,8 +300,8 @@ def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
     measures = problem.objective, *(limit.measure for limit in problem.constraints)
     return [
-        f"There are few paths in the tail: the {item.describe()} uses {item.tail * paths:.0f} of {paths:,} "
-        f"paths, and its error is inaccurate with fewer than {TAIL}; use "
+        f"There are few paths in the tail: the {item.describe()} uses {item.tail * paths:.0f} "
+        f"of {paths:,} paths, and its error is inaccurate with fewer than {TAIL}; use "
         f"{int(np.ceil(round(TAIL / item.tail, 6))):,} paths."
         for item in measures
         if item.tail < 1 and item.tail * paths < TAIL
