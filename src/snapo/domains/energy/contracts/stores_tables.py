@@ -74,7 +74,8 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
     """The tables of the stores, from their files; `market`: the table of the case."""
     if len(table.stores) != STORES:
         message = (
-            f"there must be {STORES} stores: the methods count their inventories and the joint flow"
+            f"there must be {STORES} stores: the state of the methods has their two inventories "
+            f"and the joint flow"
         )
         raise where.error("stores", ", ".join(table.stores), message)
     opened = [_open(where, name, market) for name in table.stores]

@@ -56,7 +56,7 @@ class MakeUpTable(CaseTable):
 
     years: int = doc(
         "number of contract years in which missing units may be made up", 1,
-        "1 or 2, because at most three volumes can be counted", ge=1, le=2,
+        "1 or 2, because the methods allow at most three volumes in the state", ge=1, le=2,
     )  # fmt: skip
     price: CaseInput = PAID("price of a unit that is made up", 0.0, name="make_up_price")
     units: CaseInput = TAKEN(

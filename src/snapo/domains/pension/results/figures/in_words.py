@@ -33,7 +33,7 @@ def _accrual(case: PensionCase) -> str:
         return "none, the plan is frozen"
     if case.members is None:
         cost = case.cash_flows is not None and case.cash_flows.normal_cost.used() > 0
-        return "in proportion to the cash flows, by the normal cost" if cost else "none"
+        return "in proportion to the cash flows, with the given normal cost" if cost else "none"
     if not plan.accrual_rate.values.size:
         return "none, the plan has no accrual_rate"
     offset = float(plan.offset.used()) if plan.offset.values.size else 0.0
