@@ -239,7 +239,12 @@ def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
     path = _in_folder(file, f"markets.{name}.file", table.file)
     tables = load(path)[1]
     if other := set(tables) - set(SHARED):
-        raise CaseError(str(path), sorted(other)[0], None, "a market has [market] and [model] only")
+        raise CaseError(
+            str(path),
+            sorted(other)[0],
+            None,
+            "the file of a market may have only the tables [market] and [model]",
+        )
     if not tables:
         raise CaseError(str(path), "market", None, "this table is missing")
     return MarketFiles(path, tables, contents(path.parent, tables))

@@ -199,7 +199,9 @@ def _period(file: str, where: str, text: str) -> tuple[datetime.date, datetime.d
     try:
         first, last = (_day(part, end) for part, end in zip(match.groups(), (False, True)))  # pyright: ignore
     except (AttributeError, ValueError):
-        allowed = 'two months or days with a slash, the last one included: "2026-12/2027-02"'
+        allowed = (
+            'two months or days separated by a slash, the last one included: "2026-12/2027-02"'
+        )
         raise CaseError(file, where, text, allowed) from None
     if last < first:
         raise CaseError(file, where, text, "the first day is after the last")

@@ -98,7 +98,10 @@ def write_table(frame: Any, file: Path | str) -> Path:
                 raise ModuleNotFoundError(f"write_table: {PARQUET}") from None
             parquet.write_table(table.to_arrow(), file)
         case other:
-            raise ValueError(f"write_table: the ending {other!r}; allowed are .csv and .parquet.")
+            raise ValueError(
+                f"write_table: the name of the file ends in {other!r}; it must end "
+                f"in .csv or .parquet."
+            )
     return file
 
 

@@ -50,7 +50,9 @@ class TrainingTable(CaseTable):
     )
     validation_every: Annotated[int, EVERY] | None = doc("steps between two validations", None)
     patience: Annotated[int, Range(1, noun="a number of validations")] | None = doc(
-        "validations without a new best after which training stops, by default never", None
+        "number of validations without a new best value after which training stops, by default "
+        "never",
+        None,
     )
     window: Annotated[int, STEPS] | Literal["auto"] = doc(
         "steps of a window of backpropagation, after which a critic estimates the rest", "auto"

@@ -395,6 +395,6 @@ def check_window(simulator: Simulator, window: Window) -> None:
     """Checks that a window is within the horizon."""
     if window.first < 0 or window.length < 1 or window.first + window.length > simulator.horizon:
         raise ValueError(
-            f"engine: window {tuple(window)} (first, length) leaves the horizon of "
+            f"engine: window {tuple(window)} (first, length) extends beyond the horizon of "
             f"{simulator.horizon} steps."
         )

@@ -219,8 +219,8 @@ class WhatIf:
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> list[dict[str, Any]]:
         """The change of the value, one input after another on the same paths, each in addition to
-        the previous ones; all choices come first, together. An input that the case refuses without
-        the next one is moved together with it.
+        the previous ones; all choices come first, together. If the case refuses the move of an
+        input without that of the next one, both are moved together.
         """
         moves = [(list(selected), {})] if selected else []
         moves += [([name], {name: new}) for name, new in self.changed(values).items()]

@@ -235,9 +235,7 @@ def load(request: CaseRequest) -> Loaded:
     if request.simulator is not None:
         if not isinstance(domain, RunsCode):
             got = Unquoted(":".join(request.simulator))
-            message = (
-                f'a case of kind "{domain.kind}" has its own simulator; one of yours is of kind '
-            )
+            message = f'a case of kind "{domain.kind}" has its own simulator; your own simulator needs a case of kind '
             raise CaseError("--simulator", "", got, message + '"own"')
         domain = domain.with_simulator(*request.simulator)
     try:

@@ -274,7 +274,7 @@ def _no_run(out: Path) -> CaseError:
     if (out / BOOK).is_file():
         message = f"this is the folder of a book; `snapo report {out}` writes its report.html"
     elif out.is_file() and OF_A_BOOK.search(out.read_text(encoding="utf-8", errors="replace")):
-        message = f"this is a book, which has contracts and no page: snapo book {out}"
+        message = f"this is a book, which has no live page: use snapo book {out}"
     elif out.is_file() or any((out / name).is_file() for name in ("case.toml", "case.xlsx")):
         message = f"this case has no run yet; `snapo solve {out}` makes one"
     return CaseError(str(out), "", None, message)

@@ -101,7 +101,9 @@ def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
             if position not in free:
                 yield Mistake(f"{position}: unknown key", _put((*path, UNKNOWN), 1), (UNKNOWN,))
             if path:
-                yield Mistake(f"{position}: a number for a table", _put(path, 1.5), (_named(path),))
+                yield Mistake(
+                    f"{position}: a number in place of a table", _put(path, 1.5), (_named(path),)
+                )
         for kind, wrong, certain in _wrong(value):
             by_name = (_named(path),) if certain else ()
             yield Mistake(f"{position}: {kind}", _put(path, wrong), by_name)

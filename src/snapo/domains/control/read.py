@@ -155,7 +155,7 @@ class NormalStart(CaseTable):
 FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"
 RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(0.0, 25.2, "an angle is in radians, 180 degrees are 3.14", unit="rad", by_size=True),
-    Plausible(0.0, 1e3, "an angular speed is in radians a second", unit="rad/s", by_size=True),
+    Plausible(0.0, 1e3, "an angular speed is in radians per second", unit="rad/s", by_size=True),
     Plausible(0.5, 30.0, "on Earth it is 9.81 m/s2", unit="m/s2", endings=("gravity",)),
     Plausible(1e-6, 1e4, "1 ms is 0.001 s", unit="s"),
     Plausible(1e-4, 1e4, "1 mm is 0.001 m", unit="m", by_size=True),

@@ -220,9 +220,10 @@ class Growth(NamedTuple):
         state = max(self.leaves, key=lambda name: self.leaves[name][position], default="state")
         apart = largest[position] / max(self.usual[position], np.finfo(float).tiny)
         return (
-            f"Backward in time adjoints grow {rounded(times, 2)}-fold, from the last step to step "
-            f"{position} of {largest.size}, a hundredfold before step {half}, mainly in the state "
-            f"{state!r}. At that step the largest adjoint of a path is {rounded(apart, 2)} times "
+            f"Backward in time adjoints grow {rounded(times, 2)}-fold from the last step to step "
+            f"{position} of {largest.size} (a hundredfold before step {half}), mainly in the "
+            f"state {state!r}. At that step the largest adjoint of a path is {rounded(apart, 2)} "
+            f"times "
             f"the typical one."
         )
 

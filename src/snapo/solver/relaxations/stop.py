@@ -177,7 +177,9 @@ class Relaxable(Protocol):
     def relaxation(self, problem: Problem) -> Relaxation: ...
 
 
-UNKNOWN = "its simulator has no method `relaxation` and is not a stopping problem: docs/bounds.md"
+UNKNOWN = (
+    "its simulator has no method `relaxation` and is not a stopping problem (see docs/bounds.md)"
+)
 
 
 def bounded(problem: Problem) -> bool:

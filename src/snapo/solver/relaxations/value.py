@@ -136,7 +136,7 @@ def _right(problem: Problem, action: Stop) -> int:
             raise NotStopping(f"its decisions change the state {name or 'itself'}, not only rights")
     if len(moved) != 1:
         message = "more than one part of the state" if moved else "no state that `Stop.use` moves"
-        raise NotStopping(f"it holds the rights in {message}")
+        raise NotStopping(f"it keeps the rights in {message}")
     return moved[0]
 
 

@@ -250,7 +250,7 @@ class EnergyMethods(ContractMethods):
 
     def lattice(self) -> Estimated:
         if self.intraday:
-            raise ValueError("a lattice has no room for a schedule in addition to the levels")
+            raise ValueError("a lattice cannot have a schedule in addition to the levels")
         return super().lattice()
 
     def reference(self) -> ReferenceValue:

@@ -79,7 +79,7 @@ class ParkAndLoanTable(CaseTable):
         "a table like { first = 2026-12-01, last = 2026-12-31 }",
     )
     balance: CaseInput = Quantity(UNIT, ANY, GROUP, move=1.0)(
-        "balance at the start: parked, or below zero on loan", 0.0
+        "balance at the start: above zero if gas is parked, below zero if gas is on loan", 0.0
     )
     park_fee: CaseInput = BALANCE_FEE("fee for each unit parked at the end of a day", 0.0)
     loan_fee: CaseInput = BALANCE_FEE("fee for each unit on loan at the end of a day", 0.0)

@@ -41,7 +41,7 @@ class StoresTable(CaseTable):
     net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
     transfers: bool = doc("whether one store may inject gas that the other withdraws", True)
     inventory: list[float] | None = doc(
-        "gas in store today in one store after the other, in volume_unit", None,
+        "gas in store today, a number for each store, in volume_unit", None,
         "a list like [2000.0, 8000.0]; by default as in their files",
     )  # fmt: skip
 
@@ -74,7 +74,8 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
     """The tables of the stores, from their files; `market`: the table of the case."""
     if len(table.stores) != STORES:
         message = (
-            f"there must be {STORES} stores: the state of the methods has their two inventories "
+            f"there must be {STORES} stores: the state that the methods use has their two "
+            f"inventories "
             f"and the joint flow"
         )
         raise where.error("stores", ", ".join(table.stores), message)
@@ -111,7 +112,9 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
         raise where.error("stores", name, "there is no such file next to the case")
     data = load(path)[1]
     if list(data) != ["contract"]:
-        message = "it must be only the table [contract]; market and prices are those of the case"
+        message = (
+            "this file may have only the table [contract]; market and prices are those of the case"
+        )
         raise CaseError(str(path), ", ".join(data), None, message)
     inner = TableContext(path, "contract", where.notes)
     table = parse(ContractTable, data["contract"], str(path), "contract", where.notes)

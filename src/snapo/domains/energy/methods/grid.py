@@ -116,8 +116,8 @@ def check_nodes(case: Any, schedule: Any) -> None:
     divisor = "there is none" if measure is None else f"it is {measure:.6g} {case.volume_unit}"
     count = int(_combinations(len(case.days)))
     message = (
-        f"{_VOLUMES[limited]} need a larger common divisor: {divisor}, and at most about {count:,} "
-        f"combinations of levels {_LEVELS[limited]}, in multiples of it, are possible"
+        f"{_VOLUMES[limited]} need a larger common divisor: {divisor}, and the methods allow at "
+        f"most about {count:,} combinations of levels {_LEVELS[limited]} that are multiples of it"
     )
     raise CaseError(str(case.file), "contract", None, message)
 

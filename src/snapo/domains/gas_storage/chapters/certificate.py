@@ -165,8 +165,8 @@ def _glossary(run: StorageRun) -> Table:
         ("Volume", gas, "inventory, and volume per day for flows and rates"),
         ("Delta", gas, "change of value for a rise of 1 in one forward price, with decisions held"
          " fixed"),
-        ("Discounted delta", gas, "delta of the present value; its quotient by the discount "
-            "factor of the month's settlement is the volume of futures"),
+        ("Discounted delta", gas, "delta of the present value; divided by the discount factor of "
+            "the month's settlement, it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
         ("Delta through the smooth rules", gas, "with the policy reacting; a diagnostic"),
         _volatility(run),

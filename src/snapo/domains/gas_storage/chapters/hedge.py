@@ -182,7 +182,7 @@ def _title(row: HedgeRow) -> str:
 def show(run: StorageRun, result: HedgeTables) -> Sequence[Block]:
     """Deviations as bars, and the tables of all hedges and of their products."""
     if not result.hedges:
-        reason = f"No hedge was simulated, for {result.reason}."
+        reason = f"No hedge was simulated: {result.reason}."
         return [Text(reason)] if result.reason else [why_missing(run, HEDGE.name)]
     bars = [
         Bar(_title(x), x.deviation, x.deviation_error, strong=x.hedge == UNHEDGED)

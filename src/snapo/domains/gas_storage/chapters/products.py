@@ -18,7 +18,7 @@ from .deltas import futures_along
 
 TEXT = (
     "Change of the value if the price of one product rises by 1 on all its days. "
-    "Each day belongs to the shortest product that trades on the valuation date, so that these "
+    "Each day belongs to the shortest product that is traded on the valuation date, so that these "
     "deltas sum to those by day. Undiscounted, they are the volumes of futures that hedge the "
     "position: a positive volume is sold, and the volume per day is the same on each day of the "
     "product."

@@ -70,7 +70,9 @@ def _hedge(
     for name in entry:
         if name not in families:
             allowed = ", ".join(f'"{x}"' for x in families)
-            raise section.error(key, name, f"it must be keys of [products] that trade: {allowed}")
+            raise section.error(
+                key, name, f"it must be keys of [products] that are traded: {allowed}"
+            )
     if not entry:
         raise section.error(key, entry, "a hedge must have at least one product")
     return DailyHedge(rule, tuple(x for x in families if x in entry))

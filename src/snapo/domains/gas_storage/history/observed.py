@@ -50,7 +50,8 @@ class ObservedMarket:
         if position < 0 or day > self.spot_days[-1]:
             first, last = self.spot_days[0], self.spot_days[-1]
             message = (
-                f"a back-test needs the spot prices of all its days; there are {first} to {last}"
+                f"a back-test needs the spot prices of all its days; the file has those of "
+                f"{first} to {last}"
             )
             raise CaseError(str(self.folder / SPOT), day.isoformat(), None, message)
         return self.spot_prices[position]

@@ -244,7 +244,7 @@ def _positions(result: StoreBacktest, case: StorageCase) -> Section:
     peak = int(np.argmax(result.inventory))
     alt = (
         f"Gas in store by day, at most {number(result.inventory[peak])} {unit} on "
-        f"{result.days[peak]}; below the flow of each day and the spot price."
+        f"{result.days[peak]}; the lower chart shows the flow of each day and the spot price."
     )
     svg = draw("positions", alt, paint, 430, (2.0, 1.0, 1.0))
     caption = "Gas in store after each day, the flow of each day, and the spot price."

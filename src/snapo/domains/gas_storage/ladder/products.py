@@ -48,7 +48,7 @@ class FamilyTable(BalanceTable):
     """`products.months`: months, and in the same way `quarters` and `seasons`."""
 
     ahead: Annotated[int, Range(1)] | None = doc(
-        "number of periods after the present one that trade, by default all", None
+        "number of periods after the present one that are traded, by default all", None
     )
     last_trading: Annotated[int, Range(0, 400, note=" days before delivery")] = doc(
         "days from the last trading day to the first day of delivery", 1
@@ -295,8 +295,9 @@ def _check_nested(section: TableContext, products: TradedProducts) -> None:
             if name and (name in met or inside):
                 day = products.days[t] if t >= 0 else products.valuation
                 message = (
-                    f"on {day} it would trade as a whole, although a part of it trades on that "
-                    "day or traded before; products must follow one another, or shorter ones "
+                    f"on {day} it would be traded as a whole, although a part of it is traded on "
+                    f"that day or was traded before; products must follow one another, or "
+                    f"shorter ones "
                     "must replace a longer one from its first day on"
                 )
                 raise CaseError(str(section.file), f"{section.name}: {name}", None, message)

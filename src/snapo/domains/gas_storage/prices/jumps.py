@@ -27,7 +27,7 @@ from .spikes import Spikes
 
 INTENSITY = Quantity(
     "1/year",
-    Range(0.0, YEAR, "()", noun="a number of jumps a year"),
+    Range(0.0, YEAR, "()", noun="a number of jumps per year"),
     "price model",
     move=1.0,
     plausible=Plausible(0.05, 200.0, "it is the number of spikes in a year"),

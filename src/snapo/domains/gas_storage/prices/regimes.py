@@ -37,8 +37,8 @@ class RegimeTable(SingleFactorTable):
     """`[model]` of kind "regimes"."""
 
     kind: Literal["regimes"] = doc("one factor in a market that is calm or tight")
-    tightens: CaseInput = PROBABILITY("probability a day that a calm market becomes tight")
-    eases: CaseInput = PROBABILITY("probability a day that a tight market becomes calm")
+    tightens: CaseInput = PROBABILITY("probability per day that a calm market becomes tight")
+    eases: CaseInput = PROBABILITY("probability per day that a tight market becomes calm")
     premium: CaseInput = PREMIUM("logarithm of the ratio of a tight market's price to a calm one's")
 
 

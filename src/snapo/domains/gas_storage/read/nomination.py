@@ -55,5 +55,5 @@ def check_nomination(where: TableContext, table: Any, objective: str, products: 
         )
         raise where.error("nomination", None, message)
     if products is not None:
-        message = "[products] trade on the days of the flows; leave one of the two out"
+        message = "[products] are traded on the days of the flows; leave one of the two out"
         raise where.error("nomination", None, message)

@@ -208,7 +208,7 @@ def _cash_flow(run: PensionRun, flow: np.ndarray) -> Chart | Text:
     )
     caption = (
         "Expected payments of the rights accrued today, with mortality as expected and no future"
-        f" indexation; in all {run.large(flow.sum())}; for example "
+        f" indexation; in total {run.large(flow.sum())}; for example "
         + ", ".join(f"year {y} {run.large(flow[y - 1])}" for y in (1, 10, 20) if y <= len(flow))
         + "."
     )

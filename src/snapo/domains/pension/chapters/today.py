@@ -37,7 +37,8 @@ PRICES = (
 RATES_TABLE = "Change for +1 bp, and hedge ratios: now, and after today's trades"
 PRICES_TABLE = "Inflation: change for +1 bp of break-evens, and inflation hedge ratios"
 REAL = (
-    "With break-evens held, a rise in nominal rates is a rise in real rates: it affects the part"
+    "With break-evens held fixed, a rise in nominal rates is a rise in real rates: it affects "
+    "the part"
     " of the rate ladder with index-linked payments. The rest depends only on nominal rates."
 )
 
@@ -214,7 +215,9 @@ def _real(run: PensionRun, result: TodayTables) -> Table:
     scale, unit = run.size(*(np.array(numbers) for _, *numbers in parts))
     rows = [(name, *(number(x / scale, 3, True) for x in numbers)) for name, *numbers in parts]
     head = [("", ""), ("Real rates", unit), ("Nominal rates", unit), ("Both", unit)]
-    return Table(head, rows, "Change for +1 bp of all rates, break-evens held, without swaps", 1)
+    return Table(
+        head, rows, "Change for +1 bp of all rates, with break-evens held fixed, without swaps", 1
+    )
 
 
 LADDERS = TODAY.section(

@@ -132,7 +132,8 @@ def _class(row: Row, names: AssetNames) -> AssetClass:
                 name for name, item in sorted(KINDS.items()) if special in item.columns
             )
             message = (
-                f"a class of kind {kind.kind} has none: {kind.without} (kinds with it: {owners})"
+                f"a class of kind {kind.kind} has no such number: {kind.without} (kinds that "
+                f"have it: {owners})"
             )
             raise row.error(special, message)
     return kind(

@@ -101,7 +101,7 @@ CUTS = Only(
 )
 FIXED = Only(
     lambda tables: tables["plan.indexation"].kind in ("none", "fixed"),
-    'where pensions in payment have increases of kind "fixed" or "none": other kinds apply to'
+    'if pensions in payment have increases of kind "fixed" or "none"; other kinds apply to'
     " all rights",
     _kind("plan.indexation"),
 )

@@ -185,11 +185,14 @@ def _facts(run: RunFiles) -> list[tuple[str, str, str]]:
     if matrix and matrix.ranking and matrix.ranking[0].attribute:
         first = matrix.ranking[0]
         share, attribute = percent(first.share, 0), first.attribute
-        note = f"its normal range uses {share} of the margin that batches leave to {attribute}"
+        note = (
+            f"its normal range uses {share} of the margin of {attribute} that the variation "
+            f"of the batches leaves"
+        )
         if first.outside:
             note = f"{attribute} is beyond its limit"
         elif first.spent:
-            note = f"for {attribute}, of which its variation uses all of the margin"
+            note = f"the variation of the batches uses all of the margin of {attribute}"
         facts.append(("Most critical parameter", first.parameter, note))
     if space and space.box:
         volume = percent(space.box.volume, 0)

@@ -66,9 +66,9 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
         f"({number(result[0].samples, 0)} batches per point). An edge names the attribute "
-        "that fails outside it; “studied range” if none does. Certain and possible: as far as "
-        "the lower, or the upper, end of the 95 % interval of the probability is above the "
-        "required one."
+        "that fails outside it; “studied range” if none does. A range is certain as far as the "
+        "lower end of the 95 % interval of the probability is above the required one, and "
+        "possible as far as the upper end is."
     )
     return [Table([(name, "") for name in names], rows, caption, 4)]
 

@@ -150,7 +150,9 @@ class BestSoFar:
             return
         self._last = count
         if not np.isfinite(values).all():
-            raise Stopped(f"the function is not a number after {count} evaluations, so it stopped")
+            raise Stopped(
+                f"the function is not a number after {count} evaluations, so the search stopped"
+            )
         rest = values[1:]
         wrong = np.concatenate([[0.0], np.abs(rest[: self.equalities]), -rest[self.equalities :]])
         violation = float(wrong.max())

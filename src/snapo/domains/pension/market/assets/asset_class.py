@@ -172,7 +172,10 @@ def register(kind: AnyKind) -> AnyKind:
     if kind.risk not in RISKS:
         raise TypeError(f"{kind.__name__}: there is no risk {kind.risk!r}: {', '.join(RISKS)}.")
     if kind.kind in KINDS:
-        raise TypeError(f"{kind.__name__}: the kind {kind.kind!r} is {KINDS[kind.kind].__name__}.")
+        raise TypeError(
+            f"{kind.__name__}: the kind {kind.kind!r} is already that of "
+            f"{KINDS[kind.kind].__name__}."
+        )
     KINDS[kind.kind] = kind
     return kind
 

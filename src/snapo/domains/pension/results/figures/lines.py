@@ -85,7 +85,8 @@ def lines(case: PensionCase) -> list[str]:
         f"{counted(len(case.assets.classes), 'class')}, {case.buckets} swap "
         f"tenor{'s' * (case.buckets != 1)}",
         f"scenarios: {'supplied' if case.scenarios else SCENARIOS[case.measure]}",
-        f"{inputs_line([entry.value.size for entry in inputs.values()])}; {len(case.held)} held",
+        f"{inputs_line([entry.value.size for entry in inputs.values()])}; {len(case.held)} held "
+        f"fixed",
         *_human(case, result.human),
         *_status(case, input_values(case), result.figures.liability),
         *in_words(case),

@@ -119,7 +119,7 @@ def _rolling(case: PensionCase, human: Human) -> Iterator[str]:
             f"the gap to a funding ratio of {target:.0%} bears interest of {np.expm1(rate):.1%} a "
             f"year, and recovery_years = {years:g} pays only {1 / years:.1%} of the "
             "remaining gap a year: the gap is never closed. "
-            'plan.contribution.recovery = "level" ends it after these years'
+            'plan.contribution.recovery = "level" closes it after these years'
         )
 
 
