@@ -187,7 +187,7 @@ def test_a_trained_scale_undoes_a_penalty_that_is_too_large():
 def test_what_is_no_relaxation_is_refused(monkeypatch):
     problem, policy, relaxation = swing(1)
     monkeypatch.setattr(relaxation, "best", lambda *given: np.zeros(64))
-    with pytest.raises(ValueError, match="not a relaxation"):
+    with pytest.raises(ValueError, match="not a valid relaxation"):
         bound(problem, policy, relaxation=relaxation, paths=64, engine=ENGINE)
 
 

@@ -45,7 +45,7 @@ class BookJob:
     - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
       takes, so that it needs no training.
     - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
-      the fingerprint of the processors that give the same bits.
+      the fingerprint of the processors that give bit-identical results.
     """
 
     case: str

@@ -86,7 +86,7 @@ def solve(
     - `check`: whether to run the checks that need only tracing, in tenths of a second.
     - `executor`: a `concurrent.futures.Executor`, such as Dask's `client.get_executor(pure=False)`,
       or several. Its workers compute a part of the paths of every step that takes 50 ms or more
-      here, with the same bits. `solve` does not close it.
+      here, with bit-identical results. `solve` does not close it.
     - `bar`: whether a line shows the progress and the time left; None: in a terminal or a notebook.
 
     Ctrl-C during training ends it: the best policy so far is measured, and the solution has the

@@ -235,8 +235,11 @@ def load(request: CaseRequest) -> Loaded:
     if request.simulator is not None:
         if not isinstance(domain, RunsCode):
             got = Unquoted(":".join(request.simulator))
-            message = f'a case of kind "{domain.kind}" has its own simulator; your own simulator needs a case of kind '
-            raise CaseError("--simulator", "", got, message + '"own"')
+            message = (
+                f'a case of kind "{domain.kind}" has its own simulator; a simulator of yours '
+                'needs a case of kind "own"'
+            )
+            raise CaseError("--simulator", "", got, message)
         domain = domain.with_simulator(*request.simulator)
     try:
         return Loaded(domain, file, data, domain.read(file, data), request.assignments)

@@ -126,7 +126,7 @@ class Wanted(NamedTuple):
     - `resume`: continue the run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
     - `about`: the `about` of another run of the same case, whose checks are valid for this run too.
-    - `workers`: compute groups of paths, with the same bits.
+    - `workers`: compute groups of paths, with bit-identical results.
     """
 
     engine: str = "auto"

@@ -41,6 +41,6 @@ def test_a_tail_of_few_paths_is_noted(objective, limits, told):
         training=snapo.Training(steps=2, paths=16, validation_paths=16),
         evaluation=snapo.Evaluation(paths=1024, sensitivity_paths=0),
     )
-    notes = [note for note in found.notes if note.startswith("Few paths in the tail")]
+    notes = [note for note in found.notes if note.startswith("There are few paths in the tail")]
     assert len(notes) == bool(told)
     assert all(part in notes[0] for part in told)

@@ -187,7 +187,8 @@ class Runner(GroupRunner):
         self, inputs: KernelInputs, threads: int, groups: Groups | None = None
     ) -> KernelOutputs:
         """Runs all blocks forward and (in an adjoint kernel) backward, for every column of
-        weights. `groups`: computes the groups instead of `GroupRunner.groups`, with the same bits.
+        weights. `groups`: computes the groups instead of `GroupRunner.groups`, with bit-identical
+        results.
         """
         context, edges = self.prepared(inputs), inputs.edges
         if edges is None:

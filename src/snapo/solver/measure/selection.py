@@ -90,7 +90,7 @@ class Effort(NamedTuple):
     The unit is one path that is valued. A training has valued and differentiated `steps * paths` of
     them; the surface around the policy, its margin and the bumps each value a third as many paths,
     and more if a path is short. The numbers are chosen from the problem and the settings only,
-    never from a clock, so that a repeated run has the same bits.
+    never from a clock, so that a repeated run has bit-identical results.
 
     - `work`: the number of paths that may be valued for one purpose; `maximum`: the largest number
       of paths of one measurement.

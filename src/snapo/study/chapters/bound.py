@@ -97,7 +97,11 @@ def optimum(run: RunFiles, cost: bool = False) -> str:
     text = run.value_text(-top if cost else top, None, max(0, digits))
     name = "Lowest possible cost: at least" if cost else "Optimum: at most"
     low = finite(result.lower.value)
-    share = f", {percent(result.gap.high / abs(low), 2)} more than this policy" if low else ""
+    share = (
+        f", {percent(result.gap.high / abs(low), 2)} away from the value of this policy"
+        if low
+        else ""
+    )
     return f"{name} {text} (95 %){share}."
 
 

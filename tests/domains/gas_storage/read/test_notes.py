@@ -38,7 +38,11 @@ NOTES = {
         "injection_cost = -40.0",
         ["On 2025-01-01 an injection earns money: injection_cost is -40, and gas costs 27.03"],
     ),
-    "a round trip that pays": (COST, "injection_cost = -0.2", ["earns money at any prices", "sum to -0.15"]),
+    "a round trip that pays": (
+        COST,
+        "injection_cost = -0.2",
+        ["earns money at any prices", "sum to -0.15"],
+    ),
 }
 
 

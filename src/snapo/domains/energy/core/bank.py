@@ -27,7 +27,7 @@ class Bank(NamedTuple):
     """The numbers of every step; balances are in the order of their age, the newest first.
 
     - `minimum`: m; `share`: the share of the missing units that may be made up, 1 or 0.
-    - `limit`: the limit of the units carried forward; `refund`: the amount earned for each unit
+    - `limit`: the maximum of the units carried forward; `refund`: the amount earned for each unit
       made up.
     """
 

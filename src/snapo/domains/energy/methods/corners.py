@@ -10,7 +10,7 @@ def corners(nodes, levels: np.ndarray, signs: Sequence[int]) -> tuple[np.ndarray
     of these nodes.
 
     Cells are cut into simplices along the flows, so that a function between nodes is linear along
-    every flow, and the best volumes lead to nodes.
+    every flow, and the best volumes lead to levels on nodes.
     """
     ahead, count, sizes = np.array(signs), len(levels), [len(x) for x in nodes]
     if not sizes:

@@ -120,7 +120,7 @@ class GammaMatrix(NamedTuple):
 
     def along(self, prices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """[n] the matrix times prices [n], and its standard error: zero without costs, if prices
-        move in proportion to a curve that is level within each product, since the value is then
+        move in proportion to a curve that is flat within each product, since the value is then
         homogeneous of degree one."""
         product = Estimate(self.symmetric.blocks @ prices)
         return product.value, np.hypot(1.0, BIAS) * product.standard_error

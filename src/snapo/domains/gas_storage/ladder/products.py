@@ -120,7 +120,7 @@ class TradedProducts:
     """The products of a contract on its days.
 
     - `days`: the days of delivery; `valuation`: the first trading day; `products`: all products
-      that may trade.
+      that may be traded.
     - `day_ahead`: bid-offer of the trading day itself; `balance`: the terms of the balance of the
       month, or None.
     """
@@ -202,8 +202,8 @@ def products_of(
 ) -> TradedProducts | None:
     """The products of the table [products], None for a case without one.
 
-    **Raises:** `CaseError` if a product trades as a whole while its parts trade, or after they
-    have traded.
+    **Raises:** `CaseError` if a product is traded as a whole while its parts are traded, or after
+    that.
     """
     if data is None:
         return None

@@ -37,8 +37,8 @@ NEAR = 1e-9
 
 
 class TradeBlock(NamedTuple):
-    """Days from `first` up to the day before `after` that trade as one product, or that do not
-    trade yet.
+    """Days from `first` up to the day before `after` that are traded as one product, or that are
+    not traded yet.
 
     - `spread`: half the bid-offer of a unit; `lot`: volumes per day are multiples of it, 0 for any
       volume.
@@ -320,7 +320,7 @@ def rolling(
 ) -> Rolled:
     """Rolling intrinsic on some paths.
 
-    - `blocks`: gives the blocks that trade at a step, the step itself first.
+    - `blocks`: gives the blocks that are traded at a step, the step itself first.
     - `curves`: gives the forward prices [T + 1 - t, N] at step t, of the step, all later steps and
       the end.
     - `before`: whether the valuation date is before the first step; `blocks` and `curves` of step

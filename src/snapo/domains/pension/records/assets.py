@@ -75,7 +75,7 @@ class Assets(TreeRecord):
     - `max_sale`: [n] share of a holding that may be sold per year, infinite without a limit;
       `band`: [n] distance from the wanted weight within which a class is not traded; `turnover`:
       half the sum of all changes of weights per year. None if no class has a limit.
-    - `short`: whether a weight may be negative, so that the assets may be lost more than once.
+    - `short`: whether a weight may be negative, so that more than the assets may be lost.
     - `risk`: [n] the regulatory risk class of each, one of `regulation.RISKS`.
     """
 

@@ -37,8 +37,9 @@ SIGNIFICANT = 2.0  # standard errors from which one of two counts as better
 class KeptShares:
     """Shares of batches that keep all limits, with standard errors, on the same batches.
 
-    - `value`: the value of the policy; `baseline`: the baseline of the best fixed recipe; `gain`:
-      their difference; `given`: of the recipe of the case. `better`: "policy", "recipe", or "" if
+    - `value`: the share under the policy; `baseline`: the share under the best fixed recipe;
+      `gain`: their difference; `given`: the share under the recipe of the case. `better`:
+      "policy", "recipe", or "" if
       the difference is not significant.
     """
 
@@ -72,8 +73,8 @@ class KeptShares:
 class ControlCourse:
     """A control after each decision, at `time` in s since its unit's start.
 
-    - `policy`, `policy_low`, `policy_high`: median and band over batches; `given`: of the best
-      fixed recipe; `given`: of the recipe of the case.
+    - `policy`, `policy_low`, `policy_high`: median and band over batches; `values`: the values of
+      the best fixed recipe; `given`: those of the recipe of the case.
     """
 
     input: str

@@ -33,8 +33,9 @@ class SpaceMap:
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
-    - `levels`: the levels of contours; `required`: probability. `box`: the largest inside, None if
-      the set point itself does not do. `ends`: the boundary of the space along the lines of the
+    - `levels`: the levels of contours; `required`: probability. `box`: the largest box inside the
+      space, None if the set point itself is outside. `ends`: the boundary of the space along the
+      lines of the
       map.
     """
 

@@ -89,8 +89,8 @@ class CriticalityTable:
     of its normal range, by the nominal model, in the attribute's unit.
 
     - `low`, `high`: 5 % and 95 % of it over the variation that the case states.
-    - `share`, `share_low`, `share_high`: of the room to the nearest limit at the set point, the
-      size of the change; NaN without a limit, infinite on or beyond it.
+    - `share`, `share_low`, `share_high`: the size of the change, as a share of the distance to the
+      nearest limit at the set point; NaN without a limit, infinite on or beyond it.
     - `draws`: the draws of the variation.
     """
 

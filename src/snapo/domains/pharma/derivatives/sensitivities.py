@@ -67,8 +67,8 @@ def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spr
     """Parameters by criticality, the most critical first.
 
     Room is the distance to the nearest limit minus `VARIATION` standard deviations of the batches
-    around the set point. `outside`: the attribute is beyond its limit already, `spent`: its its
-    variation takes all the room; a share has then no meaning.
+    around the set point. `outside`: the attribute is beyond its limit already, `spent`: the
+    variation of the batches takes all the room; a share has then no meaning.
     """
     room = AttributeLimits.of(case).distance(matrix.values)
     left = (room - VARIATION * varied.total)[:, None]
