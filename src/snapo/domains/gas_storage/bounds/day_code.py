@@ -53,7 +53,7 @@ TABLE = (*HEAD, *(f"{side}_{name}" for side in ("buy", "sell") for name in SIDE)
 
 @dataclass(frozen=True, eq=False)
 class DayFlows:
-    """Both directions of flow of a day between `rows` nodes and `size` nodes after it.
+    """Both directions of flow on a day, from `rows` nodes at its start to `size` nodes at its end.
 
     - `buy`, `sell`: the reach of each, with its bends if an upper value is computed.
     - `sides`: the same for machine code, made when it is first needed.

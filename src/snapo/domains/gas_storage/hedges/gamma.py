@@ -90,7 +90,7 @@ def price_rises(
 
 
 class GammaMatrix(NamedTuple):
-    """The matrix [n, n] of n products, in units of volume per unit of price, present value.
+    """The matrix [n, n] of n products, in units of volume per unit of price; a present value.
 
     - `both` [B, n, n]: the change of delta i for a bump of product j at [:, j, i], by block of
       paths.

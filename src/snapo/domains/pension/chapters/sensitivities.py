@@ -36,7 +36,7 @@ HELD = (
     "the error of the policy. “Reacting”: the trained policy observes the moved fund and decides "
     "again, without new training. Held and reacting effects differ only by the error of training "
     "and smoothing. Prices of risk, excess "
-    "returns and today's market values are held while the curve moves."
+    "returns and today's market values are held fixed while the curve moves."
 )
 TOP = 14  # bars of the tornado
 ROWS = 400  # single numbers in the report; sensitivities.csv has all of them

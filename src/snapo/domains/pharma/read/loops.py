@@ -44,7 +44,7 @@ class LoopTable(CaseTable):
     )
     gain: Any = quantity("gain, by default tuned", '"-0.5 K/(kg/m^3)"', None)
     integral_time: Any = quantity("integral time, by default tuned", '"10 min"', None)
-    inner: dict | None = doc("inner loop of a cascade", None, "the table inner of a cascade")
+    inner: dict | None = doc("inner loop of a cascade", None, "the table `inner` of a cascade")
 
 
 class InnerTable(CaseTable):
