@@ -313,8 +313,9 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
     if table is None or run.problem.simulator.horizon <= LONG:
         return []
     notes = [
-        f"Paths have more than {LONG:,} steps: derivatives were measured on {run.held_paths:,} of "
-        f"them, with as many steps in total as the requested paths would have with {LONG:,} each."
+        f"Paths have more than {LONG:,} steps, so derivatives were measured on only "
+        f"{run.held_paths:,} of them. Their total number of steps is that of the requested "
+        f"number of paths with {LONG:,} steps each."
     ]
     if run.evaluation.judge_paths:
         notes.append(

@@ -46,8 +46,11 @@ class RightsTable(CaseTable):
         allowed="a whole number of days, 1 or more", ge=1, le=100_000,
     )  # fmt: skip
     rest: int = doc(
-        "days of rest after a day with a volume", 0, "a whole number of days, 0 to "
-        "365", ge=0, le=365
+        "days of rest after a day with a volume",
+        0,
+        "a whole number of days, 0 to 365",
+        ge=0,
+        le=365,
     )
 
 

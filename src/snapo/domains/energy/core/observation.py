@@ -18,7 +18,7 @@ OF_PAIR = 3 * SEGMENTS  # numbers: gains at both ends, positions between segment
 
 
 class Head(NamedTuple):
-    """Numbers of the decision rule, at the start of the observation; prices over their scale.
+    """Numbers of the decision rule, at the start of the observation; prices divided by their scale.
 
     - `units` [pairs, SEGMENTS, 2]: gains of units of each feasible volume, see `VolumeGains`.
     - `positions` [pairs, SEGMENTS - 1]: the limits between segments, as shares of the free volume.

@@ -19,7 +19,7 @@ class AuctionTable(CaseTable):
     """
 
     at: str = doc(
-        "hour of the local clock with an auction on every day",
+        "hour of the local clock at which there is an auction every day",
         "00:00",
         'a full hour of local time such as "00:00"',
     )

@@ -4,7 +4,7 @@ TIME, DECISIONS, SPOT = "time", "decisions taken", "spot prices"
 FIRST, SECOND = "curve", "curve, second order"
 RATE, CONTRACT, POLICY, REST, CASH = "interest rate", "contract", "policy", "rest", "cash"
 NOTES = {
-    TIME: "the valuation date moves; curve, model and rates stay",
+    TIME: "the valuation date moves; curve, model and rates stay the same",
     DECISIONS: "inventory and cash flow compared with the plan of the first run",
     SPOT: "spot prices of the actual flows compared with the forward prices of the first run",
     FIRST: "delta times move",

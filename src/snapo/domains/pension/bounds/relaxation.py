@@ -52,7 +52,7 @@ FUNDED = 1e6  # a funding ratio above every limit of a plan
 
 
 class Extremes(NamedTuple):
-    """Extremes of one path: `received` [T] the maximum of contributions minus payments, money;
+    """Extremes of one path: `received` [T] the maximum of contributions minus payments, in money;
     `liability` the minimum at the horizon."""
 
     received: Float[Array, " T"]

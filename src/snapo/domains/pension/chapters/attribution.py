@@ -166,7 +166,7 @@ class Explained(PensionSimulator):
     def _liability(
         self, done: Happened, owed: Array, as_expected: Array, reserved: Array
     ) -> dict[str, Array]:
-        """Parts of the change of the liability, money; `owed` at the end of the step,
+        """Parts of the change of the liability, in money; `owed` at the end of the step,
         `as_expected` the same with mortality as it was expected, `reserved` as in `PlanTerms`."""
         # The reserve for a payment's expenses goes with it.
         books, benefit = done.books, reserved * done.flows.benefit
@@ -195,7 +195,7 @@ class Explained(PensionSimulator):
 
 
 def _assets(case: PensionModel, done: Happened) -> dict[str, Array]:
-    """Parts of the change of the assets, money."""
+    """Parts of the change of the assets, in money."""
     cash, flows, held = done.move.cash, done.flows, done.held
     working = done.invested - held.cost
     over = working * held.weights * (done.move.gross - jnp.exp(cash))

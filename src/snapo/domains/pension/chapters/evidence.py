@@ -201,10 +201,10 @@ def assumptions(run: PensionRun) -> Section:
 def _glossary() -> Table:
     rows = [
         ("P, Q", "real-world and risk-neutral scenarios; shown next to all simulated numbers"),
-        ("Funding ratio F", "assets over liability, both at the same instant"),
+        ("Funding ratio F", "assets divided by liability, both at the same instant"),
         ("Certainty equivalent", "the certainty-equivalent ratio of the policy"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),
-        ("Hedge ratio", "rate sensitivity of assets and swaps over that of the liability"),
+        ("Hedge ratio", "rate sensitivity of assets and swaps, divided by that of the liability"),
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),
         ("CVaR 95 %", "the mean of the worst 5 % of paths"),
         (

@@ -49,7 +49,8 @@ OF_POTS = (
     ("points of the funding ratio", "points of today's pension"),
     ("Money is this share times today's liability; for contributions it is their present value.",
      "For contributions money is their present value."),
-    ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P is the pension over today's"),
+    ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), where P is the pension divided by that of "
+        "today"),
 )  # fmt: skip
 
 

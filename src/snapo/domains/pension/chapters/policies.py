@@ -42,7 +42,7 @@ class PolicyWorth:
       per year; both are NaN if the objective is not a utility of a ratio.
     - `median`, `p05`, `underfunded`: median and 5 % quantile of the final ratio, and the share of
       paths on which it is below 1.
-    - `pv_contribution`: the mean present value of contributions, money.
+    - `pv_contribution`: the mean present value of contributions, in money.
     """
 
     key: str = ""

@@ -66,7 +66,7 @@ class FundFigures:
     """The figures of a fund before any simulation, in the terms of `reconcile.Figures` and `Human`.
 
     - `lines`: comparisons with the actuary's figures; `remarks`: notes on implausible numbers.
-    - `in_words`: the plan as sentences. `cash_flow`: expected payments by year, money.
+    - `in_words`: the plan as sentences. `cash_flow`: expected payments by year, in money.
     - `regulation`, `funding`: the regulatory position of the fund; None if the case names no rules.
     """
 

@@ -27,7 +27,7 @@ def contribution(
     smooth: Constraints,
     annuity: Array | None = None,
 ) -> Array:
-    """The contribution of this step, money.
+    """The contribution of this step, in money.
 
     **Arguments:**
 

@@ -71,7 +71,7 @@ def shared(
     exposure: Float[Array, " C"],
     smooth: Constraints,
 ) -> SharedResult:
-    """The parts of a step's return `earned`, money.
+    """The parts of the return `earned` in a step, in money.
 
     **Arguments:**
 

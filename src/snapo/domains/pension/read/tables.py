@@ -220,7 +220,7 @@ class OverlayTable(CaseTable):
     file: Nonempty = csv("swaps by tenor", "tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = doc("unit of the limits of notionals", "assets")
     leverage: CaseInput = SWAP_LIMIT(
-        "largest sum of notionals over assets", 1.0, range=NOT_NEGATIVE
+        "largest sum of notionals, as a share of the assets", 1.0, range=NOT_NEGATIVE
     )
     collateral_stress: CaseInput = SWAP_LIMIT(
         "rise of all zero rates that collateral must withstand",

@@ -123,7 +123,7 @@ class Overlay(TreeRecord):
       money, the value of the fixed leg when the swap is struck, index [b].
     - `low`, `high`: [b] limits as a share of `unit`: of the assets, or of the value of the
       liability payments that are nearest to the bucket (a hedge ratio).
-    - `leverage`: largest sum of absolute notionals over assets, index [].
+    - `leverage`: largest sum of absolute notionals, divided by the assets, index [].
     - `cost`: share of the notional traded, index [b].
     - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].
     """

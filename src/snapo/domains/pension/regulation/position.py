@@ -23,7 +23,8 @@ from .bases import Due, due
 
 @dataclass(frozen=True)
 class Losses:
-    """Losses of own funds by risk, money; `falling`: whether falling rates are the worse ones."""
+    """Losses of own funds by risk, in money; `falling`: whether falling rates are the worse
+    case."""
 
     rates: float
     equity: float
@@ -87,7 +88,7 @@ CLOSE = 1e-12  # of the liability
 
 @dataclass(frozen=True)
 class Stand:
-    """The `losses` on the required assets; the `required` and `minimum` own funds, money; the
+    """The `losses` on the required assets; the `required` and `minimum` own funds, in money; the
     ratios `required_ratio`, `minimum_ratio` and `policy_ratio` to the liability; the date and the
     source of the rules."""
 
@@ -208,7 +209,7 @@ def _prices(case: PensionCase, inputs: dict[str, Any]) -> Callable[[np.ndarray, 
 
 
 def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
-    """[X] net exposure to each currency, money."""
+    """[X] net exposure to each currency, in money."""
     hedged = case.currencies.hedge_ratio
     share = 1 - (hedged.used() if hedged.values.size else np.zeros(len(case.currencies.names)))
     exposed = np.zeros(len(case.currencies.names))

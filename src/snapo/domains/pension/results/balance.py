@@ -29,7 +29,8 @@ FARTHEST = 2000  # basis points up to which the headroom of collateral is looked
 
 @dataclass(frozen=True)
 class CurveLadder:
-    """Change of value for +1 bp at each node of a curve [nodes], money: assets, swaps, liability.
+    """Change of value for +1 bp at each node of a curve [nodes], in money, for assets, swaps and
+    liability.
 
     - `tenor` [nodes], years; `quote`: the kind of its rates.
     - `real_assets`, `real_liability`: the part that follows the price index, and so real rates;
@@ -48,7 +49,7 @@ class CurveLadder:
 
 @dataclass(frozen=True)
 class ClassTrade:
-    """Weights of a class now, of the policy and their bounds; the trade and its cost, money."""
+    """Weights of a class now, of the policy and their bounds; the trade and its cost, in money."""
 
     name: str
     now: Number
@@ -61,7 +62,7 @@ class ClassTrade:
 
 @dataclass(frozen=True)
 class SwapTrade:
-    """Notionals of a swap now and of the policy, and their difference, money."""
+    """Notionals of a swap now and of the policy, and their difference, in money."""
 
     tenor: str
     now: Number

@@ -25,7 +25,7 @@ class MatrixForms(NamedTuple):
 
     - `raw`: attribute's unit per case's unit of the parameter.
     - `scaled`: change of the attribute over half the normal operating range.
-    - `share`: `scaled` over the distance to the nearest limit; NaN if the attribute has no
+    - `share`: `scaled` divided by the distance to the nearest limit; NaN if the attribute has no
       limit, infinite if it is on or beyond it.
     - `zero`: whether an entry is zero because nothing connects the two: exactly 0.0.
     """

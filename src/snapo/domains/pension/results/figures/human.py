@@ -74,7 +74,7 @@ def human(case: PensionCase, inputs: dict[str, Any], figures: LiabilityFigures) 
 
 
 def _parallel(case: PensionCase, values: dict[str, Any], curve: MarketCurve) -> float:
-    """d (assets and swaps today) / d shift of all quotes of `curve`, money."""
+    """d (assets and swaps today) / d shift of all quotes of `curve`, in money."""
     name, quotes = curve.rate.name, curve.rate.values
 
     def value(shift):
