@@ -18,7 +18,7 @@ MOVES = (
 SAME = "the same numbers"
 NUMBER = "it must be a finite number"
 DATE = "there is no such day or month in the calendar"
-PERIOD = "two months or days with a slash"
+PERIOD = "two months or days separated by a slash"
 
 
 def with_text(old, new):

@@ -108,7 +108,7 @@ def test_the_certificate_is_folded_with_its_largest_error():
     )
     limits = (LimitRow("injection", -4.5e-13, 0, 0, True), LimitRow("room", 3.0, 0, 0, True))
     table = limit_table(Certificate((), limits), "MWh", "Day")
-    assert table.folded == "Limits over all paths and days: 2 of 2 hold"
+    assert table.folded == "Limits over all paths and days: 2 of 2 are met"
     assert [row[2] for row in table.rows] == ["0, up to rounding", "3"]
     broken = limit_table(Certificate((), (LimitRow("room", -3.0, 0, 0, False),)), "MWh", "Day")
     assert broken.rows[0][2] == "−3"

@@ -195,7 +195,7 @@ def test_only_a_mean_is_bounded():
     from snapo import CVaR
 
     problem, policy, relaxation = swing(1)
-    with pytest.raises(ValueError, match="only a mean"):
+    with pytest.raises(ValueError, match="only for a mean"):
         bound(
             replace(problem, objective=CVaR("cash", 0.9)), policy, relaxation=relaxation, paths=64
         )

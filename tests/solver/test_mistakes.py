@@ -118,7 +118,7 @@ def test_a_class_in_place_of_a_simulator_and_other_things_are_told():
         solve(Drift, given)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="a str is neither a simulator nor a Problem"):
         solve("drift", given)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match=r"training is {'steps': 2}; give snapo.Training"):
+    with pytest.raises(ValueError, match=r"training is {'steps': 2}; it must be snapo.Training"):
         solve(Drift(), given, training={"steps": 2})  # pyright: ignore[reportArgumentType]
 
 

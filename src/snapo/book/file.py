@@ -75,8 +75,8 @@ class TasksTable(CaseTable):
     """`[tasks]`"""
 
     policy: Literal["contract", "stress", "shape"] = doc(
-        "what is trained: a policy for each contract, for each stress, or for similar contracts "
-        "together",
+        "policies that are trained: one for each contract, for each stress, or for similar "
+        "contracts together",
         "contract",
     )
     deltas: Literal["base", "all", "none"] = doc(

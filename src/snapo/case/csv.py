@@ -245,7 +245,7 @@ def read_rows(
     Parquet file is read like the CSV of the same table. The only other columns allowed are those
     of `optional`, so that a misspelt column is not taken for an omitted one; None allows any
     column. Names of columns are converted to lower case; with `with_keys`, names with a point are
-    keys of a case and stay as they are.
+    keys of a case and stay unchanged.
     """
     path = file_in_folder(reference, (".csv", ".parquet"))
     name = reference.name

@@ -33,7 +33,7 @@ class Range(NamedTuple):
 
     - `endpoints`: "[)" if the upper endpoint is excluded, "(]" the lower one, "()" both.
     - `note`: text that follows, such as ": the mean of ln S".
-    - `noun`: what one of its numbers is called; "" means "a number", or "a whole number" for
+    - `noun`: the word for one of its numbers; "" means "a number", or "a whole number" for
       integers.
     """
 

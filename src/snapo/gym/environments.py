@@ -59,8 +59,7 @@ class GymDynamics:
 
     The rewards of a path add up to its share of the objective; those of the terminal state come
     with the step that ends the problem. With `endless` the horizon is a time limit, after which the
-    problem would continue: if only the horizon ends the path, the last state has no terminal
-    rewards.
+    problem would continue: if only the horizon ends the path, there are no terminal rewards.
 
     **Raises:** `ValueError` if the objective is not a mean of sums, and so has no reward of a step.
     """

@@ -217,7 +217,7 @@ def _said(inputs: Input, values: np.ndarray, i: int) -> str:
 
 
 def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
-    """A text on what ended a calculation: an error in the user's `module`, with its message, or in
+    """A text on the end of a calculation: an error in the user's `module`, with its message, or in
     snapo.
 
     `moved`: names of the inputs and choices that differ from the run's.

@@ -166,7 +166,7 @@ class LimitFound(NamedTuple):
         return str(self)
 
     def __str__(self) -> str:
-        value = f"one unit more is worth {self.price:,.5g} {plus_minus(self.price_error, 3)}"
+        value = f"the value of one unit more is {self.price:,.5g} {plus_minus(self.price_error, 3)}"
         return (
             f"{self.name}: {self.value:,.6g} {plus_minus(self.standard_error, 3)} (95 %: "
             f"{self.low:,.6g} to {self.high:,.6g}), {self.met}; "

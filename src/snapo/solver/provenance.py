@@ -92,7 +92,7 @@ FEW = 8  # bad paths that are followed step by step
 ADVICE = "snapo.check(simulator, inputs) searches for the line of code."
 LATER = (
     "If the check reports nothing, training led the policy into states in which the simulator is "
-    "not finite: a smaller learning_rate than {rate:.3g}, or narrower bounds of the decisions, "
+    "non-finite: a smaller learning_rate than {rate:.3g}, or narrower bounds of the decisions, "
     "prevents this."
 )
 

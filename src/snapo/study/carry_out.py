@@ -38,7 +38,8 @@ def write_report(domain: Domain, folder: Path) -> Path:
 
 
 def page_of(domain: Domain, folder: Path) -> str:
-    """The report of a run folder as HTML. If a file or a key is missing, the section says so. The
+    """The report of a run folder as HTML. If a file or a key is missing, the section reports this.
+    The
     same files give the
     same page, byte for byte.
     """

@@ -102,7 +102,7 @@ def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
                 yield Mistake(f"{position}: unknown key", _put((*path, UNKNOWN), 1), (UNKNOWN,))
             if path:
                 yield Mistake(
-                    f"{position}: a number in place of a table", _put(path, 1.5), (_named(path),)
+                    f"{position}: a number instead of a table", _put(path, 1.5), (_named(path),)
                 )
         for kind, wrong, certain in _wrong(value):
             by_name = (_named(path),) if certain else ()

@@ -29,8 +29,8 @@ class Bets(snapo.Simulator):
 @pytest.mark.parametrize(
     "objective, limits, told",
     [
-        (snapo.CVaR("cash", 0.9), (), ["102 of 1,024 paths", "take 2,000 paths"]),
-        (snapo.Mean("cash") - 0.5 * snapo.CVaR("cash", 0.95), (), ["51 of 1,024", "take 4,000"]),
+        (snapo.CVaR("cash", 0.9), (), ["102 of 1,024 paths", "use 2,000 paths"]),
+        (snapo.Mean("cash") - 0.5 * snapo.CVaR("cash", 0.95), (), ["51 of 1,024", "use 4,000"]),
         (snapo.Mean("cash"), (snapo.AtMost(snapo.CVaR("cash", 0.9), 9.0),), ["102 of 1,024"]),
         (snapo.Mean("cash") + snapo.CVaR("cash", 0.5), (), []),
     ],

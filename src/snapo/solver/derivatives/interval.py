@@ -79,7 +79,7 @@ class Reported(NamedTuple):
     - `source`: "held" (decisions replayed), "through the policy" (a move of the exact simulator
       with the policy reacting), "range" (at a kink: between both one-sided derivatives) or "not
       known".
-    - `estimate`: the derivative by block; NaN for numbers of which only the sum is known.
+    - `estimate`: the derivative of each block; NaN for numbers of which only the sum is known.
     - `by`: a move of the input; `whole` [B]: the derivative along it by block.
     - `unseen`: standard error of the policy's reaction that is not in `estimate`, an array like the
       input.

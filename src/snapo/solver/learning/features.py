@@ -90,7 +90,7 @@ def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.nd
 
 
 def networks(policy: Policy) -> list[Network | None]:
-    """The networks of a policy that read the features; None in place of each network that was not
+    """The networks of a policy that read the features; None instead of each network that was not
     drawn at random. The list is empty for a policy without networks, such as a rule, and if they
     are unknown: for the stages of
     a chain, or a user-defined class.

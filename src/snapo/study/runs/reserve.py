@@ -17,7 +17,7 @@ def reserved(home: Path, out: Path | None, same: Callable[[Path], bool] | None) 
 
     - `out`: the folder that the command names; None, or `run` in `home`, means a new folder in
       `runs`.
-    - `same`: None for a new run; to resume a run, a function that tells whether a folder has the
+    - `same`: None for a new run; to resume a run, a function that returns whether a folder has the
       run that the command describes, or raises `CaseError` with the difference. The latest such run
       is resumed.
 

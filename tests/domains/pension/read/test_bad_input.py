@@ -47,11 +47,11 @@ MISTAKES = {
     ),
     "one number for two factors": (
         "case.toml", 'kind = "hull-white"', 'kind = "g2++"',
-        ["rates.volatility", "g2++", "one for each factor: 2"],
+        ["rates.volatility", "g2++", "one number for each factor: 2"],
     ),
     "no number for a factor": (
         "case.toml", "mean_reversion = 0.03", "mean_reversion = []",
-        ["rates.mean_reversion", "hull-white", "one for each factor: 1"],
+        ["rates.mean_reversion", "hull-white", "one number for each factor: 1"],
     ),
     "missing rate of the basis": (
         "case.toml", "rate = 0.002", "# ",

@@ -189,7 +189,7 @@ def _too_many(where: TableContext, power: PowerTable) -> CaseError:
     message = (
         f"the plant has more than {MODES} states in which it runs, by hours and power; a larger "
     )
-    return where.error("power.ramp", ramp, f"{message}ramp, or a smaller min_up, leads to fewer")
+    return where.error("power.ramp", ramp, f"{message}ramp, or a smaller min_up, gives fewer")
 
 
 def _by_class(

@@ -27,7 +27,7 @@ class UnitValues(NamedTuple):
     """One step: the value of one more unit of each volume after the step, and of each move.
 
     - `slopes` [pairs, rows …, n]: the slopes of one more unit along the flow from a row.
-    - `moves` [moves, rows …, n]: the value of the mode and the levels to which a move leads,
+    - `moves` [moves, rows …, n]: the value of the mode and the levels in which a move ends,
       relative to the first move of its mode; None if there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow. The last profitable row is
       determined in that number of searches. None if no volume spans more than one row.

@@ -36,7 +36,7 @@ class StepGrid(NamedTuple):
     """One step: the passages of each move, and the nodes `before` and `after` the step, an array
     for each level.
 
-    - `end`: what happens at the end of the step; `ways`: the passages in the form for machine code,
+    - `end`: the changes at the end of the step; `ways`: the passages in the form for machine code,
       or None.
     """
 

@@ -147,7 +147,7 @@ def _curve(
 
 
 CAPTION = (
-    "The chart leads from the value of the first run at the top to that of the second run at the "
+    "The chart goes from the value of the first run at the top to that of the second run at the "
     "bottom. Each bar begins where the bar above it ends; the numbers add up to the change. The "
     "scale does not begin at zero."
 )

@@ -165,8 +165,8 @@ def unknown(model: HistoryModel, low: np.ndarray, high: np.ndarray) -> np.ndarra
 class HistoryFit:
     """The estimates of a calibration.
 
-    - `model`: the model, whose `exact` also has the series that turned out to have no measurement
-      error.
+    - `model`: the model, whose `exact` also has the series without a measurement error according
+      to the estimate.
     - `estimate`: the estimates; `states`: the filtered factors of each date at the estimates, as
       NumPy arrays.
     - `vanished`: the series whose measurement error vanished at the maximum.

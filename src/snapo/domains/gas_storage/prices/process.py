@@ -188,7 +188,8 @@ class GaussianFactors(NamedTuple):
 
 
 class PriceProcess(Process):
-    """A price process of a store: what it provides in addition to the core's `Process`. After
+    """A price process of a store, with further members in addition to those of the core's
+    `Process`. After
     reading it has the numbers of the case; in a simulator it has none of them (see
     `snapo.problem.form`), so that methods for paths read the numbers from their `inputs`.
 

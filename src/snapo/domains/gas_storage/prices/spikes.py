@@ -79,7 +79,7 @@ LARGEST, LEAST = 16.0, 2e-3  # nodes of spikes above 0, as `REACH` of spikes, an
 
 def spike_nodes(spikes: Spikes, count: int) -> np.ndarray:
     """Zero, and about `count` nodes above it in a constant ratio. If possible, the decay of a day
-    is a power of this ratio, so that without a new spike every node leads to another node.
+    is a power of this ratio, so that without a new spike every node moves to another node.
     """
     largest = LARGEST / (1 - spikes.size)
     log_ratio = np.log(LEAST / largest) / (count - 2)

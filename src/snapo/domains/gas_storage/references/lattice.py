@@ -98,7 +98,7 @@ def lattice(
     - `slow_nodes`: nodes of the second factor.
     - `volumes`: "extremes" allows the largest injection, the largest withdrawal and the flow
       nearest to zero of each day. "free" also allows a flow up to the inventory at which more gas
-      is worth less than its price. "every" allows flows to every grid point, and so does "free"
+      has a value below its price. "every" allows flows to every grid point, and so does "free"
       with step ratchets.
     """
     every = range(factors.loading.shape[1])

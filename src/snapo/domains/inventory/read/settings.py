@@ -84,10 +84,9 @@ def unit_slips(files: CaseFiles, inputs: Iterable[Any], period: str) -> list[str
 
 def _ranges(entries: Sequence[CheckedNumbers], period: str) -> Iterator[Plausible]:
     """The ranges, some of them by the size of other numbers of the case."""
-    by_period = f"it must be the discount factor for one {period}"
-    yield Plausible(0.5, 1.0, f"a factor per {period} is expected, such as 0.999, not the rate "
-        f"0.001",
-                    names=("discount",))  # fmt: skip
+    by_period = f"it must refer to one {period}"
+    hint = f"a factor per {period} is expected, such as 0.999, not the rate 0.001"
+    yield Plausible(0.5, 1.0, hint, names=("discount",))
     cost = {entry.name: entry.values[entry.values > 0] for entry in entries}
     short, bought = (cost.get(name, np.zeros(0)) for name in ("shortage_cost", "purchase_cost"))
     if short.size:

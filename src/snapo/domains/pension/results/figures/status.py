@@ -44,7 +44,7 @@ class Pace(NamedTuple):
     - `accrual`: the value of the rights that are earned, on the basis of the liability.
     - `contribution`: the contribution by the rule and its limits, including the `agreed` payments
       in money.
-    - `benefits`, `expenses`: what is paid. `payroll`: salaries.
+    - `benefits`, `expenses`: the payments. `payroll`: salaries.
     - `increase`: the increase net of cuts, as a share, for a year in which prices grow at the
       one-year break-even; if increases are fixed, the fixed rate. `raised`: the increase in money
       of a year's benefits; `liability_raised`: the increase in money of the liability, 0 if the
