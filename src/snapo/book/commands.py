@@ -100,7 +100,7 @@ def sweep_book(
     """The book of a sweep: the case under a stress for each point, or a contract for each."""
     file, tables = load(path)
     if file.suffix != ".toml":
-        message = "a sweep reads a TOML file; save the sheets as CSV files next to one"
+        message = "a sweep cannot read a workbook; write its tables into a TOML file and CSV files"
         raise CaseError(str(file), "", None, message)
     entries, fixed = _axes(assignments, sobol)
     tables, _ = assigned(tables, fixed)

@@ -11,7 +11,7 @@ MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 IN_MEMORY = Range(1, MAX_PATHS, note="; more do not fit in memory")
 STEPS = Range(1, noun="a number of steps")
 EVERY = STEPS._replace(
-    note="; by default 50, 10 for a fitted rule, or a quarter of the steps if they are few"
+    note="; by default 50, for a fitted rule 10, and in a short training a quarter of its steps"
 )
 UP_TO_ONE = Range(0, 1, "(]")
 ObjectiveKey = Annotated[

@@ -62,7 +62,7 @@ class RunResult:
       None if they are missing or non-finite.
     - `references`: {name: value}; `limits`: the fields of a `LimitFound` each; `notes`: sentences.
     - `window`, `clip`, `keep`: the settings of backpropagation at the end of training.
-    - `seconds`: seconds by name; `engine`, `paths`, `seed`: how to get these numbers again.
+    - `seconds`: seconds by name; `engine`, `paths`, `seed`: how to reproduce these numbers.
     """
 
     value: float | None = None

@@ -218,7 +218,10 @@ def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
 
 def _note(limit: LimitFound) -> str:
     if limit.met == "not met":
-        return f"Limit not met on fresh paths: {limit}. Try more steps; it may be infeasible."
+        return (
+            f"Limit not met on fresh paths: {limit}. Try more steps; the limit may also be "
+            f"infeasible."
+        )
     if limit.binds:
         return ""
     if limit.multiplier and limit.at_level:

@@ -93,7 +93,7 @@ class Choice(Actions):
             return None
         return (
             f"Its weights are {np.round(action, 4).tolist()}.",
-            "An exact Choice takes a weight of 1 on one option and 0 on the others: "
+            "An exact Choice takes a weight of 1 on one option and 0 on the others: use "
             "smooth.weights(…) or action.squash(…, smooth).",
         )
 
@@ -195,7 +195,7 @@ class Stop(Actions):
             return None
         return (
             f"It is {np.round(action, 4).tolist()}.",
-            "An exact Stop is 1 or 0: smooth.indicator(…) or action.squash(…, smooth).",
+            "An exact Stop is 1 or 0: use smooth.indicator(…) or action.squash(…, smooth).",
         )
 
 

@@ -215,7 +215,7 @@ class Box(Actions):
         for i in np.flatnonzero(outside)[:1]:
             return (
                 f"Action {i} is {action[i]:g}, outside of {low[i]:g} to {high[i]:g}.",
-                "Squash or clip it: action.squash(…), smooth.clip(…).",
+                "Squash or clip it: use action.squash(…) or smooth.clip(…).",
             )
         return None
 
@@ -265,7 +265,7 @@ class Simplex(Actions):
             return None
         return (
             f"Its shares are {np.round(action, 4).tolist()}.",
-            "A Simplex takes shares of at least 0 that sum to 1: action.squash(…).",
+            "A Simplex takes shares of at least 0 that sum to 1: use action.squash(…).",
         )
 
     def together(self) -> list[list[int]]:

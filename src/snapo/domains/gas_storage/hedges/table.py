@@ -29,7 +29,7 @@ class HedgeTable(CaseTable):
         SETS,
     )
     paths: Annotated[int, Range(256, 1 << 20)] = doc(
-        "simulated paths; the exposures are fitted on twice as many", PATHS
+        "number of simulated paths; the exposures are fitted on twice this number", PATHS
     )
 
 

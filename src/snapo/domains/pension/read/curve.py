@@ -257,7 +257,7 @@ def read_correlations(
         matrix, change = nearest_correlation(matrix)
         section.notes.append(
             f"{table.file} was not positive definite (smallest eigenvalue {smallest:.3g}); in "
-            f"the nearest matrix that is, entries differ by at most {change:.3g}."
+            f"the nearest positive definite matrix, entries differ by at most {change:.3g}."
         )
     below = np.tril_indices(len(names), -1)
     labels = [f"{names[i]}, {names[j]}" for i, j in zip(*below)]

@@ -254,7 +254,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     ]
     head = [("", ""), ("Probability of all limits", "%"), ("", "")]
     batches = number(result.paths.get("evaluate"), 0)
-    caption = f"On the same {batches} fresh batches, exact limits"
+    caption = f"On the same {batches} fresh batches, with exact limits"
     clear = Mark(certain, "yes" if certain else "no")
     blocks: list[Block] = [
         Text(run.result.verdict),
@@ -310,9 +310,9 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
     return [
         Table(head, shares, "Rules on the same batches, paired"),
         Table([(name, "") for name in local], settings, "Settings of the rules", 2),
-        Text("“First settings” are those of the case or of a tuning formula; the rule "
-             "without this label was trained from these, with its recipe, in as many steps as the "
-             "policy."),
+        Text("“First settings” are those of the case or of a tuning formula. The rule without "
+            "this label was trained from these settings together with its recipe, in as many "
+            "steps as the policy."),
     ]  # fmt: skip
 
 

@@ -305,7 +305,7 @@ def _made_with(run: RunFiles, case: Statement, made: Making) -> Table | Missing:
     rows += [(f"SHA-256 of {name}", text) for name, text in (made.hashes or {}).items()]
     if not rows:
         return Missing("This run has no record of seed, versions and hashes.")
-    return Table([], rows, "How to get these numbers again", 2)
+    return Table([], rows, "How to reproduce these numbers", 2)
 
 
 MAKING = Chapter(

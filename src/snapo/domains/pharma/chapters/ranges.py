@@ -122,7 +122,7 @@ def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
         "the effects of one parameter at both ends of the other's normal range."
     )
     if len(result) > SHOWN:
-        caption += f" The {SHOWN} pairs with the smallest margin of {len(result)}."
+        caption += f" Of {len(result)} pairs the {SHOWN} with the smallest margin."
     return [Table([(name, "") for name in head], rows, caption, frozenset({0, 2, 5, 6}))]
 
 
