@@ -206,7 +206,8 @@ class Box(Actions):
         for i in np.flatnonzero(np.isnan(action))[:1]:
             return (
                 f"Action {i} is not a number.",
-                "Look for 0 / 0, or a logarithm or root of a negative number, before it.",
+                "Look for 0 / 0, or a logarithm or root of a negative number, in the code that "
+                "computes it.",
             )
         low, high = self.bounds()
         outside = (action < low - ROUNDING * np.abs(low)) | (

@@ -46,7 +46,8 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     the equations at which the derivative is lost.
 
     Decisions are held fixed: an input that affects only them correctly has derivative zero.
-    Operands of `jax.lax.stop_gradient` are left out, since its author wants no derivative there.
+    Operands of `jax.lax.stop_gradient` are left out, since the author of the code wants no
+    derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]
     values = inputs_.values(inputs)

@@ -181,7 +181,10 @@ class Buckets:
             Bars("Liability", self.before["liability"][used] / scale, "main"),
         ]
         labels = [BUCKET_NAMES[i] for i in used]
-        alt = "Change of value for a rise of 1 bp by tenor bucket, of assets, swaps and liability."
+        alt = (
+            "Change of the value of assets, swaps and liability for a rise of 1 bp, by tenor "
+            "bucket."
+        )
         svg = draw(name, alt, lambda axes: grouped(axes, labels, series, f"{unit} per bp"), 230)
         return Chart(svg, caption)
 

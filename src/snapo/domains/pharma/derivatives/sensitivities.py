@@ -23,7 +23,7 @@ BEYOND = 1e6  # above any share of a room
 class MatrixForms(NamedTuple):
     """Q attributes by P parameters.
 
-    - `raw`: attribute's unit per case's unit of the parameter.
+    - `raw`: in the attribute's unit per case's unit of the parameter.
     - `scaled`: change of the attribute over half the normal operating range.
     - `share`: `scaled` divided by the distance to the nearest limit; NaN if the attribute has no
       limit, infinite if it is on or beyond it.

@@ -225,7 +225,7 @@ def read_uncertainty(
             distribution = read_distribution(section, table.distribution, unit)
             if distribution.kind == "lognormal" and numbers.value(entry) <= 0:
                 message = (
-                    f'"lognormal" needs a nominal value above 0, but that of {table.of} is not'
+                    f'"lognormal" needs a nominal value above 0, which {table.of} does not have'
                 )
                 raise section.error("distribution", table.distribution, message)
             check_drawn(section, table.distribution, distribution, numbers, entry)

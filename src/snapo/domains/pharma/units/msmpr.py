@@ -146,7 +146,7 @@ class Msmpr(Instant):
 
     def equations(self):
         return [
-            "G n′ = (n_in − n)/τ, n(0) = B/G; n = n₀ exp(−L/(G τ)) of a clear feed",
+            "G n′ = (n_in − n)/τ, n(0) = B/G; n = n₀ exp(−L/(G τ)) for a clear feed",
             "M_T = ρ kᵥ μ₃ = M_T,in + " + BALANCE[self.basis],
             "G = g S^a; B = B_r (G/G_r)^i (M_T/M_r)^j",
             f"solubility c*: {self.solubility.kind} in temperature",

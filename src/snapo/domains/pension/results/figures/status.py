@@ -46,9 +46,9 @@ class Pace(NamedTuple):
       in money.
     - `benefits`, `expenses`: the payments. `payroll`: salaries.
     - `increase`: the increase net of cuts, as a share, for a year in which prices grow at the
-      one-year break-even; if increases are fixed, the fixed rate. `raised`: the increase in money
-      of a year's benefits; `liability_raised`: the increase in money of the liability, 0 if the
-      payments contain it.
+      one-year break-even; if increases are fixed, the fixed rate. `raised`: the increase of a
+      year's benefits, in money; `liability_raised`: the increase of the liability, in money, 0 if
+      the payments contain it.
     """
 
     accrual: float
