@@ -23,7 +23,8 @@ class SeasonalTable(CaseTable):
 
     kind: Literal["three-factor-seasonal"] = doc("spot, long-term and seasonal factors")
     spot_mean_reversion: CaseInput = REVERSION(
-        "speed at which the spot returns to the curve", plausible=Plausible(1.0, 1000.0, SPEED)
+        "speed at which the spot price returns to the curve",
+        plausible=Plausible(1.0, 1000.0, SPEED),
     )
     spot_volatility: CaseInput = VOLATILITY("volatility of the fast factor, which reverts")
     long_term_volatility: CaseInput = VOLATILITY("volatility of the whole curve, in parallel")
