@@ -86,7 +86,7 @@ class DatedRule:
 
 class DayResult(NamedTuple):
     """[N] the inventory after a day, the volumes, and the cash flow, discounted as in the ledger.
-    `factors` [N, F]: the mean of the factors conditional on the prices until the day.
+    `factors` [N, F]: the mean of the factors conditional on the prices up to the day.
     """
 
     inventory: np.ndarray

@@ -26,7 +26,7 @@ from ..policy.search import SEARCH_PATHS
 class RuleResult:
     """The result of a rule, minus its cost, and its standard error.
 
-    - `difference`, `difference_error`: the difference to the trained rule and its error, paired
+    - `difference`, `difference_error`: the difference from the trained rule and its error, paired
       path by path; None for the trained rule.
     - `numbers`: the numbers of the rule, in a planner's terms.
     """

@@ -364,5 +364,5 @@ class ReconcileTable(CaseTable):
     liability: float | None = plain("liability of the actuary, in currency", POSITIVE, None)
     duration: float | None = plain("duration of the actuary, in years", POSITIVE, None)
     tolerance: Annotated[float, COMPARED] = plain(
-        "largest relative difference to the actuary", Range(0.0, 1.0, "()"), 0.001
+        "largest relative difference from the figures of the actuary", Range(0.0, 1.0, "()"), 0.001
     )

@@ -256,8 +256,8 @@ def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) 
     smallest, shrunk = _smallest(*(track[f"mu{k}"][0] for k in range(3))), -length.min()
     if 0 < smallest <= shrunk:
         return (
-            f"crystals shrink by {1e6 * shrunk:.3g} um, but the smallest ones at the start have a size "
-            f"of {1e6 * smallest:.3g} um: {REMEDY}"
+            f"crystals shrink by {1e6 * shrunk:.3g} um, but the smallest ones at the start have a "
+            f"size of {1e6 * smallest:.3g} um: {REMEDY}"
         )
     # Nuclei of an interval count as born at its end.
     selected = np.unique(np.linspace(0, len(time) - 1, MAXIMUM).astype(int))
