@@ -174,5 +174,7 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     recipe = getattr(case.simulator, "policy", None) or MLP()
     if not isinstance(recipe, Policy):
         got = Unquoted(f"a {type(recipe).__name__}")
-        raise CaseError(":".join(case.location), "policy", got, "it must be a policy, snapo.MLP()")
+        raise CaseError(
+            ":".join(case.location), "policy", got, "it must be a policy, such as snapo.MLP()"
+        )
     return with_auto(engine, problem, recipe, training, evaluation)

@@ -170,7 +170,9 @@ def register(kind: AnyKind) -> AnyKind:
     if unknown := set(kind.columns) - set(SPECIAL):
         raise TypeError(f"{kind.__name__}: there are no columns {', '.join(sorted(unknown))}.")
     if kind.risk not in RISKS:
-        raise TypeError(f"{kind.__name__}: there is no risk {kind.risk!r}: {', '.join(RISKS)}.")
+        raise TypeError(
+            f"{kind.__name__}: there is no risk {kind.risk!r}; the risks are {', '.join(RISKS)}."
+        )
     if kind.kind in KINDS:
         raise TypeError(
             f"{kind.__name__}: the kind {kind.kind!r} is already that of "
