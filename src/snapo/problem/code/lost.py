@@ -45,7 +45,8 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     """The inputs that move an exact or smooth output but have no derivative, by name, each with
     the equations at which the derivative is lost.
 
-    Decisions are held fixed: an input that affects only them correctly has derivative zero.
+    Decisions are held fixed: for an input that affects only decisions, a derivative of zero is
+    correct.
     Operands of `jax.lax.stop_gradient` are left out, since the author of the code wants no
     derivative there.
     """

@@ -24,8 +24,8 @@ def fewer(paths: int, horizon: int) -> int:
     """The number of paths that together have no more steps than all paths would have with `LONG`
     steps each; at least 512, if there are that many.
 
-    A path of a year by the hour has as many days as four of three months: a mean over days is as
-    accurate with a quarter of the paths.
+    A path of one year by the hour has as many days as four paths of three months, so that a mean
+    over days is as accurate with a quarter of the paths.
     """
     if horizon <= LONG:
         return paths

@@ -148,7 +148,8 @@ def followers(
 ) -> dict[str, tuple[str, Policy]]:
     """{key: (name, policy)} of the rules that follow the funding ratio, ready to be tuned.
 
-    They start at a `mix` that was tuned before, the glide path with bounds at `ratios`. There are
+    They start at a `mix` that was tuned before; the bounds of the glide path start at `ratios`.
+    There are
     none if the funding ratio is not among the observations.
     """
     if not {"funding_ratio", "relative_funding"} & set(case.observation):
