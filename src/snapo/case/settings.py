@@ -55,7 +55,8 @@ class TrainingTable(CaseTable):
         None,
     )
     window: Annotated[int, STEPS] | Literal["auto"] = doc(
-        "steps of a window of backpropagation, after which a critic estimates the rest", "auto"
+        "number of steps of a window of backpropagation, after which a critic estimates the rest",
+        "auto",
     )
     clip: Positive | Literal["auto"] = doc("bound on the adjoint of a path at every step", "auto")
     keep: Annotated[float, UP_TO_ONE] | Literal["auto"] = doc(

@@ -44,7 +44,7 @@ def explain(
 
     - `flows`: for a gas store, a CSV file of the flows on the days between, with columns
       date,volume,price. `cash`: for other contracts, the actual cash flow of the days between.
-    - `out`: folder of the results, by default `explain` in that of the second run.
+    - `out`: folder of the results, by default `explain` in the folder of the second run.
 
     **Raises:** `CaseError` if a run has no value, or the second run cannot follow the first;
     nothing is written.

@@ -226,7 +226,7 @@ def _marked(result: StoreBacktest, case: StorageCase) -> Chart:
     svg = draw("marked", alt, lambda axes: charts.lines(axes, when, lines, case.currency), 260)
     caption = (
         "Cash flow so far plus the expectation of the rest, marked to the curve of each "
-        "solution. A good hedge keeps this sum level."
+        "solution. A good hedge keeps this sum nearly constant."
     )
     return Chart(svg, caption)
 

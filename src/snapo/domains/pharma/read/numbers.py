@@ -47,7 +47,7 @@ class ProfileTable(CaseTable):
         allowed='a list of quantities, such as ["313 K", "278 K"]',
     )
     at: Any = doc(
-        "times of the nodes, by default evenly",
+        "times of the nodes, by default evenly spaced",
         None,
         "shares of the unit's duration, rising from 0 to 1",
     )

@@ -300,7 +300,7 @@ class PharmaTable(CaseTable):
     control: dict | None = subtable("control by a policy within a batch", "control", None)
     goal: dict = subtable("goal of the policy", "goal", {})
     design_space: dict | None = subtable(
-        "ranges that meet all limits with a probability", "design_space", None
+        "ranges in which all limits are met with the required probability", "design_space", None
     )
     estimation: dict | None = subtable("fit of numbers to measured batches", "estimation", None)
     optimise: dict | None = subtable("recipe that is optimised", "optimise", None)
