@@ -57,7 +57,8 @@ class DatedRule:
     def from_curve(self, t: int, before: np.ndarray, spot: float, curve: np.ndarray) -> np.ndarray:
         """[1, F] the factors of the rule's day `t` from its spot price and its curve.
 
-        `curve` [T + 1 - t]: the curve of the day and later ones. The spot price is matched
+        `curve` [T + 1 - t]: the forward prices of the day and of all later days. The spot price is
+        matched
         exactly, and the curve by least squares. If the fit is not unique, it is the one nearest to
         the factors `before` [1, F].
         """
