@@ -142,9 +142,8 @@ class Stop(Actions):
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         """(1 + u / (1 + u^2)^0.5) / 2, where u is the raw score, shifted by that of the untrained
         hazard, divided by temperature * scale. In the exact set it is 1 if u is above 0, else 0.
-        The logistic curve is not used, whose slope vanishes like the hazard itself, so that
-        training
-        could not recover if its first steps all lower the hazard.
+        The logistic curve is not used, because its slope vanishes like the hazard itself: training
+        could then not recover if its first steps all lower the hazard.
         """
         return self._hazard(raw + _score(self.hazard), smooth)
 
