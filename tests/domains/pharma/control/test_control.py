@@ -59,7 +59,7 @@ def test_what_cannot_be_decided_over_time_is_refused(of, low, high, words):
 
 def test_what_is_held_cannot_be_decided():
     wash = {"of": "filter.area", "low": "100 cm^2", "high": "300 cm^2"}
-    with pytest.raises(CaseError, match=r"control.manipulated\[0\].*among those `held`"):
+    with pytest.raises(CaseError, match=r"control.manipulated\[0\].*in the list `held`"):
         control(held=["filter.area"], manipulated=[wash])
 
 
