@@ -96,7 +96,7 @@ def test_a_number_has_the_unit_of_the_case():
         ({"sobol": 4, "range": "35:5"}, "first and last number"),
         ({"sobol": 4, "range": "5:35:7"}, "first and last number"),
         ({"range": "5:35"}, "also write sobol = 64"),
-        ({"sobol": 4, "values": [1.0], "range": "5:35"}, "either values or these"),
+        ({"sobol": 4, "values": [1.0], "range": "5:35"}, "either values or Sobol points"),
         ({"sobol": 0, "range": "5:35"}, "1 or more"),
     ],
 )
@@ -116,7 +116,7 @@ def test_axes_of_sobol_points_have_one_number_of_them():
     ("setting", "message"),
     [
         (f"{COST}=1:10:1", "injection_cost: got '1:10:1'.*in steps of 1 it is 1:10:10"),
-        (f"{COST}=5", "no key has several values"),
+        (f"{COST}=5", "at least one key needs several values"),
         ("contract.injektion_cost=0:1:3", "nearest known key is injection_cost"),
         (f"{LEVEL}=-40:20:3", "of at least 0"),
     ],
@@ -237,7 +237,7 @@ def test_stresses_of_a_parquet_are_those_of_a_csv(tmp_path):
 
 def test_a_stress_moves_a_key_once_and_labels_are_no_results(tmp_path):
     stress = f'[[stress]]\nname = "a"\nset = {{ "{COST}" = 1.0 }}\nshift = {{ "{COST}" = 1.0 }}\n'
-    with pytest.raises(CaseError, match="cannot also be scaled, shifted or set twice"):
+    with pytest.raises(CaseError, match="cannot also be scaled, shifted or set again"):
         read_book(write_book(tmp_path / "a", ROWS[:1], stresses=stress))
     with pytest.raises(CaseError, match="rename the column of the table"):
         read_book(write_book(tmp_path / "b", [{"name": "a", "value": 3}]))

@@ -104,7 +104,8 @@ def test_a_book_is_not_a_case(tmp_path, capsys, command):
     file.write_text('kind = "book"\n[cases]\ntemplate = "store"\n')
     assert main([command, str(file), "--set", "a=1,2"][: 2 if command == "solve" else 4]) == 2
     assert (
-        "got 'book'; this is a book of contracts: snapo book values it" in capsys.readouterr().err
+        "got 'book'; this is a book of contracts: use snapo book to value it"
+        in capsys.readouterr().err
     )
 
 

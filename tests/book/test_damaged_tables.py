@@ -18,7 +18,7 @@ MOVES = (
 SAME = "the same numbers"
 NUMBER = "it must be a finite number"
 DATE = "there is no such day or month in the calendar"
-PERIOD = "two months or days with a slash"
+PERIOD = "two months or days separated by a slash"
 
 
 def with_text(old, new):
@@ -55,7 +55,10 @@ FORMS = {
     "web page": (lambda x: b"<html>log in</html>", "line 1: got the header .* is missing"),
     "row twice": (lambda x: x + x.split(b"\n")[1] + b"\n", "line 2"),
     "table twice": (lambda x: x + x, "line ., column .*: got '"),
-    "cell missing": (lambda x: x.rstrip().rpartition(b",")[0], "line .: got . cells; the header"),
+    "cell missing": (
+        lambda x: x.rstrip().rpartition(b",")[0],
+        "line .: got . cells; the row must have",
+    ),
     "open quotation mark": (lambda x: x + b'"a', "line .: "),
     "column twice": (headed(lambda x: x + b"," + x.rpartition(b",")[2]), "column appears twice"),
 }
@@ -124,7 +127,7 @@ MOVES_ONLY = {
         lambda x: with_text("up,1.1,,,", "up,1.1,,2.0,")(
             with_text("set contract.injection_cost", "set market.forward_curve")(x)
         ),
-        "line 2, column set market.forward_curve: .*in this row the key is set",
+        "line 2, column set market.forward_curve: .*in this row the key is already set",
     ),
 }  # fmt: skip
 
@@ -188,7 +191,7 @@ def test_scale_and_shift_of_a_row_in_either_order(folders):
     [
         (
             'table = "moves.csv"\nname = "a"',
-            r"stress\[1\]\.name: got 'a'; a stress with a table takes",
+            r"stress\[1\]\.name: got 'a'; a stress with a table may have",
         ),
         ('name = "a"\nset = { "a.b" = 1 }\nwhen = "2025-01/2025-01"', r"stress\[1\]\.when: got"),
         ('name = "base"\nset = { "a.b" = 1 }', "the name of the unstressed point"),

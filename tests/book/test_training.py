@@ -81,7 +81,7 @@ def test_small_steps_have_one_note(setup, alone, monkeypatch):
 def test_another_engine_is_refused(case, capfd):
     command = ["solve", str(case), "--out", str(case / "run"), "--engine", "xla", "--workers", "2"]
     assert main(command) == 2
-    assert "only the native engine uses workers, and this is XLA" in capfd.readouterr().err
+    assert "only the native engine uses workers, but this is XLA" in capfd.readouterr().err
     assert not (case / "run").exists()
 
 

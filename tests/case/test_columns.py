@@ -87,7 +87,7 @@ def test_a_mistake_in_a_parquet_file_has_its_line(tmp_path):
 def test_what_is_no_frame_or_no_such_file_is_refused(tmp_path):
     with pytest.raises(TypeError, match="a list is not a data frame"):
         snapo.write_table([1, 2], tmp_path / "curve.csv")
-    with pytest.raises(ValueError, match=r"allowed are \.csv and \.parquet"):
+    with pytest.raises(ValueError, match=r"must end in \.csv or \.parquet"):
         snapo.write_table(polars.DataFrame({"a": [1]}), tmp_path / "curve.xls")
 
 

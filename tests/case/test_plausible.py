@@ -99,7 +99,7 @@ def test_a_number_a_hundred_times_its_neighbours_is_noted(files):
     (note,) = implausible([curve], [Plausible(-np.inf, np.inf, "", ratio=20.0)], files).values()
     assert note == (
         "curve.csv, line 4, column price: forward_curve 2025-02-01 is 2,000 EUR/MWh, "
-        "97.6 times its neighbours of about 20.5 EUR/MWh: is it in the same unit?"
+        "97.6 times its neighbours, which are about 20.5 EUR/MWh: is it in the same unit?"
     )
     calm = curve._replace(values=np.linspace(1.0, 60.0, 84))
     assert not implausible([calm], [Plausible(-np.inf, np.inf, "", ratio=20.0)], files)

@@ -117,7 +117,7 @@ def test_every_mistake_of_a_table_is_named_at_once():
 
 
 def test_limits_are_refused_with_their_own_reason():
-    with pytest.raises(CaseError, match=r"0\.95; no market has this; it must be .* to 0\.9"):
+    with pytest.raises(CaseError, match=r"0\.95; no market has this value; it must be .* to 0\.9"):
         read({"share": 0.95})
 
 

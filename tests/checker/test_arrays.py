@@ -120,10 +120,13 @@ def test_slices_past_the_end_are_warnings_with_slice_length_and_line():
     items = sliced(Sliced()).items
     said = [item.subject for item in items]
     assert len(items) == 4 and {item.severity for item in items} == {"warning"}
-    assert items[0].where.startswith("prepare, ") and "[2:9] is taken of 4" in said[0]
+    assert items[0].where.startswith("prepare, ") and "[2:9] is taken from an array of 4" in said[0]
     assert all(item.where.startswith("step, ") for item in items[1:])
-    assert "[1:4] is taken of 2 entries" in said[1] and "noise[1:4].sum()" in said[1]
-    assert "[0:3] is taken of 1 " in said[2] and "[-3:] is taken of 2 entries" in said[3]
+    assert "[1:4] is taken from an array of 2 entries" in said[1] and "noise[1:4].sum()" in said[1]
+    assert (
+        "[0:3] is taken from an array of 1 " in said[2]
+        and "[-3:] is taken from an array of 2 entries" in said[3]
+    )
 
 
 def test_slices_within_are_no_mistake_and_jax_is_left_as_it_was():

@@ -179,7 +179,7 @@ class WrongKey(Good):
         (UnknownTotal(), "totals", "crash"),
         (OneResult(), "step", "return (state, outputs)"),
         (PlainNumpy(), "step, ", "NumPy was called"),
-        (PythonIf(), "step, ", "Python decides"),
+        (PythonIf(), "step, ", "to decide something here"),
         (PythonFloat(), "observe, ", "Python needs the value"),
         (WrongKey(), "terminal, ", "KeyError: 'stok'"),
     ],

@@ -187,7 +187,7 @@ def test_a_global_that_changed_is_checked_as_it_is_now(monkeypatch):
     assert not len(simulator_mistakes(Placed(), INPUTS))
     monkeypatch.setitem(globals(), "PLACE", 7)
     for found in (simulator_mistakes(Placed(), INPUTS), check(Placed(), INPUTS)):
-        assert "It has 3 entries" in str(found), str(found)
+        assert "The array has 3 entries" in str(found), str(found)
     monkeypatch.undo()
     assert not len(simulator_mistakes(Placed(), INPUTS))
 

@@ -58,7 +58,7 @@ def test_the_likely_cause_is_named(simulator, fix):
 
 
 def test_a_class_in_place_of_its_object_is_refused_by_solve():
-    with pytest.raises(ValueError, match=r"Hedge is a class; give its object, Hedge\(\)"):
+    with pytest.raises(ValueError, match=r"Hedge is a class; pass an object of it, Hedge\(\)"):
         snapo.solve(Hedge, INPUTS, objective=snapo.Mean("cash"))  # pyright: ignore
 
 

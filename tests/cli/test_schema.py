@@ -131,7 +131,7 @@ HOVERS = {  # {kind: table, key, text}
         "Temperature of the smoothed rules in the last quarter of the steps. Allowed: a number "
         "above 0."),
     "book": ("TasksTable", "judge",
-        "Share of contracts with derivatives tested by bumps. Allowed: a number from 0 to 1."),
+        "Share of the contracts whose derivatives are tested by bumps. Allowed: a number from 0 to 1."),
     "calibration": ("HistoryTable", "season",
         "Number of waves in the season of a year. Allowed: 0, 1 or 2."),
 }  # fmt: skip

@@ -137,7 +137,7 @@ def test_spaces_of_others_take_what_they_can():
     ):
         with pytest.raises(ValueError, match="do not fit into the space"):
             writer(space, action)
-    with pytest.raises(ValueError, match="decisions of the policy is 3, but that of options is 2"):
+    with pytest.raises(ValueError, match="the policy decides 3 numbers, but there are 2 options"):
         writer(spaces.Discrete(2))(best)
 
 

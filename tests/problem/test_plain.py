@@ -66,7 +66,9 @@ def test_any_module_is_trained_by_both_engines(name):
 
 def test_sizes_that_do_not_fit_are_told():
     wide = eqx.nn.MLP(3, 2, 8, 1, key=jax.random.key(1))
-    with pytest.raises(ValueError, match=r"MLP gives numbers of shape \(2,\) .* shape \(1,\)"):
+    with pytest.raises(
+        ValueError, match=r"MLP returns an array of shape \(2,\) .* the shape of the action, \(1,\)"
+    ):
         snapo.solve(Reservoir(), inputs, wide, objective=snapo.Mean("cash"))
     narrow = eqx.nn.MLP(4, 1, 8, 1, key=jax.random.key(1))
     with pytest.raises(ValueError, match="MLP does not take an observation of 3 numbers"):

@@ -49,7 +49,7 @@ def test_what_is_made_stays_itself():
 
 
 def test_what_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match=r"takes 5 features and gives 2 .* has 3 and 2"):
+    with pytest.raises(ValueError, match=r"takes 5 features and decides 2 .* has 3 and 2"):
         MLP(BOX.action, 5, key=KEY).for_problem(BOX, KEY)
     with pytest.raises(ValueError, match="together, or none"):
         MLP(BOX.action, 5)
@@ -112,5 +112,5 @@ def test_a_rule_of_ones_own_may_be_exact_unless_told():
 def test_a_policy_that_remembers_says_what_it_takes():
     policy = GRU(Box(0.0, 1.0), 2, key=jax.random.key(0), hidden=4)
     assert policy([0.3, -0.1, 0.0, 0.0, 0.0, 0.0]).shape == (5,)
-    with pytest.raises(ValueError, match="followed by the 4 numbers that it remembers"):
+    with pytest.raises(ValueError, match="followed by the 4 numbers of the memory"):
         policy([0.3, -0.1])

@@ -203,7 +203,7 @@ def test_an_odd_number_of_antithetic_paths_is_completed():
     source = Pseudo(1)
     assert (source.available(65), source.available(64)) == (66, 64)
     assert Pseudo(1, antithetic=False).available(65) == 65
-    with pytest.raises(ValueError, match="65 antithetic paths; they come in pairs"):
+    with pytest.raises(ValueError, match="65 antithetic paths; their number must be even"):
         source.blocks(65)
     assert sorted(np.concatenate(source.blocks(66))) == list(range(66))
 

@@ -210,7 +210,7 @@ def test_stages_of_one_set_of_any_kind_equal_one_simulator(action, smooth):
 
 def test_recipes_and_wrong_numbers_of_policies_are_refused():
     chain = Chain([Heat(), Grow()], [move])
-    with pytest.raises(ValueError, match="1 policies and 2 stages"):
+    with pytest.raises(ValueError, match="1 policies for 2 stages"):
         made(chain, MLP())
     with pytest.raises(ValueError, match="this is a recipe"):
         Stages([MLP(), MLP()])(jnp.zeros(5), Exact())

@@ -21,12 +21,12 @@ def run(growth, **result):
         (
             5000.0,
             {"clip": 12.5},
-            ["5,000-fold", "'angle'", "bounded each path's adjoint at 12"],
+            ["5,000-fold", "'angle'", "each path's adjoint was bounded at 12"],
         ),
         (5000.0, {"window": 25}, ["used windows of 25 steps"]),
-        (5000.0, {"clip": 3.0, "keep": 0.9}, ["only a share of 0.9 of it"]),
+        (5000.0, {"clip": 3.0, "keep": 0.9}, ["only a share of 0.9 of the adjoint"]),
         (5000.0, {}, ["5,000-fold"]),
-        (50.0, {}, ["no more than usual"]),
+        (50.0, {}, ["which is usual"]),
     ],
 )
 def test_the_sentence_under_the_chart(growth, result, said):

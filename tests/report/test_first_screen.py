@@ -41,7 +41,10 @@ def test_the_bound_is_in_the_first_box_and_nowhere_else_on_the_first_screen():
                 notes=(described, "a note"))  # fmt: skip
     first = headline(files).blocks
     assert isinstance(first[0], Headline)
-    assert plain(first[0].context) == "Optimum: at most EUR 100.70 (95 %), 0.60 % from this policy."
+    assert (
+        plain(first[0].context)
+        == "Optimum: at most EUR 100.70 (95 %), 0.60 % away from the value of this policy."
+    )
     assert first[0].error == "±\N{NO-BREAK SPACE}0.20"
     assert "± is half of a 95 % interval, simulation error only" in first[0].note
     assert [x.text for x in notes(files)] == ["a note"]
@@ -57,7 +60,10 @@ def test_of_a_cost_the_bound_is_from_below():
     for x in (costs["lower"], costs["upper"]):
         x |= {"value": x["value"] - 200, "low": x["low"] - 200, "high": x["high"] - 200}
     text = optimum(run({"bound": costs | {"paths": 64}}), cost=True)
-    assert plain(text) == "Lowest possible cost: at least 99.30 (95 %), 0.60 % from this policy."
+    assert (
+        plain(text)
+        == "Lowest possible cost: at least 99.30 (95 %), 0.60 % away from the value of this policy."
+    )
 
 
 def test_the_policy_and_its_start_are_compared_on_common_paths():
@@ -97,12 +103,12 @@ def test_the_certificate_is_folded_with_its_largest_error():
     )
     table = bump_table(Certificate(rows), "EUR")
     assert table.folded == (
-        "Adjoint against bumps: 2 of 2 hold; the largest error is 11.9 EUR of 18.5 allowed "
+        "Adjoint compared with bumps: 2 of 2 agree; the largest error is 11.9 EUR of 18.5 allowed "
         "(Volatility)"
     )
     limits = (LimitRow("injection", -4.5e-13, 0, 0, True), LimitRow("room", 3.0, 0, 0, True))
     table = limit_table(Certificate((), limits), "MWh", "Day")
-    assert table.folded == "Limits over all paths and days: 2 of 2 hold"
+    assert table.folded == "Limits over all paths and days: 2 of 2 are met"
     assert [row[2] for row in table.rows] == ["0, up to rounding", "3"]
     broken = limit_table(Certificate((), (LimitRow("room", -3.0, 0, 0, False),)), "MWh", "Day")
     assert broken.rows[0][2] == "−3"

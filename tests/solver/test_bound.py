@@ -187,7 +187,7 @@ def test_a_trained_scale_undoes_a_penalty_that_is_too_large():
 def test_what_is_no_relaxation_is_refused(monkeypatch):
     problem, policy, relaxation = swing(1)
     monkeypatch.setattr(relaxation, "best", lambda *given: np.zeros(64))
-    with pytest.raises(ValueError, match="not a relaxation"):
+    with pytest.raises(ValueError, match="not a valid relaxation"):
         bound(problem, policy, relaxation=relaxation, paths=64, engine=ENGINE)
 
 
@@ -195,7 +195,7 @@ def test_only_a_mean_is_bounded():
     from snapo import CVaR
 
     problem, policy, relaxation = swing(1)
-    with pytest.raises(ValueError, match="only a mean"):
+    with pytest.raises(ValueError, match="only for a mean"):
         bound(
             replace(problem, objective=CVaR("cash", 0.9)), policy, relaxation=relaxation, paths=64
         )

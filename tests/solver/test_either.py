@@ -92,7 +92,9 @@ def test_what_stands_beside_a_problem_is_refused(name):
         VERBS[name](PROBLEM, scenarios=SOURCES)
     with pytest.raises(ValueError, match=f"^{name}: a dict is neither a simulator nor a Problem"):
         VERBS[name]({}, INPUTS)
-    with pytest.raises(ValueError, match=rf"^{name}: Till is a class; give its object, Till\(\)"):
+    with pytest.raises(
+        ValueError, match=rf"^{name}: Till is a class; pass an object of it, Till\(\)"
+    ):
         VERBS[name](Till, INPUTS)
 
 

@@ -114,11 +114,11 @@ def test_outputs_that_are_not_there_are_named_with_those_that_are(objective, lim
 
 def test_a_class_in_place_of_a_simulator_and_other_things_are_told():
     given = Inputs(Input(0.9))
-    with pytest.raises(ValueError, match=r"Drift is a class; give its object, Drift\(\)"):
+    with pytest.raises(ValueError, match=r"Drift is a class; pass an object of it, Drift\(\)"):
         solve(Drift, given)  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="a str is neither a simulator nor a Problem"):
         solve("drift", given)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match=r"training is {'steps': 2}; give snapo.Training"):
+    with pytest.raises(ValueError, match=r"training is {'steps': 2}; it must be snapo.Training"):
         solve(Drift(), given, training={"steps": 2})  # pyright: ignore[reportArgumentType]
 
 

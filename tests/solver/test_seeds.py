@@ -72,7 +72,7 @@ def test_a_second_seed_compiles_nothing(found):
 
 def test_seeds_without_sense_are_refused():
     for wrong in ((), (1, 1), 0):
-        with pytest.raises(ValueError, match="one or more, each once"):
+        with pytest.raises(ValueError, match="there must be at least one seed, and no seed twice"):
             snapo.solve_seeds(Reservoir(), inputs, seeds=wrong, objective=CASH)
     problem = snapo.Problem(Reservoir(), inputs, CASH)
     with pytest.raises(ValueError, match="a Problem has its own inputs"):

@@ -116,7 +116,10 @@ def test_what_is_refused(fake, case, capsys):
     assert "this is the folder of the case" in capsys.readouterr().err
     assert main(["solve", str(case), "--simulator", "simulator:Mine"]) == 2
     message = capsys.readouterr().err
-    assert 'a case of kind "fake" has its own simulator; one of yours is of kind "own"' in message
+    assert (
+        'a case of kind "fake" has its own simulator; a simulator of yours needs a case of kind "own"'
+        in message
+    )
     for name in (case, case / "case.toml"):
         assert main(["report", str(name)]) == 2
         assert (

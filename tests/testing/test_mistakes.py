@@ -72,7 +72,7 @@ def test_a_reader_that_is_right_has_no_complaints(folder, tmp_path):
     names = {mistake.name for mistake in spoilt}
     assert len(names) == len(spoilt) > 60
     for name in (
-        "the case: unknown key", "tank: a number for a table", "tank.volume: not a number",
+        "the case: unknown key", "tank: a number instead of a table", "tank.volume: not a number",
         "tank.stages: a truth value", "tank.levels.1: infinite", "tank.open: left out",
         "prices.csv: missing", "prices.csv: unknown column for price",
         "prices.csv, line 4, price: another sign",

@@ -161,7 +161,7 @@ def _range_of(file: str, where: str, table: AxisTable) -> _Range | None:
             raise CaseError(file, f"{where}.range", table.range, message)
         return None
     if table.values:
-        message = 'Sobol points lie in a range = "5:35"; an axis has either values or these'
+        message = 'Sobol points need a range = "5:35"; an axis has either values or Sobol points'
         raise CaseError(file, f"{where}.values", table.values, message)
     match = RANGE.fullmatch(table.range)
     allowed = 'first and last number of the Sobol points, "5:35"'
@@ -188,7 +188,9 @@ def _sobol(
     count = tables[selected[0][0]].sobol or 0
     for i, _ in selected:
         if tables[i].sobol != count:
-            message = f"it must be {count}, as above: the axes share their Sobol points"
+            message = (
+                f"it must be {count}, as for the axis above: all axes share their Sobol points"
+            )
             raise CaseError(file, f"{where[i]}.sobol", tables[i].sobol, message)
     engine = qmc.Sobol(len(selected), scramble=True, rng=np.random.default_rng(seed))
     # Sobol points come in powers of two.

@@ -232,8 +232,8 @@ class Results:
             ],
             "notes": [
                 f"contracts of the market {market or 'of the book'} are not valued on common paths "
-                "(jumps with several starts, or quasi-random points with several ends): their sums "
-                "have no error"
+                "(jumps with several starts, or quasi-random points with several ends): the "
+                "errors of their sums are not known"
                 for market in self.total.shares
                 if not self.total.is_common(market)
             ],

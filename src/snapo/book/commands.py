@@ -101,7 +101,7 @@ def sweep_book(
     """The book of a sweep: the case under a stress for each point, or a contract for each."""
     file, tables = load(path)
     if file.suffix != ".toml":
-        message = "a sweep reads a TOML file; save the sheets as CSV files next to one"
+        message = "a sweep cannot read a workbook; write its tables into a TOML file and CSV files"
         raise CaseError(str(file), "", None, message)
     entries, fixed = _axes(assignments, sobol)
     tables, _ = assigned(tables, fixed)
@@ -179,7 +179,8 @@ def _axes(assignments: Sequence[str], sobol: int | None) -> tuple[list[dict[str,
             fixed.append(text)
     if not entries:
         message = (
-            "no key has several values; write a range (KEY=0:2000:5) or several values (KEY=1,2,5)"
+            "at least one key needs several values; write a range (KEY=0:2000:5) or a list "
+            "(KEY=1,2,5)"
         )
         raise CaseError(OPTION, "", fixed[0] if fixed else None, message)
     if sobol is not None and not any("sobol" in entry for entry in entries):
@@ -227,7 +228,7 @@ def check(path: Path) -> list[str]:
         f"{book.title}: {counted(len(book.contracts), 'contract')}{same}, "
         f"{counted(stresses, 'stress')}",
         *([f"markets: {', '.join(markets)}"] if markets else []),
-        f"{counted(plan.size, 'job')} of {counted(1 + stresses, 'point')} for each contract",
+        f"{counted(plan.size, 'job')}; {counted(1 + stresses, 'point')} for each contract",
         f"shapes of contracts: about {shapes:,}; contracts whose derivatives are tested by "
         f"bumps: {judged:,}",
         f"expected: {_duration(seconds)} of processor time, if the contracts are gas stores of a "

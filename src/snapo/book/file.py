@@ -48,12 +48,12 @@ class CasesTable(CaseTable):
     """`[cases]`"""
 
     template: str = doc(
-        "case of which every contract is a copy", "",
+        "case that is copied for every contract", "",
         'the folder of a case, relative to the book: "store"',
     )  # fmt: skip
     files: str = doc("cases of the book", "", 'cases by a pattern, "contracts/*/case.toml"')
     table: str = doc(
-        "contracts, a copy of the template in a row",
+        "contracts, each a row with a copy of the template",
         "",
         'the CSV of the contracts, "contracts.csv"',
     )
@@ -75,17 +75,20 @@ class TasksTable(CaseTable):
     """`[tasks]`"""
 
     policy: Literal["contract", "stress", "shape"] = doc(
-        "training: of a contract, again under a stress, or of similar contracts together",
+        "policies that are trained: one for each contract, for each stress, or for similar "
+        "contracts together",
         "contract",
     )
     deltas: Literal["base", "all", "none"] = doc(
-        "derivatives: of unstressed values, of all, or of none", "base"
+        "which values have derivatives: the unstressed ones, all, or none", "base"
     )
     judge: Annotated[float, Range(0, 1)] = doc(
-        "share of contracts with derivatives tested by bumps", 0.1
+        "share of the contracts whose derivatives are tested by bumps", 0.1
     )
     paths: Annotated[int, Range(64, 2**24)] = doc("paths of a value", 16384)
-    exposure: bool = doc("whether the mean of every output by day is computed, unstressed", True)
+    exposure: bool = doc(
+        "whether the mean of every output by day is computed, without stresses", True
+    )
 
 
 class RunTable(CaseTable):
@@ -236,7 +239,12 @@ def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
     path = _in_folder(file, f"markets.{name}.file", table.file)
     tables = load(path)[1]
     if other := set(tables) - set(SHARED):
-        raise CaseError(str(path), sorted(other)[0], None, "a market has [market] and [model] only")
+        raise CaseError(
+            str(path),
+            sorted(other)[0],
+            None,
+            "the file of a market may have only the tables [market] and [model]",
+        )
     if not tables:
         raise CaseError(str(path), "market", None, "this table is missing")
     return MarketFiles(path, tables, contents(path.parent, tables))

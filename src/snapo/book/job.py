@@ -36,17 +36,17 @@ class BookJob:
     """The task of a worker: one contract with some stresses.
 
     - `case`: the text of case.toml; `files`: {name: content} of the files that it names.
-    - `stresses`: the moves of each.
+    - `stresses`: the moves of each stress.
     - `tasks`: the tasks of the book; `seed`: the seed of training and paths.
     - `base`: whether the unstressed point is computed too, before the stresses.
-    - `judged`: whether bumps test the derivatives; `bumped`: the inputs whose derivatives they test
-      if it is not, since a bump refuted one of a similar contract.
-    - `policy`: the file of a trained one; None: the job trains its policy, for the base or, if
-      a policy is trained for each stress, for its only stress.
+    - `judged`: whether bumps test the derivatives. If not, they test those with respect to the
+      inputs `bumped`, each of which a bump refuted in a similar contract.
+    - `policy`: the file of a trained policy. With None the job trains its policy, for the base or,
+      if a policy is trained for each stress, for its only stress.
     - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
       takes, so that it needs no training.
     - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
-      the fingerprint of the processors that give the same bits.
+      the fingerprint of the processors that give bit-identical results.
     """
 
     case: str
@@ -141,7 +141,8 @@ class BookPoint(NamedTuple):
 
     - `status`: "ok" or "failed", with a `note`.
     - `shares`: [B] mean of the value over each batch of paths; the value is their mean.
-    - `changes`: {input: [n] its numbers minus those of the base}, of inputs that a stress moves.
+    - `changes`: {input: [n] its numbers minus those of the base}, for the inputs that a stress
+      moves.
     - `deltas`: held derivatives with respect to the inputs, if the book asks for them.
     - `outputs`: the totals of the paths; `exposure`: the outputs by day.
     """
@@ -165,9 +166,10 @@ class BookPoint(NamedTuple):
 class OutputFigures(NamedTuple):
     """An output of a simulator, or a quality attribute of a process, over the paths of a point.
 
-    - `value`, `standard_error`: of its mean; `deviation`, `p05`, `p95`: between paths.
-    - `nominal`: at the set point of a process; `within`: the share of its batches within the
-      limits; None for other outputs.
+    - `value`, `standard_error`: its mean and the error of the mean; `deviation`, `p05`, `p95`: the
+      standard deviation and quantiles between paths.
+    - `nominal`: its value at the set point of a process; `within`: the share of batches within its
+      limits. Both are None for other outputs.
     """
 
     name: str
@@ -205,7 +207,8 @@ class OutputFigures(NamedTuple):
 class Delta(NamedTuple):
     """The held derivatives with respect to the `n` numbers of one input.
 
-    - `labels`, `unit`: of the input; `blocks`: [32 to 64, n] of independent blocks of paths.
+    - `labels`, `unit`: those of the input; `blocks`: [32 to 64, n] the derivatives on independent
+      blocks of paths.
     - `trusted`: whether no bump of the input refuted them; None if none was made.
     """
 
@@ -234,10 +237,10 @@ class Delta(NamedTuple):
 
 
 class Exposure(NamedTuple):
-    """The mean of an output of every step.
+    """The mean of an output at every step.
 
     - `days`: [T] dates, or the numbers of steps from 1 if a case has no dates.
-    - `blocks`: [32 or fewer, T] of independent blocks of paths.
+    - `blocks`: [32 or fewer, T] the means over independent blocks of paths.
     """
 
     output: str
@@ -249,9 +252,10 @@ class Exposure(NamedTuple):
 class JobResult(NamedTuple):
     """The results of a job.
 
-    - `points`: the base first where the job has one, then those of its stresses.
-    - `policy`: the file of the trained one; `shape`: the hash of all that code is compiled for.
-    - `world`: equal for results whose path p is the same world (`Scenarios.world`).
+    - `points`: the base first, if the job has one, then the points of its stresses.
+    - `policy`: the file of the trained policy; `shape`: the hash of everything for which code is
+      compiled.
+    - `world`: equal for results whose path p is the same scenario (`Scenarios.world`).
     """
 
     points: tuple[BookPoint, ...]
@@ -283,7 +287,9 @@ class JobResult(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> "JobResult":
-        """The result of these bytes. **Raises:** `ValueError` if they are not a result."""
+        """The result of these bytes.
+
+        **Raises:** `ValueError` if they are not a result."""
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = dict(file)
@@ -316,7 +322,7 @@ class Cost(NamedTuple):
 
     - `cpu_seconds`: the processor seconds of all threads of the worker; `peak_mb`: its peak memory
       so far.
-    - `worker`: its process and machine.
+    - `worker`: the process and machine of the worker.
     """
 
     cpu_seconds: float
@@ -331,7 +337,9 @@ def enclosed(result: bytes, cost: Cost) -> bytes:
 
 
 def opened(data: bytes) -> tuple[bytes, Cost]:
-    """The result and its cost. **Raises:** `ValueError` if they are not complete."""
+    """The result and its cost.
+
+    **Raises:** `ValueError` if they are not complete."""
     head, _, result = data.partition(b"\n")
     try:
         table = json.loads(head)

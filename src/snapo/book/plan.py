@@ -22,7 +22,7 @@ MIN_JUDGED = 3  # of similar contracts
 def similarity_key(contract: BookContract) -> str:
     """Equal for contracts that probably share compiled code: they differ only in numbers.
 
-    It only affects the sequence; the shape of a result is that of its compiled code.
+    The key only affects the sequence of jobs; the shape of a result is that of its compiled code.
     """
     term = contract.tables.get("contract", {})
     days = "start" in term and "end" in term and _days(term["start"], term["end"])
@@ -138,9 +138,9 @@ class BookPlan:
         ]
 
     def base(self, contract: BookContract, read: ResultReader) -> BookJob | None:
-        """The first job of a contract; None while it waits for similar ones.
+        """The first job of a contract; None while it waits for similar contracts.
 
-        If a bump refuted a derivative of one of them, bumps test the derivatives with respect to
+        If a bump refuted a derivative of one of these, bumps test the derivatives with respect to
         this input in all similar contracts, and each trains its own policy.
         """
         first = self.first_of_case[contract.name]

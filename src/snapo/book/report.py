@@ -70,7 +70,7 @@ def _policy(tasks: Mapping[str, Any]) -> str:
     if tasks["policy"] == "stress":
         return "trained again under every stress"
     if tasks["policy"] == "shape":
-        return "trained once for similar contracts if that costs at most 0.5 %"
+        return "trained once for similar contracts if that loses at most 0.5 % of the value"
     return "trained once for each contract, and unchanged under stress"
 
 
@@ -137,7 +137,7 @@ def _stresses(result: Mapping[str, Any]) -> Section:
     svg = draw("stress-bars", alt, lambda axes: charts.ladder(axes, bars), 40 + 26 * len(bars))
     caption = "The change of the book's value under every stress, the worst first"
     if len(displayed) < len(rows):
-        caption += f"; of {len(rows):,} the {MAX_ROWS // 2} worst and the {MAX_ROWS // 2} best"
+        caption += f"; the {MAX_ROWS // 2} worst and the {MAX_ROWS // 2} best of {len(rows):,}"
     columns = [
         Column("Stress", "name"),
         Column("Value", "value"),
@@ -150,7 +150,8 @@ def _stresses(result: Mapping[str, Any]) -> Section:
     text = Text(
         "A policy that was trained once for its contract decides under the stress too; its value "
         "table and the control variate are computed again from the stressed numbers. The "
-        "derivatives are taken at the base, with decisions held fixed: to first order.",
+        "explained change is of first order: it uses the derivatives at the base, with decisions "
+        "held fixed.",
         caveat=True,
     )
     blocks = [Chart(svg, caption + "."), table(displayed, columns), text]
@@ -316,7 +317,7 @@ def _by_day(
     low, high = (number(float(of([x.values for x in lines]))) for of in (np.nanmin, np.nanmax))
     alt = f"{title}, by day, from {low} to {high}"
     svg = draw(name, alt, lambda axes: paint(axes, when, lines, unit))
-    more = f"; of {len(rows):,} the first {len(displayed)}" if len(rows) > len(displayed) else ""
+    more = f"; the first {len(displayed)} of {len(rows):,}" if len(rows) > len(displayed) else ""
     return Chart(svg, f"{title}, mean of a day{more}.")
 
 

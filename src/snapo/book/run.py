@@ -78,7 +78,9 @@ class Driver:
         self.further_jobs.extend(self.plan.further(job, result))
 
     def take(self, data: bytes, result: bytes | Lost) -> None:
-        """Stores a result. **Raises:** `OSError` if the disk is full."""
+        """Stores a result.
+
+        **Raises:** `OSError` if the disk is full."""
         name = name_of(data)
         job, contract = self.flight.pop(name)
         if not isinstance(result, Lost):
@@ -107,11 +109,13 @@ def run_book(
 ) -> dict[str, Any]:
     """Values a book into the folder `out`, by default `run` next to its file.
 
-    - `worker_pools`: where its jobs are computed; `shard`: only a part of its contracts.
+    - `worker_pools`: where its jobs are computed; `shard`: values only a part of the contracts.
     - `resume`: results that the folder has are not computed again.
 
     Returns the content of result.json. If it is interrupted, or the disk is full, results that have
-    been written are kept. **Raises:** `CaseError` if the folder cannot be written.
+    been written are kept.
+
+    **Raises:** `CaseError` if the folder cannot be written.
     """
     began = time.perf_counter()
     folder = BookFolder(book.file.parent / "run" if out is None else out)

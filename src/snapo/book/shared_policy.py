@@ -28,7 +28,8 @@ ResultReader = Callable[[str], JobResult | None]
 class PolicyLoss(NamedTuple):
     """The loss of a tested contract with the policy of the first one.
 
-    - `value`: with its own policy; `loss`, `loss_error`: own minus shared, on common paths.
+    - `value`: the value with its own policy; `loss`, `loss_error`: this value minus that with the
+      shared policy, on common paths, and the standard error.
     """
 
     case: str

@@ -23,7 +23,7 @@ from snapo.study.positions import sources_of
 
 from .axes import CaseKey
 
-SET_TWICE = "set to a value; it cannot also be scaled, shifted or set twice"
+SET_TWICE = "already set to a value; it cannot also be scaled, shifted or set again"
 PERIOD = re.compile(r"(\d{4}-\d{2}(?:-\d{2})?)/(\d{4}-\d{2}(?:-\d{2})?)", re.ASCII)
 
 
@@ -52,9 +52,9 @@ class StressMove:
     """One input under a stress: `value * scale + shift`, on the dates of `when`; or a key of the
     case with another value.
 
-    - `key`: of the case, "market.forward_curve".
-    - `when`: first and last day; None: everywhere.
-    - `value`: as TOML writes it; "": the value in the case.
+    - `key`: a key of the case, "market.forward_curve".
+    - `when`: first and last day of the move; None: all days.
+    - `value`: the new value, as TOML writes it; "": the value in the case.
     """
 
     key: str
@@ -90,7 +90,8 @@ def read_stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[
         if table.table:
             if others := [key for key in entry if key != "table"]:
                 message = (
-                    "a stress with a table takes no other key: its rows contain names and changes"
+                    "a stress with a table may have no other key: the rows of the table contain "
+                    "names and changes"
                 )
                 raise CaseError(str(file), f"{where}.{others[0]}", entry[others[0]], message)
             yield from _of_table(TableContext(file, where, []), table.table)
@@ -101,7 +102,10 @@ def read_stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[
         when = _period(str(file), f"{where}.when", table.when)
         keys = dict.fromkeys([*table.scale, *table.shift])
         if when is not None and not keys:
-            message = "a period is for scale or shift; a key with set has one value at all times"
+            message = (
+                "a period can be used with scale or shift only; a key that is set has one "
+                "value at all times"
+            )
             raise CaseError(str(file), f"{where}.when", table.when, message)
         if twice := [key for key in keys if key in table.set]:
             raise CaseError(str(file), f"{where}.set", twice[0], f"this key is {SET_TWICE}")
@@ -195,7 +199,9 @@ def _period(file: str, where: str, text: str) -> tuple[datetime.date, datetime.d
     try:
         first, last = (_day(part, end) for part, end in zip(match.groups(), (False, True)))  # pyright: ignore
     except (AttributeError, ValueError):
-        allowed = 'two months or days with a slash, the last one included: "2026-12/2027-02"'
+        allowed = (
+            'two months or days separated by a slash, the last one included: "2026-12/2027-02"'
+        )
         raise CaseError(file, where, text, allowed) from None
     if last < first:
         raise CaseError(file, where, text, "the first day is after the last")
@@ -218,7 +224,7 @@ def moved_numbers(
     """{input, or source of an input: its numbers under the moves}; `inputs`: those of the
     unstressed case.
 
-    **Raises:** `CaseError` if no number can take a move.
+    **Raises:** `CaseError` if a move changes no number.
     """
     values, sources = dict[str, np.ndarray](), sources_of(case)
     for move in moves:

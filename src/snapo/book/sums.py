@@ -30,7 +30,7 @@ class Sum(NamedTuple):
 class BookTotal:
     """The sum of positions under every stress.
 
-    - `shares`: {market: {stress: [B] of its positions together}}.
+    - `shares`: {market: {stress: [B] the shares of all its positions together}}.
     - `missing`: {stress: positions without a value there}.
     - `worlds`: {market: the worlds of its positions}.
     """
@@ -88,8 +88,9 @@ def _sum(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 class Risk(NamedTuple):
     """The loss over the stresses, which are scenarios of equal weight.
 
-    - `level`: 0.95; `var`: the loss that this share of them does not exceed; `shortfall`: the
-      mean loss of the others; with the standard errors of their Monte Carlo values.
+    - `level`: 0.95; `var`: the loss that is not exceeded in this share of the scenarios;
+      `shortfall`: the mean loss in the others; both with the standard errors of their Monte Carlo
+      values.
     """
 
     level: float

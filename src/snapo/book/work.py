@@ -277,12 +277,12 @@ def _held_alone(setup: Setup) -> Setup:
 
 def check_held(policy: Any, at_point: Any) -> None:
     """**Raises:** `ValueError` if policies of a contract, and of the contract at a point, differ
-    in more than their numbers, such as levels, moves or the order of modes: the first one would
-    fail there, or decide by the wrong numbers."""
+    in more than their numbers, such as levels, moves or the order of modes. The policy of the
+    contract would then fail at the point, or read the wrong numbers."""
     if _text(form_of(policy)) != _text(form_of(at_point)):
         raise ValueError(
             "the policy of the unchanged contract does not fit this one, whose levels or decisions "
-            'differ; train a policy for it: --train of a sweep, or policy = "stress" of a book'
+            'differ; train a policy for it: --train in a sweep, or policy = "stress" in a book'
         )
 
 

@@ -26,7 +26,7 @@ FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
 
 
 def parquet_lines(reference: "FileReference", path: Path) -> list[tuple[int, list[str]]]:
-    """Line number and cells of a Parquet file, its column names first, as for a CSV.
+    """The rows of a Parquet file as (line number, cells), the column names first, as for a CSV.
 
     **Raises:** `CaseError` if pyarrow is missing, or the file is damaged or nested.
     """
@@ -67,8 +67,8 @@ def write_table(frame: Any, file: Path | str) -> Path:
     The file's suffix determines the format: `.csv` or `.parquet`. Column names are those of the
     frame; an index is omitted. Returns the path.
 
-    **Raises:** `ModuleNotFoundError` if narwhals or pyarrow is missing, `ValueError` for
-    another ending, `TypeError` for an object that is not a frame.
+    **Raises:** `ModuleNotFoundError` if narwhals or pyarrow is missing, `ValueError` for another
+    suffix, `TypeError` for an object that is not a frame.
 
     >>> snapo.write_table({"month": ["2025-01"]}, "curve.csv")
     Traceback (most recent call last):
@@ -98,7 +98,10 @@ def write_table(frame: Any, file: Path | str) -> Path:
                 raise ModuleNotFoundError(f"write_table: {PARQUET}") from None
             parquet.write_table(table.to_arrow(), file)
         case other:
-            raise ValueError(f"write_table: the ending {other!r}; allowed are .csv and .parquet.")
+            raise ValueError(
+                f"write_table: the name of the file ends in {other!r}; it must end "
+                f"in .csv or .parquet."
+            )
     return file
 
 
@@ -238,13 +241,11 @@ def read_rows(
     optional: Sequence[str] | None = None,
     with_keys: bool = False,
 ) -> list[Row]:
-    """Reads the CSV that a case names; every row has all `columns`, with blanks stripped.
-
-    A Parquet file instead of it is read like the CSV of the same table.
-
-    Other columns are those of `optional`: a misspelt column must not be taken for an omitted one.
-    None allows any. Names of columns are in lower case; with `with_keys`, except names with a
-    point, which are keys of a case.
+    """Reads the CSV that a case names; every row has all `columns`, with blanks stripped. A
+    Parquet file is read like the CSV of the same table. The only other columns allowed are those
+    of `optional`, so that a misspelt column is not taken for an omitted one; None allows any
+    column. Names of columns are converted to lower case; with `with_keys`, names with a point are
+    keys of a case and stay unchanged.
     """
     path = file_in_folder(reference, (".csv", ".parquet"))
     name = reference.name
@@ -267,8 +268,8 @@ def read_rows(
         if len(cells) != len(names):
             got = Unquoted(f"{len(cells)} cells")
             message = (
-                f"the header has {len(names)} columns ({','.join(names)}); write decimals with a "
-                "point"
+                f"the row must have as many cells as the header, {len(names)} "
+                f"({','.join(names)}); decimals are written with a point"
             )
             raise CaseError(name, f"line {line}", got, message)
         numbers = map(written.number, cells)

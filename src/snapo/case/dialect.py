@@ -46,7 +46,8 @@ class Dialect:
         return cell
 
     def period(self, cell: str) -> str:
-        """A day as YYYY-MM-DD or a month as YYYY-MM, if it has another form; else the cell.
+        """A day or month of another form, rewritten as YYYY-MM-DD or YYYY-MM; any other cell
+        unchanged.
 
         **Raises:** `AmbiguousFormat` for 01/02/2024 in a file that does not distinguish day from
         month.
@@ -116,6 +117,9 @@ def _first(cells: set[str]) -> Order | None:
         if int(match[3]) > 12:
             table["month"] = cell
     if len(table) == 2:
-        message = f"here the month comes first, but in {table['day']} the day; write YYYY-MM-DD"
+        message = (
+            f"here the month comes first, but in {table['day']} the day comes first; write "
+            f"YYYY-MM-DD"
+        )
         raise AmbiguousFormat(table["month"], message)
     return next(iter(table), None)

@@ -59,7 +59,8 @@ class ConvertedNumber(NamedTuple):
     """The position of a number that a case reads as another one: an annual rate as a continuous
     one.
 
-    - `read`: the function of the number in the file; `written`: its inverse, up to rounding.
+    - `read`: the function that is applied to the number in the file; `written`: its inverse, up to
+      rounding.
     """
 
     position: "FilePosition"
@@ -112,16 +113,18 @@ class CaseInput:
 
     - `name`: the key in the case, "max_inventory".
     - `values`: [n] float64, in `unit`.
-    - `labels`: [n] a date, a month, a ratchet row …; `("",)` for a single plain number.
+    - `labels`: [n] a date, a month, a ratchet row … for each number; `("",)` for a single plain
+      number.
     - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
-    - `index`: integers of any shape into `values`; unused numbers are not referred to.
+    - `index`: integers of any shape, the positions in `values`; numbers that are not used do not
+      occur in it.
     - `low`, `high`: the range of valid numbers; infinite if there is no limit.
     - `bump`, `judge_bump`, `move`, `display_unit`, `display_factor`, `group`, `meaning`: as in
       `Input`.
     - `positions`: [n] the position of each number in the files of the case; () if no reader
       recorded it.
     - `starts`: [n] day numbers from which the numbers hold, where they change with time.
-    - `quantity`: its declaration (`snapo.case.quantity`), if it has one.
+    - `quantity`: the declaration of the numbers (`snapo.case.quantity`), if there is one.
     """
 
     name: str
@@ -166,7 +169,8 @@ class CaseInput:
         return Input(self.values, self.unit, self.labels, **metadata)
 
     def on(self, days: Sequence[date], notes: list[str]) -> "CaseInput":
-        """The numbers on rising dates: each applies from its date on; index [len(days)].
+        """The numbers that apply on rising dates, each from its own date on; with an index
+        [len(days)].
 
         **Raises:** `CaseError` if the dates begin before the numbers do.
         """
@@ -203,9 +207,9 @@ class SourceNumbers:
     """Numbers of a case that are not an input of its simulator, but from which an input is made:
     the quotes of a forward curve.
 
-    - `numbers` [n]: with their positions; `input`: the name of the input, which is `matrix` [N, n]
-      times them.
-    - `periods` [n]: the first and the last day of each.
+    - `numbers` [n]: the numbers with their positions; `input`: the name of the input, which is
+      `matrix` [N, n] times the numbers.
+    - `periods` [n]: the first and the last day to which each number applies.
     - `implied` [m]: numbers of the same file that must be `weights` [m, n] times `numbers`.
     """
 

@@ -23,7 +23,7 @@ class Only:
     """A key that has an effect only under a condition.
 
     - `applies`: the condition, from the tables of a case by name ("" is the whole file).
-    - `when`: the same as a clause after "only". `instead`: the alternative that the case has.
+    - `when`: the condition as a clause after "only". `instead`: the alternative that the case uses.
     """
 
     applies: Callable[[Tables], bool]

@@ -44,10 +44,13 @@ LARGEST = 4 << 20  # bytes of a table in which a number is looked up
 class CheckedNumbers(NamedTuple):
     """The numbers of an input, as all checks of this module read them.
 
-    - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] as in the case's files.
+    - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] the numbers as in the
+      case's files.
     - `display_unit`: the unit of the trade; one `unit` is `display_factor` of these.
-    - `source`: the input that they are made from; if there is a note on it, they have none.
-    - `range`: the plausible range in the declaration; `positions`: [n] of the numbers, if recorded.
+    - `source`: the input from which the numbers are made; if there is a note on the source, there
+      is none on them.
+    - `range`: the plausible range in the declaration; `positions`: [n] the positions of the
+      numbers, if recorded.
     """
 
     name: str
@@ -89,8 +92,8 @@ def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
 class Plausible:
     """The range of a kind of numbers, in the unit of the input.
 
-    It applies to inputs among `names`, with its `group` and `unit`, and whose name has one of
-    `endings`, as far as these are set.
+    It applies to the inputs that are among `names`, have this `group` and `unit`, and have a name
+    with one of `endings`, as far as these fields are set.
 
     - `hint`: a clause on the unit that is expected.
     - `ratio`: the largest ratio between a number and its neighbours along the curve.
@@ -170,14 +173,14 @@ def _apart(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
     near = f"{_plain(usual[row] * entry.display_factor)} {_unit(entry)}".rstrip()
     return (
         f"{_start(entry, row, files)}, {entry.values[row] / usual[row]:.3g} times its "
-        f"neighbours of about {near}: is it in the same unit?"
+        f"neighbours, which are about {near}: is it in the same unit?"
     )
 
 
 def around(values: np.ndarray) -> np.ndarray:
     """[n] the median of the neighbours along a curve; equal numbers in a row count once.
 
-    If there are no more than three numbers it is the median of all the others.
+    If there are at most three numbers, the result is the median of all the others.
     """
     if not values.size:
         return values
@@ -269,9 +272,9 @@ class CaseFiles:
     def position(self, name: str, label: str, value: float) -> str:
         """The position of a number of the input `name`; the name if no file has it.
 
-        Of the cells that contain the number, or have the key's name, it is the one whose key,
-        column and row share the largest number of terms with the input's name and label. Some cases
-        convert the annual rates of a file to continuous ones.
+        Several cells may contain the number, or have the key's name. The result is the one whose
+        key, column and row have the largest number of terms in common with the input's name and
+        label. Some cases convert the annual rates of a file to continuous ones.
         """
         terms, last = _terms(name), _terms(name.rpartition(".")[2])
         written = (value, math.expm1(value) if abs(value) < 100 else value)

@@ -37,12 +37,12 @@ class Quantity:
     """The declaration of a number.
 
     - `unit`: a key of the same table in braces is replaced by its value.
-    - `range`: the numbers allowed; `limits`: the possible numbers, any other is refused as a
-      mistake; `plausible`: the usual numbers, for any other a note asks for the unit.
-    - `group`, `move`, `display_unit`, `display_factor`, `bump`: as in an `Input`; `meaning`: its
-      words.
-    - `by`: the column of a CSV with which the number may change ("date"), `column`: that of the
-      numbers; `before`: the number that applies before the first row.
+    - `range`: the allowed numbers; `limits`: the possible numbers, outside which a number is
+      refused as a mistake; `plausible`: the usual numbers, outside which a note asks whether the
+      unit is right.
+    - `group`, `move`, `display_unit`, `display_factor`, `bump`, `meaning`: as in an `Input`.
+    - `by`: the column of a CSV with which the number may change ("date"), `column`: the column of
+      the numbers; `before`: the number that applies before the first row.
     - `text`: the allowed values, if the range is not sufficient.
     - `name`: the name of the input, if it is not the key.
     """
@@ -146,7 +146,7 @@ class Quantity:
         return {"anyOf": [number, file]} if self.by else number
 
 
-OUTSIDE = "no market has this; it must be"
+OUTSIDE = "no market has this value; it must be"
 
 
 class KeyContext(NamedTuple):

@@ -54,12 +54,12 @@ class ReportTable(CaseTable):
 
 
 def logo(folder: Path, name: str) -> str:
-    """A picture next to a case as the address of an image, which contains the whole picture.
+    """The address of an image that contains the whole picture in a file next to a case.
 
-    **Raises:** `OSError`, and `ValueError` if it is not only a picture, or too large.
+    **Raises:** `OSError`, and `ValueError` if the file is not only a picture, or too large.
     """
     if not name or Path(name).name != name or "\\" in name:
-        raise ValueError("a path is not a file next to the case")
+        raise ValueError("a name with a folder is not a file next to the case")
     file = folder / name
     if not file.is_file():
         raise ValueError("there is no such file")

@@ -11,7 +11,7 @@ MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 IN_MEMORY = Range(1, MAX_PATHS, note="; more do not fit in memory")
 STEPS = Range(1, noun="a number of steps")
 EVERY = STEPS._replace(
-    note="; by default 50, 10 for a fitted rule, or a quarter of the steps if they are few"
+    note="; by default 50, for a fitted rule 10, and in a short training a quarter of its steps"
 )
 UP_TO_ONE = Range(0, 1, "(]")
 ObjectiveKey = Annotated[
@@ -41,29 +41,38 @@ class TrainingTable(CaseTable):
     temperature_end: Positive = doc(
         "temperature of the smoothed rules in the last quarter of the steps", 0.005
     )
-    average: Annotated[float, UP_TO_ONE] = doc("share of the steps that the policy averages", 0.05)
+    average: Annotated[float, UP_TO_ONE] = doc(
+        "share of the steps over which the policy is averaged", 0.05
+    )
     validation_paths: Annotated[int, IN_MEMORY] = doc(
         "fresh paths of a validation, which measures the exact value and selects the best policy",
         4096,
     )
     validation_every: Annotated[int, EVERY] | None = doc("steps between two validations", None)
     patience: Annotated[int, Range(1, noun="a number of validations")] | None = doc(
-        "validations without a new best after which training stops, by default never", None
+        "number of validations without a new best value after which training stops, by default "
+        "never",
+        None,
     )
     window: Annotated[int, STEPS] | Literal["auto"] = doc(
-        "steps of a window of backpropagation, after which a critic estimates the rest", "auto"
+        "number of steps of a window of backpropagation, after which a critic estimates the rest",
+        "auto",
     )
     clip: Positive | Literal["auto"] = doc("bound on the adjoint of a path at every step", "auto")
     keep: Annotated[float, UP_TO_ONE] | Literal["auto"] = doc(
         "share of the adjoint of a path that is passed from a step to the one before", "auto"
     )
-    spread: Positive = doc("factor on the spread of initial states, in training only", 1.0)
+    spread: Positive = doc(
+        "factor by which initial states are spread more widely, in training only", 1.0
+    )
     exploration: Annotated[float, Range(0, 1, "[)")] = doc(
-        "share of a decision that is drawn at random in training; it falls with the temperature",
+        "share of each decision that is drawn at random in training; the share falls with the "
+        "temperature",
         0.0,
     )
     starts: Annotated[int, Range(1, noun="a number of initial weights")] = doc(
-        "initial weights from which training begins, of which it continues with the better ones", 1
+        "number of initial networks from which training begins; it continues with the better ones",
+        1,
     )
     seed: Annotated[int, Range(0, 2**63 - 1)] = doc("seed of initial weights and scenarios", 0)
 
@@ -100,9 +109,9 @@ class EvaluationTable(CaseTable):
 
     paths: PathCount = doc("fresh paths on which the policy is valued", 65536)
     sensitivity_paths: PathCount = doc("paths of the sensitivities", 16384)
-    judge_paths: MaxPaths = doc("paths of the bumps that the derivatives are tested by", 16384)
+    judge_paths: MaxPaths = doc("paths of the bumps that test the derivatives", 16384)
     search_paths: MaxPaths = doc(
-        "paths of the search around the policy, which gives every interval its part of the policy",
+        "paths of the search around the policy, which measures the policy's part of every interval",
         16384,
     )
     selection_paths: MaxPaths = doc(
@@ -126,7 +135,9 @@ class ObjectiveTable(CaseTable):
         'risk aversion: of "mean-variance" and "entropic" in 1/currency, of "crra" a pure number',
         None,
     )
-    wealth: Positive | None = doc('wealth added to a path under "crra", in currency', None)
+    wealth: Positive | None = doc(
+        'wealth that "crra" adds to the total of a path, in currency', None
+    )
     target: float | None = doc('total that "target" aims at, in currency', None, "a number")
 
     @property
@@ -175,7 +186,7 @@ def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) 
     if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
         raise CaseError(file, f"{name}.weight", weight, "it must be a number other than 0")
     if objective.kind == "crra" and weight < 0:
-        message = "a utility is for a quantity to maximise: "
+        message = "a utility must be of a quantity that is maximised: "
         message += 'with kind "crra" it must be a number above 0'
         raise CaseError(file, f"{name}.weight", weight, message)
     return float(weight)

@@ -33,7 +33,8 @@ class Range(NamedTuple):
 
     - `endpoints`: "[)" if the upper endpoint is excluded, "(]" the lower one, "()" both.
     - `note`: text that follows, such as ": the mean of ln S".
-    - `noun`: for one of its numbers; "" is "a number", for integers "a whole number".
+    - `noun`: the word for one of its numbers; "" means "a number", or "a whole number" for
+      integers.
     """
 
     low: float = -math.inf
@@ -148,9 +149,8 @@ def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
 
 
 def doc(meaning: str, default: Any = ..., allowed: str = "", **more: Any) -> Any:
-    """A field of a `CaseTable` with its meaning, required if it has no default.
-
-    `allowed`: its values as text, if its type does not state them; `more`: as for
+    """A field of a `CaseTable` with its meaning; the key is required if the field has no default.
+    `allowed`: the allowed values as text, if the type does not state them; `more`: as for
     `pydantic.Field`.
     """
     return Field(default, title=meaning, **({"description": allowed} if allowed else {}), **more)
@@ -170,8 +170,8 @@ def hover(field: FieldInfo) -> str:
 class CaseTable(pydantic.BaseModel):
     """A strict TOML table: no unknown keys, no conversions, no NaN or infinite numbers.
 
-    The title of a field is its meaning, and its description the values that messages quote as
-    allowed; without one it is that of its type, as far as `allowed_text` can.
+    The title of a field is its meaning, and its description is the text of the allowed values in
+    messages. Without a description `allowed_text` makes this text from the type, as far as it can.
     """
 
     # Built at the first use: of the tables of all kinds, a case has a few.
@@ -246,8 +246,8 @@ def not_utf8(error: UnicodeDecodeError) -> str:
 
 class TableRead(NamedTuple):
     """A table of a case that was checked: its name in messages, its data, and its options.
-
-    `options`: {key: the texts and truth values that it may have}, of keys with several.
+    `options`: {key: the texts and truth values that it may have}, for keys with several possible
+    values.
     """
 
     name: str
@@ -298,7 +298,7 @@ def parse(
 ) -> AnyTable:
     """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes.
 
-    `notes`, `path`: as for a `TableContext`, for the readers of its keys.
+    `notes`, `path`: those of the `TableContext` that the readers of its keys receive.
     """
     if (tables := _tables_read.get()) is not None:
         fields = {field.alias or key: field for key, field in table.model_fields.items()}

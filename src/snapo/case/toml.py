@@ -110,4 +110,4 @@ def _value(value: Any) -> str:
     if isinstance(value, Mapping):
         inside = ", ".join(f"{_key(key)} = {_value(entry)}" for key, entry in value.items())
         return "{ " + inside + " }" if inside else "{}"
-    raise TypeError(f"to_toml: {value!r} has no form in TOML")
+    raise TypeError(f"to_toml: {value!r} cannot be written in TOML")

@@ -111,7 +111,9 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
         empty: Any = value if last else [] if isinstance(steps[i + 1], int) else {}
         if isinstance(step, int):
             if not isinstance(here, list) or step > len(here):
-                raise Unreadable(f"{key}: there is no number {step} yet; entries count from 0")
+                raise Unreadable(
+                    f"{key}: there is no entry {step} yet; entries are counted from 0, without gaps"
+                )
             if step == len(here):
                 here.append(empty)
             elif last:
@@ -124,7 +126,7 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
             here.setdefault(step, empty)
         here = here[step]  # pyright: ignore
         if not last and not isinstance(here, dict | list):
-            raise Unreadable(f"{key}: there is a value already, and not a table")
+            raise Unreadable(f"{key}: this key has a value already, so it cannot be a table")
 
 
 TOP, HEAD = "case", ("key", "value", "as", "note")
@@ -135,8 +137,9 @@ NOTE = re.compile(r"(?:# )?([\w-]+) = [^#]*# (.+)")
 def write_workbook(folder: Path, data: Mapping[str, Any], file: Path) -> None:
     """Writes the tables `data` of a case, and the CSV files in its folder, to a workbook.
 
-    Keys at the top are on the sheet "case", each table has a sheet with its name, and each CSV a
-    sheet with the name of its file. Comments of case.toml are notes next to the keys.
+    Keys at the top of the case are on the sheet "case", each table has a sheet with its name, and
+    each CSV has a sheet with the name of its file. Comments of case.toml are notes next to the
+    keys.
 
     **Raises:** `CaseError` if openpyxl is missing.
     """
@@ -234,10 +237,11 @@ BESIDE = (".npy", ".parquet", ".py")  # files of a case that no sheet can hold
 
 
 def unpacked(file: Path) -> Path:
-    """The folder with case.toml and the CSVs of a workbook, written next to it with its name.
+    """The folder with case.toml and the CSVs of a workbook, which is written next to the workbook
+    and has its name.
 
     **Raises:** `CaseError` if openpyxl is missing, the file is not a workbook, or a sheet cannot be
-    read; it names sheet and line.
+    read; the message names sheet and line.
     """
     book = _book(file)
     data: dict[str, Any] = {}
@@ -295,7 +299,10 @@ def _book(file: Path) -> Any:
 
 def _plain_name(file: Path, title: str) -> str:
     if not CSV.fullmatch(title):
-        message = "a CSV's sheet is named as the file: letters, digits, - and _, such as curve.csv"
+        message = (
+            "the sheet of a CSV has the name of the file: letters, digits, - and _, such "
+            "as curve.csv"
+        )
         raise CaseError(str(file), f"sheet {title}", None, message)
     return title
 

@@ -77,8 +77,8 @@ def locate(notes: Notes, simulator: Simulator, run: CheckedRollout) -> NoReturn:
         step, method, leaf, path = max(invalid)
         notes.error(
             notes.method(method),
-            f"Its derivative with respect to {leaf} is non-finite, first (from the end) at step "
-            f"{step} of {T} (path {path} of {N}).",
+            f"Its derivative with respect to {leaf} is non-finite; going backwards, this occurs "
+            f"first at step {step} of {T} (path {path} of {N}).",
             NOT_DIFFERENTIABLE,
         )
     else:
@@ -222,7 +222,7 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
         notes.warning(
             where,
             f"With a bump of {pair.bump:.3g} the outputs are non-finite.",
-            "It is on the edge of its range; specify a smaller one: Input(…, bump=…).",
+            "The input is on the edge of its range; specify a smaller bump: Input(…, bump=…).",
         )
         return True
     if pair.dead:
@@ -237,10 +237,11 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
     notes.error(
         where,
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
-        "Likely causes: a jump (comparison, rounding, argmax) that bumps cross, stop_gradient on "
-        "part of the way, a derivative written by hand. A parameter of whole-numbered noise that "
-        "is created in prepare or in the step is correct only in the mean over paths: name it, "
-        f"def in_mean(self): return ({pair.entry.name!r},).",
+        "Likely causes: a jump (comparison, rounding, argmax) that bumps cross, a stop_gradient "
+        "between input and output, a derivative written by hand. If the input is a parameter of "
+        "a noise of whole numbers that is created in prepare or in the step, its derivative is "
+        "correct only in the mean over paths: name it, def in_mean(self): return "
+        f"({pair.entry.name!r},).",
     )
     return True
 
@@ -253,9 +254,10 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
             k = int(np.argmax(np.abs(small) / pair.size))
             notes.error(
                 where,
-                f"Its derivative is exactly zero, but a bump moves {outputs[k]} by {small[k]:.6g} "
-                "a unit.",
-                "Look for stop_gradient, an integer cast, rounding or a comparison on its way.",
+                f"Its derivative is exactly zero, but a bump moves {outputs[k]} by "
+                f"{small[k]:.6g} per unit.",
+                "Look for a stop_gradient, an integer cast, rounding or a comparison between the "
+                "input and the outputs.",
             )
             return True
     for pair in pairs:
@@ -266,8 +268,8 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
                     where,
                     f"Its derivative is exactly zero, but a rise by {factor * bump:.3g} moves "
                     f"{outputs[k]}.",
-                    "A limit that does not bind yet is not a mistake; an integer cast, rounding "
-                    "or a comparison is.",
+                    "If a limit does not bind at these inputs, this is not a mistake; an integer "
+                    "cast, rounding or a comparison is one.",
                 )
                 return True
     if any(pair.moves_decisions(bump) for pair in pairs):

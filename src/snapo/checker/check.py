@@ -137,7 +137,10 @@ def both_precisions(notes: Notes, simulator: Simulator, run: CheckedRollout) -> 
         except Exception as error:
             where, message, _ = notes.explained(error, "step")
             notes.error(
-                where, f"It fails in {engine.precision} after the other precision. {message}", TABLE
+                where,
+                f"It fails in {engine.precision}, although it works in the other "
+                f"precision. {message}",
+                TABLE,
             )
             return
 
@@ -160,7 +163,8 @@ def check(
     - `problem`: a `Problem`, or a simulator followed by its `inputs`, with `objective`, `scenarios`
       and `constraints` as keywords.
     - `scenarios`: by default standard normals; `Supplied` for any other noise.
-    - `paths`, `temperature`: those of the rollouts, whose limits are smooth.
+    - `paths`, `temperature`: the number of simulated paths, and the temperature at which their
+      limits are smoothed.
     """
     simulator: Any = problem
     if isinstance(problem, Problem):
@@ -214,7 +218,7 @@ def _checked(
         result = Problem(simulator, inputs, aim).prepared(schedule).partly_observed
         looked = " ".join(filter(None, [looked, note(result)]))
     except StopCheck:
-        looked = "Stopped at the first error that hides the rest."
+        looked = "Stopped at the first error, because the rest could not be examined."
     except Exception as error:
         notes.exception(error, "check")
         looked = "Stopped at an exception."

@@ -42,7 +42,7 @@ def used(notes: Notes, simulator: Simulator, runs: list[CheckedRollout], seed: i
         else:
             notes.error(
                 f"{notes.method('step')}: action{_numbered(group, simulator.action.size)}",
-                "It changes no output: the step ignores it, or its effect never shows.",
+                "It changes no output: the step ignores it, or its effect never reaches an output.",
                 "Use it, or make the action set smaller.",
             )
     for component in range(simulator.noise_size):
@@ -102,15 +102,17 @@ def reached(
     for component in sorted(left):
         notes.error(
             f"{notes.method('step')}: action[{component}]",
-            "It moves the outputs, but its derivative is exactly zero: nothing can be learned.",
-            "Look for rounding, a comparison, an integer or stop_gradient on its way; "
-            "write smooth.indicator or smooth.choose for a jump.",
+            "It moves the outputs, but the derivatives of the outputs with respect to it are "
+            "exactly zero: nothing can be learned.",
+            "Look for rounding, a comparison, an integer or a stop_gradient between the decision "
+            "and the outputs; write smooth.indicator or smooth.choose for a jump.",
         )
 
 
 def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> None:
-    """Whether a `Stop` is used up: if all steps stop, only as many of them count as there are
-    rights, so that of a group with one step more at least one has no effect."""
+    """Whether a `Stop` is used up. If all steps stop, only as many of them count as there are
+    rights; so in a group with one step more than there are rights, at least one step has no
+    effect."""
     action = simulator.action
     if not isinstance(action, Stop) or action.rights > min(RIGHTS, len(run.actions) - 1):
         return
@@ -125,8 +127,8 @@ def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> Non
     if all(counts(part) for part in np.array_split(np.arange(len(always)), action.rights + 1)):
         notes.warning(
             f"{notes.method('step')}: action",
-            f"It can stop more often than it has rights ({action.rights}): if all steps stop, more "
-            "of them change an output.",
+            f"It can stop more often than it has rights ({action.rights}): if every step stops, "
+            f"more steps than that change an output.",
             'Keep the right in the state, right, used = self.action.use(state["right"], action), '
-            "and pay on the quantity that is used.",
+            "and multiply the payment by `used`.",
         )

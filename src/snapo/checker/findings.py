@@ -74,27 +74,31 @@ _READABLE = [
     ),
     (
         jax.errors.TracerBoolConversionError,
-        "Python decides here (if, while, and, or, min, max) on a number that differs by path.",
+        "Python uses a number that differs by path to decide something here (if, while, and, or, "
+        "min, max).",
         "Write jnp.where, or smooth.indicator, smooth.minimum, smooth.choose for a limit.",
     ),
     (
         jax.errors.TracerIntegerConversionError,
-        "Python needs a whole number here (an index, a range), and it is one that JAX is tracing.",
+        "Python needs a whole number here (an index, a range), but JAX is tracing this number, "
+        "so its value is not known yet.",
         "Index a jax.numpy array with it (jnp.asarray(table)[i]), or make it static.",
     ),
     (
         jax.errors.NonConcreteBooleanIndexError,
         "A mask selects a number of entries that differs by path.",
-        "Keep the shape: jnp.where(mask, x, 0.0).",
+        "Do not change the shape: write jnp.where(mask, x, 0.0).",
     ),
     (
         jax.errors.ConcretizationTypeError,
-        "Python needs the value here (float(), int(), a shape), and it is one that JAX is tracing.",
+        "Python needs the value of a number here (float(), int(), a shape), but JAX is tracing "
+        "this number, so its value is not known yet.",
         "Keep it an array: drop the float() or int(); shapes must not depend on numbers.",
     ),
     (
         jax.errors.UnexpectedTracerError,
-        "A traced number was kept outside of the call (in a list, a global, an attribute).",
+        "A number that JAX was tracing was stored outside of the call (in a list, a global, an "
+        "attribute).",
         "Carry it in the state that step returns.",
     ),
 ]

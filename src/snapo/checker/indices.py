@@ -48,8 +48,8 @@ def within(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedul
                 index = item.index - item.length * (item.index < 0)
                 notes.error(
                     f"{notes.method(method.name)}: {item.label or 'an array'}[{index}]",
-                    f"It has {item.length} entries; JAX reads the nearest one, or drops a write, "
-                    f"without an error. In: {item.line}",
+                    f"The array has {item.length} entries; JAX reads the nearest entry, or omits "
+                    f"a write, without an error. In: {item.line}",
                     CORRECT,
                 )
     notes.stop_on_errors()
@@ -216,8 +216,8 @@ def _met(site: CodeSite, index: np.ndarray, axis: np.ndarray) -> tuple[int, int,
 
 def _said(index: int, length: int, size: int) -> str:
     if size > 1:
-        return f"{size} entries are taken from index {index} on and the array has {length}"
-    return f"an index is {index} and the array has {length} entries"
+        return f"{size} entries are taken from index {index} on, but the array has {length}"
+    return f"an index is {index}, but the array has {length} entries"
 
 
 def _write(notes: Notes, method: str, site: CodeSite, message: str) -> None:
@@ -250,8 +250,9 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
             for item in dict.fromkeys(result):
                 notes.warning(
                     f"{method.name}, {item.line}",
-                    f"The slice [{item.requested}] is taken of {item.length} entries: it is "
-                    f"shorter than its bounds, without an error. In: {item.line.text}",
+                    f"The slice [{item.requested}] is taken from an array of {item.length} "
+                    f"entries: the result is shorter than the bounds say, without an error. In: "
+                    f"{item.line.text}",
                     "Correct the slice, or the size that is declared.",
                 )
 
@@ -311,7 +312,7 @@ def _written(part: slice) -> str:
 
 
 TABLE = (
-    "A NumPy table that is used inside a method keeps the precision in which JAX met it first: "
+    "A NumPy table that is used inside a method keeps the precision in which JAX used it first: "
     "put it into the schedule, Schedule({'table': table}, …), or write "
     "jnp.asarray(table.tolist()) where it is used."
 )

@@ -48,9 +48,9 @@ def jumps(notes: Notes, points: SamplePoints) -> None:
             notes.warning(
                 f"{points.method.name}, {line}",
                 f"A comparison makes {largest.name} jump, by {largest.size:.4g} on a path: "
-                f"training and derivatives do not see the jump. In: {line.text}",
-                "Write smooth.indicator(a - b, scale) instead of a > b, or smooth.choose in place "
-                "of jnp.where; draw a decision that jumps with snapo.Choice.",
+                f"training and derivatives ignore the jump. In: {line.text}",
+                "Write smooth.indicator(a - b, scale) instead of a > b, or smooth.choose instead "
+                "of jnp.where; use snapo.Choice to draw a decision that makes a jump.",
             )
 
 

@@ -94,9 +94,8 @@ LEVELS = (-4.0, 0.0, 4.0)  # before they are squashed: low, middle and high acti
 def rollouts(
     notes: Notes, simulator, schedule, observation, scenarios, paths, smooth, seed
 ) -> list[CheckedRollout]:
-    """The random policy's rollout, then those near low, middle and high actions that are finite.
-
-    The first non-finite number of the random policy is an error.
+    """The rollout of a random policy, then rollouts near low, middle and high actions, as far as
+    they are finite. The first non-finite number of the random policy is an error.
     """
     rng = np.random.default_rng(seed)
     T, K, size = simulator.horizon, simulator.noise_size, simulator.action.size
@@ -150,7 +149,7 @@ def _finite(notes: Notes, out, kinds) -> None:
         where = notes.method("step") if step >= 0 else notes.method("initial")
         notes.error(
             where,
-            f"{name} is non-finite, first at step {max(step, 0)} (path {path}).",
+            f"{name} is non-finite; this occurs first at step {max(step, 0)} (path {path}).",
             "Look for a division, logarithm, root or power at zero, or for growth without bound.",
         )
     elif not all(np.all(np.isfinite(x)) for x in out.totals.values()):

@@ -16,9 +16,14 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .findings import Notes, StopCheck
 
-KEEP = "Keep its shape and type; start a floating number as 0.0, not as 0."
-COMPONENTS = "Outputs are single real numbers; sum it, or return one output a component."
-ONE = "A vector of one number is not a number: the one of an action, or of noise, is action[0]."
+KEEP = (
+    "step must return the same shape and type; in initial, write a floating-point number as "
+    "0.0, not as 0."
+)
+COMPONENTS = (
+    "Outputs are single real numbers; sum the array, or return one output for each component."
+)
+ONE = "A vector of one number is not a number; write action[0] or noise[0] for the number in it."
 
 
 def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
@@ -75,8 +80,8 @@ def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
             notes.error(
                 f"{method}: schedule.steps{jax.tree_util.keystr(path)}",
                 f"Its shape is {leaf.shape}; the horizon is {simulator.horizon}.",
-                f"Give it a leading axis of {simulator.horizon}, one entry a step; "
-                "numbers for the whole horizon belong in constants.",
+                f"Give it a first axis of {simulator.horizon}, one entry for each step; numbers "
+                f"for the whole horizon belong in constants.",
             )
     notes.stop_on_errors()
     return schedule
@@ -133,7 +138,7 @@ def one_step(notes: Notes, simulator: Simulator, schedule: Schedule) -> Shapes:
         differ = sorted((names[0][0] ^ names[1][0]) | (names[0][1] ^ names[1][1]))
         notes.error(
             notes.method("step"),
-            f"The outputs {differ} exist only for Exact() or only for Smooth().",
+            f"The outputs {differ} exist only with Exact() or only with Smooth().",
             "Return the same names every time.",
         )
     outputs = frozenset(names[0][0] | names[0][1])
@@ -219,7 +224,7 @@ def unknown_outputs(
 ) -> Iterator[Unknown]:
     """Every named output that does not exist, and every object that is not an objective or limit.
 
-    None is an objective that is not known yet, and is accepted.
+    The objective None means that it is not known yet, and is accepted.
     """
     if objective is None:
         pass

@@ -95,8 +95,8 @@ def loops(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule
                 line = next((item for item in lines if item), None)
                 notes.error(
                     f"{method.name}, {line}" if line else notes.method(method.name),
-                    "Nothing can be differentiated through a loop whose number of rounds is not "
-                    "fixed (jax.lax.while_loop)." + (f" In: {line.text}" if line else ""),
+                    "No derivative can be computed through a loop whose number of iterations is "
+                    "not fixed (jax.lax.while_loop)." + (f" In: {line.text}" if line else ""),
                     "Write jax.lax.fori_loop or jax.lax.scan with a fixed number of iterations, "
                     "and jnp.where to keep results that are complete.",
                 )
@@ -154,10 +154,9 @@ def lost_derivatives(notes: Notes, simulator: Simulator, inputs: PyTree) -> None
         texts = " In: " + "; ".join(line.text for line in lines) if lines else ""
         notes.warning(
             f"input {name}" + (f" ({positions})" if positions else ""),
-            "Its derivative is lost: it reaches the outputs only through rounding, whole numbers "
-            "or comparisons. The derivative is then 0 on every path, and the true one is not "
-            f"known.{texts}",
+            "Its derivative is lost: the input affects the outputs only through rounding, whole "
+            "numbers or comparisons. The derivative is then 0 on every path, and the true "
+            f"derivative is not known.{texts}",
             "Draw whole numbers with snapo.noise (Poisson, Binomial, Empirical), whose derivative "
-            "is correct in the mean, use smooth.indicator and smooth.round, or leave it "
-            "unrounded.",
+            "is correct in the mean, use smooth.indicator and smooth.round, or do not round.",
         )

@@ -42,8 +42,9 @@ class CodeSite(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """Numbers of one call: its results, the truth of every comparison, and for every read the first
-    index that is out of range (0 if none is), its axis, and whether there is such an index."""
+    """What was recorded in one call: its results, the truth of every comparison, and for every
+    read the first index that is out of range (0 if none is), its axis, and whether there is such
+    an index."""
 
     results: list[Any]
     truths: list[Any]
@@ -51,8 +52,9 @@ class Observed(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A change of one site: a comparison has `truths`, a read out of range is moved by `shift`
-    times its size plus one. `comparison` and `read` are the sites' numbers, or `NONE`."""
+    """A change at one site: the results of a comparison are replaced by `truths`, or a read out of
+    range is moved by `shift` times its size plus one. `comparison` and `read` are the numbers of
+    the sites, or `NONE`."""
 
     comparison: Any
     truths: Any
@@ -224,10 +226,10 @@ POINTS, PATHS, STEPS = 2048, 8, 256  # at most; paths of each run
 
 
 class SamplePoints:
-    """A method's program, and its arguments at [steps * paths] points in order of the steps.
+    """A method's program, and its arguments at [steps * paths] points in the order of the steps.
 
-    - `moving`: of each argument, whether it differs from point to point.
-    - `steps`: how many steps the points are of.
+    - `moving`: for each argument, whether it differs between points.
+    - `steps`: the number of steps from which the points come.
     """
 
     def __init__(

@@ -18,23 +18,25 @@ def seeds(text: str) -> int | tuple[int, ...]:
         raise argparse.ArgumentTypeError(f"{text!r} {message}")
     seeds = tuple(map(int, parts))
     if len(set(seeds)) < len(seeds):
-        raise argparse.ArgumentTypeError(f"{text!r} has a seed twice; each is used once")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} has a seed twice; each seed may occur only once"
+        )
     if len(parts) > 1:
         return seeds
     if not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is too few seeds; use 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is too small a number of seeds; use 1 or more")
     return int(text)
 
 
 def even_number(text: str) -> int:
     if not text.isascii() or not text.isdigit() or int(text) < 2 or int(text) % 2:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an even number, 2 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not an even number of at least 2")
     return int(text)
 
 
 def whole_number(text: str) -> int:
     if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= 4096:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 to 4096")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 4096")
     return int(text)
 
 
@@ -48,13 +50,13 @@ def shard(text: str) -> tuple[int, int]:
 
 def port(text: str) -> int:
     if not text.isascii() or not text.isdigit() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port, 0 to 65535")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 0 to 65535")
     return int(text)
 
 
 def seed(text: str) -> int:
     if not text.isascii() or not text.isdigit() or int(text) >= 2**63:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
     return int(text)
 
 
@@ -96,11 +98,12 @@ def add_past(commands) -> None:
         "--run",
         metavar="RUN",
         type=Path,
-        help="a run with this model: adds the interval of its value due to the estimates",
+        help="a run with this model: adds the interval of its value that is due to the errors of "
+        "the estimates",
     )
     backtest = commands.add_parser(
         "backtest",
-        help="operate a gas store on past prices, using on each day only those up to that day",
+        help="operate a gas store on past prices, using on each day only the prices up to that day",
         epilog="snapo backtest mystore --history prices",
     )
     backtest.add_argument(
@@ -117,8 +120,8 @@ def add_past(commands) -> None:
         "--every",
         metavar="N",
         type=whole_number,
-        help="days from one solution to the next, with the curve of its date (default: 30, or "
-        "whenever the model is estimated again)",
+        help="days from one solution to the next; each uses the curve of its date (default: 30, "
+        "or whenever the model is estimated again)",
     )
     backtest.add_argument(
         "--calibrate",
@@ -133,7 +136,10 @@ def add_past(commands) -> None:
         help="trade hedges in listed products on each day with a curve",
     )
     backtest.add_argument(
-        "--policy", metavar="RUN", type=Path, help="decide with the trained policy of this run"
+        "--policy",
+        metavar="RUN",
+        type=Path,
+        help="use the trained policy of this run for the decisions",
     )
     backtest.add_argument(
         "--out",
@@ -195,7 +201,7 @@ def add_runs(commands) -> None:
         help="runs to remove: their names, or the last four characters of these",
     )
     runs.add_argument(
-        "--keep", metavar="N", type=whole_number, help="remove all runs but the last N"
+        "--keep", metavar="N", type=whole_number, help="remove all runs except the last N"
     )
 
 

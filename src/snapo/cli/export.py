@@ -38,7 +38,7 @@ def export(
     """Writes the policy of a run into its folder; returns the files by form.
 
     - `onnx`: policy.onnx; `python`: policy.py, which needs only NumPy; `table`: policy.csv, the
-      decisions at observations of the first paths of the value.
+      decisions at the observations of the first paths on which the policy is valued.
 
     **Raises:** `CaseError` if there is no run or it has no policy, no form is specified, a package
     is missing, or the policy cannot be exported.
@@ -96,7 +96,7 @@ def decisions_on_paths(problem: Problem, policy: Policy) -> tuple[list[str], lis
     """Names and rows of a table: path, step, numbers of the state, observation, decision.
 
     The rows are all steps of the first paths of the evaluation. The observation of a policy with a
-    memory ends with the memory, and its decision with the next one.
+    memory ends with the memory, and its decision ends with the next memory.
     """
     size, problem = problem.action.size, remembering(problem, policy)
     simulator, source = problem.simulator, problem.sources.evaluation

@@ -41,8 +41,8 @@ CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code.
 
-    0: done; 1: it failed; 2: something is wrong with the input; 130: it was interrupted; 141: the
-    reader of the output, such as `head`, has closed it.
+    0: done; 1: the command failed; 2: the input is wrong; 130: it was interrupted; 141: the reader
+    of the output, such as `head`, has closed it.
     """
     options = _parser().parse_args(arguments)
     try:
@@ -141,14 +141,14 @@ def _add_solve(commands) -> None:
         "--out",
         metavar="DIR",
         type=Path,
-        help="folder of the run; a run that is there is replaced (default: a new folder in runs, "
-        "next to the case; run points to it)",
+        help="folder of the run; an existing run in it is replaced (default: a new folder in "
+        "runs, next to the case; the link run points to it)",
     )
     solve.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     solve.add_argument(
         "--reference",
         action="store_true",
-        help="also compute exact values, for comparison, where a method is known",
+        help="also compute exact values, for comparison, if there is a method",
     )
     solve.add_argument(
         "--ladder",
@@ -199,7 +199,7 @@ def _add_book(commands) -> None:
         "--shard",
         metavar="K/N",
         type=shard,
-        help="compute part K of N, from 1; all parts use the same folder",
+        help="compute part K of N, counted from 1; all parts use the same folder",
     )
     book.add_argument(
         "--resume", action="store_true", help="reuse the results of an earlier run in this folder"
@@ -252,7 +252,7 @@ def _add_sweep(commands) -> None:
         "--sobol",
         metavar="N",
         type=whole_number,
-        help="this number of Sobol points in the ranges FIRST:LAST instead of a grid",
+        help="use this number of Sobol points in the ranges FIRST:LAST instead of a grid",
     )
     sweep.add_argument(
         "--out",

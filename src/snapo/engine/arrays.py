@@ -25,9 +25,8 @@ def zero(kind: str, dtype):
 
 
 class Packing:
-    """Layout of a path's state, a tree of small arrays, as one vector per type.
-
-    Floating leaves take the engine's precision, integers and booleans keep their type.
+    """Layout of a path's state, a tree of small arrays, as one vector for each type.
+    Floating-point leaves take the engine's precision; integers and booleans keep their type.
     """
 
     def __init__(self, state: PyTree, dtype):

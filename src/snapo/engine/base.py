@@ -68,9 +68,9 @@ TRAJECTORY = ("state", "action", "outputs", "slack")
 class Rollout(NamedTuple):
     """Result of a forward sweep.
 
-    - `totals`: {output: [N]} per path.
+    - `totals`: {output: [N]} the total of each path.
     - `state`: the final state, every leaf with a leading axis of paths.
-    - `record`: for every requested name of `TRAJECTORY`: leaves [T, N, …].
+    - `record`: for every requested name of `TRAJECTORY`, leaves [T, N, …].
     """
 
     totals: dict[str, Float[Array, " N"]]
@@ -97,8 +97,8 @@ class Adjoint(NamedTuple):
 class Clip:
     """Limits and shrinks the adjoint of each path at every backward step, in training only.
 
-    - `norm`: the adjoint of the state, times the simulator's `state_scale`, may have a norm of at
-      most this times the path's weight: so that it has the same meaning for any number of paths.
+    - `norm`: the norm of the adjoint of the state, times the simulator's `state_scale`, is at most
+      this number times the path's weight, so that it has the same meaning for any number of paths.
     - `keep`: the share of the adjoint that is passed from one step to the previous one, 0 to 1. An
       outcome k steps after a decision then counts keep^k in its derivative, like a discount factor;
       outputs of `terminal` count as part of the last step.
@@ -190,7 +190,7 @@ class Engine(abc.ABC):
         """This engine bound to the simulator and the schedule of a problem.
 
         `controls`: whether outputs that are only control variates are computed too; `simplest`:
-        whether policies are valued as their `simplest` ones (not in training).
+        whether a policy is replaced by its equivalent `simplest` (not in training).
         """
         simulator, outputs = problem.simulator.on_paths(), problem.objective.outputs
         simulator = simulator if controls else uncontrolled(simulator, outputs)
@@ -357,7 +357,7 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 def check_draws(simulator: Simulator, draws: Draws) -> None:
     """Checks that there are paths, with noise for each step, or a kernel reads out of range."""
     if not draws.size:
-        raise ValueError("engine: the draws have no paths; at least one is needed.")
+        raise ValueError("engine: the draws have no paths; they must have at least one.")
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
         raise ValueError(
             f"engine: the draws give `initial` the noise of {draws.before} steps, but "
@@ -395,6 +395,6 @@ def check_window(simulator: Simulator, window: Window) -> None:
     """Checks that a window is within the horizon."""
     if window.first < 0 or window.length < 1 or window.first + window.length > simulator.horizon:
         raise ValueError(
-            f"engine: window {tuple(window)} (first, length) leaves the horizon of "
+            f"engine: window {tuple(window)} (first, length) extends beyond the horizon of "
             f"{simulator.horizon} steps."
         )

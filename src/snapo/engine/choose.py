@@ -33,7 +33,7 @@ class Engines(NamedTuple):
         """
         train, evaluate = self.train, self.evaluate
         if not (isinstance(train, Native) and isinstance(evaluate, Native)):
-            raise ValueError(f"only the native engine uses workers, and this is {self.reason}")
+            raise ValueError(f"only the native engine uses workers, but this is {self.reason}")
         return self._replace(
             train=replace(train, distributed=Distributed(workers)),
             evaluate=replace(evaluate, distributed=Distributed(workers)),
@@ -50,12 +50,12 @@ EngineName = str | Engine | Engines
 
 
 def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
-    """The requested engines: by name, as one engine, or as a pair that was chosen before.
+    """The requested engines, which may be a name, one engine, or a pair that was chosen before.
 
     "auto" takes the native engine if it can run this problem, even if there is a GPU: its
     gradient of 512 paths takes a tenth of the time, and a GPU is faster only from about 20,000
-    paths (`python -m benchmarks.gpu`). One engine trains in float32 and evaluates in float64,
-    independently of its precision.
+    paths (`python -m benchmarks.gpu`). An engine that is passed as an object trains in float32 and
+    evaluates in float64, whatever its precision.
 
     **Raises:** `ValueError` for an unknown name, or if "native" cannot run this problem, or cannot
     run at all because llvmlite is missing.

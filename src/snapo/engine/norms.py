@@ -23,8 +23,8 @@ BLOCK = 64  # paths at once
 class Norms(NamedTuple):
     """Norms of paths' adjoints at the state before every step, in float32.
 
-    - `total` [T, N]: the total of all numbers of the state; `leaves` {name: [T, N]}: of every leaf
-      by itself.
+    - `total` [T, N]: the norm over all numbers of the state; `leaves` {name: [T, N]}: the norm of
+      every leaf by itself.
     """
 
     total: np.ndarray
@@ -39,10 +39,11 @@ def adjoint_norms(
     weights: Mapping[str, ArrayLike],
     memory: int | None = None,
 ) -> Norms:
-    """Norm of each path's adjoint at every step, of the whole state and of its leaves.
+    """The norm of each path's adjoint at every step, for the whole state and for its leaves.
 
     The adjoint of sum(weights x totals), times the simulator's `state_scale`, divided by the path's
-    largest weight: the number that `Clip` bounds. By XLA. With a memory the horizon is divided into
+    largest weight: the number that `Clip` bounds. XLA computes it. With a memory the horizon is
+    divided into
     parts of this number of steps, and no adjoint passes from one part to the part before it.
     """
     engine = Xla("float32")

@@ -38,7 +38,8 @@ class WorkerPool:
     """The place where jobs are computed.
 
     - `make`: creates an executor, at the start and after a failure.
-    - `waiting`: the maximum number of jobs in work or queued; `parallel`: in work.
+    - `waiting`: the maximum number of jobs in work or queued; `parallel`: the number of jobs in
+      work at once.
     - `close`: leaves the cluster.
     """
 
@@ -112,9 +113,10 @@ class Workers:
     def results(
         self, next_job: Callable[[], bytes | None], work: Work
     ) -> Iterator[tuple[bytes, bytes | Lost]]:
-        """(job, result) as they come; `work` depends on nothing but the job's bytes.
+        """Pairs (job, result) in the order in which results arrive; `work` must depend on the job's
+        bytes only.
 
-        - `next_job`: the next job, None if there is none until another result has come.
+        - `next_job`: returns the next job, None if there is none until another result has arrived.
 
         The result of a job that is lost three times is `Lost`; a job that was queued in a process
         when another job broke it does not count as lost.

@@ -36,10 +36,11 @@ class Xla(Engine):
     **Arguments:**
 
     - `precision`: "float32" (training) or "float64" (values and sensitivities).
-    - `segments`: the horizon is rematerialised in this many segments, so that the adjoint keeps
-      T / segments + segments states instead of T; None keeps the state of every step.
-    - `devices`: the paths are sharded over these JAX devices, if their number is a multiple of that
-      of the devices; None uses the default one.
+    - `segments`: the horizon is divided into this many segments, whose states are computed again in
+      the adjoint, so that it stores T / segments + segments states instead of T; None stores the
+      state of every step.
+    - `devices`: the paths are sharded over these JAX devices, if the number of paths is a multiple
+      of that of the devices; None uses the default device.
     """
 
     segments: int | None = None

@@ -21,11 +21,12 @@ AgentMap = Callable[[np.ndarray], Any]
 class Agent:
     """Plays any environment: `agent(observation)` is the action, for one or for many.
 
-    - `features`: from the environment's observations [N, k] to those that the policy was trained
-      on; by default the same.
+    - `features`: a function from the environment's observations [N, k] to those on which the
+      policy was trained; by default they are the same.
     - `action`: a function from decisions [N, size] to N actions of the environment; or its
-      `action_space`, or the action set of the problem. By default the set of the policy: the number
-      of an option of a `Choice`, a dictionary for a `Product`, else the numbers.
+      `action_space`, or the action set of the problem. By default it is the set of the policy: the
+      action is the number of the option for a `Choice`, a dictionary for a `Product`, else the
+      numbers.
 
     An agent whose policy has a memory keeps the memory of every episode, [N, m] in `memory`; call
     `reset` when episodes begin. If the number of observations changes, it must be reset.
@@ -69,8 +70,8 @@ class Agent:
         memory = np.zeros((len(observed), size), np.float32) if self.memory is None else self.memory
         if size and len(memory) != len(observed):
             raise ValueError(
-                f"Agent: it has the memory of {len(memory)} episodes, but got {len(observed)} "
-                "observations; call reset() when other episodes begin."
+                f"Agent: it has a memory of {len(memory)} episodes, but got {len(observed)} "
+                f"observations; call reset() when other episodes begin."
             )
         values = np.concatenate([observed, memory], 1)
         with read_context(of_policy(self.policy, values)):

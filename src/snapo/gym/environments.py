@@ -35,9 +35,9 @@ class Ends(Protocol):
 class NextState(NamedTuple):
     """After a step: the state, its observation, the reward and all outputs.
 
-    - `ended`: the problem has ended: by the simulator (`over`) or at the horizon.
-    - `late`: a time limit truncates the episode, and the problem would continue.
-    - `outputs`: the outputs of the step, and at an end those of the terminal state as well; a name
+    - `ended`: whether the problem has ended, by the simulator (`over`) or at the horizon.
+    - `late`: whether a time limit truncates the episode while the problem would continue.
+    - `outputs`: the outputs of the step, and at an end also those of the terminal state; an output
       that only the terminal state has is 0 before.
     """
 
@@ -59,7 +59,7 @@ class GymDynamics:
 
     The rewards of a path add up to its share of the objective; those of the terminal state come
     with the step that ends the problem. With `endless` the horizon is a time limit, after which the
-    problem would continue: a state at which only the horizon ends the path has no terminal rewards.
+    problem would continue: if only the horizon ends the path, there are no terminal rewards.
 
     **Raises:** `ValueError` if the objective is not a mean of sums, and so has no reward of a step.
     """
@@ -230,12 +230,12 @@ def play(
     - `agent`: an `Agent`, a policy, or any function from observations [N, k] to N actions. The
       actions of a policy are converted to the environment's space (see `Agent`); a memory is reset.
     - `environment`: a name such as "Pendulum-v1", or a function that makes an environment.
-    - `starts`: seeds of `environment.reset(seed=…)`, or a number n for the seeds 0 … n - 1: the
-      same ones for every agent, so that agents are compared on common starts.
+    - `starts`: seeds of `environment.reset(seed=…)`, or a number n for the seeds 0 … n - 1. They
+      are the same for every agent, so that agents are compared on common starts.
     """
     seeds = range(starts) if isinstance(starts, int) else starts
     if not len(seeds):
-        raise ValueError("play: give at least one start.")
+        raise ValueError("play: specify at least one start.")
     worlds = [made(environment) for _ in seeds]
     act = _for_world(agent, worlds[0])
     firsts = [item.reset(seed=int(seed))[0] for item, seed in zip(worlds, seeds)]

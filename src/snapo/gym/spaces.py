@@ -25,10 +25,10 @@ Writer = Callable[[np.ndarray], Elements]  # and back
 
 
 def space_of(action: Actions) -> tuple[Space, SpaceReader]:
-    """The space of a set of actions, and the function from its elements to the exact set.
-
-    A `Choice` is `Discrete`, a `Product` a `Dict` of its sets by name; for a `Simplex` any numbers
-    from 0 to 1 are normalised, whole numbers are rounded; bounds are enforced by clipping.
+    """The space of a set of actions, and the function from elements of the space to the exact set.
+    The space of a `Choice` is `Discrete`, that of a `Product` a `Dict` of its sets by name. For a
+    `Simplex` any numbers from 0 to 1 are normalised; whole numbers are rounded; bounds are
+    enforced by clipping.
 
     **Raises:** `ValueError` for a set that has no space.
     """
@@ -122,14 +122,14 @@ def _option(decided: np.ndarray, options: int) -> np.ndarray:
         return np.round(decided[:, 0]).astype(np.int64)
     if size != options:
         raise ValueError(
-            f"Agent: the number of decisions of the policy is {size}, but that of options is "
-            f"{options}."
+            f"Agent: the policy decides {size} numbers, but there are {options} options."
         )
     return np.argmax(decided, -1)
 
 
 def _refuse(space: Space, action: Actions | None) -> NoReturn:
     raise ValueError(
-        f"Agent: decisions in {action} do not fit into the space {space}; give "
-        "snapo.gym.Agent(policy, action=…) a function from decisions [N, size] to its elements."
+        f"Agent: decisions in {action} do not fit into the space {space}; pass "
+        f"snapo.gym.Agent(policy, action=…) a function from decisions [N, size] to elements of "
+        f"the space."
     )

@@ -188,10 +188,9 @@ def _by_element(values: EmittedValues, op: Op) -> None:
 
 
 def loop(values: EmittedValues, region: Region, shape: tuple[int, ...]) -> None:
-    """One pass over the elements of equally shaped arrays.
-
-    A dot product that the loop begins with passes each sum on in its register,
-    unless an array of the loop is stored in another order.
+    """One pass over the elements of arrays of the same shape. If the loop begins with a dot
+    product, each sum is passed on in its register, unless an array of the loop is stored in
+    another order.
     """
     code = values.code
     inside = {v for op in region.ops for v in op.outputs}

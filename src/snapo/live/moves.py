@@ -25,8 +25,9 @@ OWN = ("title", "name", "label")  # keys by which the row of a table names itsel
 
 
 def title(tables: Mapping[str, Any], key: Key) -> str:
-    """("parameters", 0, "distribution", "kind") as "Granule size: distribution", where the first
-    row of `parameters` has this name; ("units", "mill", "kind") as "Mill: kind".
+    """The title of a key: ("parameters", 0, "distribution", "kind") becomes "Granule size:
+    distribution", if the first row of `parameters` has this name, and ("units", "mill", "kind")
+    becomes "Mill: kind".
     """
     rows = [i for i, part in enumerate(key) if isinstance(part, int)]
     if rows:
@@ -190,7 +191,8 @@ class WhatIf:
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """(name, table) one after another, of the page's tables at these numbers and choices.
+        """Pairs (name, table), one after another, of the page's tables at these numbers and
+        choices.
 
         **Raises:** `CaseError` if the reader of the case refuses them.
         """
@@ -216,10 +218,9 @@ class WhatIf:
     def explained(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> list[dict[str, Any]]:
-        """The change of the value, an input after another on the same paths, each on top of those
-        before; choices come first, together.
-
-        Inputs that the case refuses without the next one are moved together with it.
+        """The change of the value, one input after another on the same paths, each in addition to
+        the previous ones; all choices come first, together. If the case refuses the move of an
+        input without that of the next one, both are moved together.
         """
         moves = [(list(selected), {})] if selected else []
         moves += [([name], {name: new}) for name, new in self.changed(values).items()]

@@ -68,8 +68,8 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         "meaning": about.headline or result.get("meaning", ""),
         "follows": bool(about.headline),
         "folder": str(run),
-        "restart": f'Start it again with "snapo open {run}": the page that it opens offers the '
-        "inputs of this page.",
+        "restart": f'Start it again with "snapo open {run}": the new page offers the inputs '
+        "of this page.",
         "result": {key: result.get(key) for key in keys},
     }
 
@@ -105,7 +105,9 @@ def server_of(
 async def served(
     server: "Server", port: int, ready: Callable[[], None], ended: asyncio.Event
 ) -> None:
-    """Serves the page until `ended`. **Raises:** `CaseError` where the port is taken."""
+    """Serves the page until `ended`.
+
+    **Raises:** `CaseError` where the port is taken."""
     try:
         await server.start(port)
     except OSError as error:

@@ -38,10 +38,9 @@ class PathCounts(NamedTuple):
 
     @classmethod
     def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
-        """As many paths as the value needs, by the error of the run, and at most those of the run.
-
-        `numbers`: the size of the trajectory of one path; if it is large there are fewer paths, so
-        that an answer comes in time.
+        """The number of paths that the value needs, estimated from the error of the run; at most
+        those of the run. `numbers`: the size of the trajectory of one path; if it is large there
+        are fewer paths, so that an answer comes in time.
         """
         share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
         needed = min(MAXIMUM, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
@@ -57,7 +56,7 @@ class Simulated(NamedTuple):
     """The policy on the first paths of the evaluation, in the order of their numbers.
 
     - `totals`: {output: [paths]} for the value.
-    - `actions`: [T, paths, A] for the deltas; None if they simulate themselves.
+    - `actions`: [T, paths, A] for the deltas; None if the deltas simulate the paths again.
     - `tables`: {kind: leaves [T, paths, …]} of state, action and outputs for the fans.
     """
 
@@ -67,9 +66,9 @@ class Simulated(NamedTuple):
 
 
 def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
-    """Simulates every path once if recording keeps the bits of totals; else totals separately.
-
-    The complete trajectory is always recorded: another record would be compiled again.
+    """Simulates every path once if recording does not change the bits of the totals; otherwise
+    simulates the totals separately. The complete trajectory is always recorded, since another
+    record would need another compilation.
     """
     problem, engine = setup.problem, setup.engines.evaluate
     source, bound = problem.sources.evaluation, engine.bind(problem)

@@ -36,9 +36,10 @@ class MovedValue(NamedTuple):
 
 
 class PageTables(NamedTuple):
-    """The tables of a page or a scenario: None if one is not known.
+    """The tables of a page or a scenario; a table that is not known is None.
 
-    - `values`, `chosen`: the moved inputs and choices by name; `policy`: its number or file.
+    - `values`, `chosen`: the moved inputs and choices by name; `policy`: the number or file of the
+      policy.
     - `value`, `deltas`, `fans`, `today`, `sections`: the tables of `Moves.stages`.
     """
 
@@ -140,9 +141,10 @@ class Refused(ValueError):
 
 
 class PageOrder(NamedTuple):
-    """An order of a page, unchecked: to `do` something for its move of number `n`.
+    """An unchecked request of a page to `do` something for its move number `n`.
 
-    - `values`, `chosen`, `policy`: of the move, as in `PageTables`; `name`, `id`: of a scenario.
+    - `values`, `chosen`, `policy`: those of the move, as in `PageTables`; `name`, `id`: those of a
+      scenario.
     """
 
     do: Any = None
@@ -164,7 +166,7 @@ def values_of(inputs: Any) -> dict[str, list[float]]:
             raise Refused(f"{name}: an input is a list of numbers")
         size += len(numbers)
         if size > MAX_NUMBERS:
-            raise Refused(f"a move has {MAX_NUMBERS} numbers at most")
+            raise Refused(f"a move has at most {MAX_NUMBERS} numbers")
         for number in numbers:
             if isinstance(number, bool) or not isinstance(number, int | float):
                 raise Refused(f"{name}: an input is a list of numbers")
@@ -205,7 +207,7 @@ class SavedScenarios:
             raise Refused("a scenario needs a name")
         result = slug(metadata)
         if not (self.folder / result).exists() and len(self.all()) >= MAXIMUM:
-            raise Refused(f"a run keeps {MAXIMUM} scenarios at most; delete one first")
+            raise Refused(f"a run keeps at most {MAXIMUM} scenarios; delete one first")
         made = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         record = {"id": result, "name": metadata, "made": made, "values": dict(values)}
         record |= {key: tables[key] for key in KEPT if key in tables}

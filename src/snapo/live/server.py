@@ -139,8 +139,8 @@ POLICY = (
 )
 
 STRANDED = (
-    "The address has no token, or one of an earlier start. Run `snapo open RUN` again, and use the "
-    "address that it prints: its page offers the inputs of the previous one."
+    "The address has no token, or the token of an earlier start. Run `snapo open RUN` again, and "
+    "use the address that it prints. The new page offers the inputs of the previous one."
 )
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -163,7 +163,9 @@ def guard(token: str, port: Callable[[], int]):
             raise web.HTTPForbidden(text=STRANDED)
         origin = request.headers.get("Origin")
         if origin is not None and origin not in [f"http://{name}" for name in names]:
-            raise web.HTTPForbidden(text="A page of another site asks for this one.")
+            raise web.HTTPForbidden(
+                text="A page of another site has requested this page, which is not allowed."
+            )
         if request.headers.get("Upgrade") and origin is None:
             raise web.HTTPForbidden(text="The page itself must ask.")
         return await handler(request)
@@ -213,7 +215,9 @@ class Server:
         return f"http://{HOST}:{self.port}/{self.token}/"
 
     async def start(self, port: int = 0) -> None:
-        """Listens on this machine only. **Raises:** `OSError` where the port is taken."""
+        """Listens on this machine only.
+
+        **Raises:** `OSError` where the port is taken."""
         checked, harden = guard(self.token, lambda: self.port)
         app = web.Application(middlewares=[checked], client_max_size=LONGEST)
         app.on_response_prepare.append(harden)

@@ -75,9 +75,9 @@ def own_unit(entry: Input) -> tuple[float, str]:
 
 
 def slopes(table: Sensitivities | None, inputs: Mapping[str, Input]) -> dict[str, np.ndarray]:
-    """d value / d number of every input, flat: the derivative that the run reports.
-
-    If only the change along a bump of all numbers of an input is known, it is shared among them.
+    """d value / d number for every input, flattened: the derivative that the run reports. If only
+    the change along a bump of all numbers of an input is known, this change is divided among the
+    numbers.
     """
     if table is None:
         return {name: np.zeros(entry.value.size) for name, entry in inputs.items()}
@@ -93,12 +93,12 @@ def _slopes(derivative: Reported) -> np.ndarray:
 
 
 class Deltas(NamedTuple):
-    """The derivatives at moved inputs: those of the run, plus the change of the held ones since, on
-    the same paths.
+    """The derivatives at moved inputs: those of the run, plus the change of the held derivatives
+    from the run's inputs, on the same paths.
 
     - `table`: the table of the run, None if it has none.
-    - `before`, `now`: {input: estimate} of the held derivatives at the run's inputs and at these;
-      the same where nothing moved.
+    - `before`, `now`: {input: estimate} of the held derivatives at the run's inputs and at the
+      moved ones; the same if nothing moved.
     """
 
     table: Sensitivities | None
@@ -137,7 +137,8 @@ class Deltas(NamedTuple):
 def derivatives(
     deltas: Deltas, inputs: Mapping[str, Input], sources: Mapping[str, SourceNumbers] = NONE
 ) -> list[dict[str, Any]]:
-    """A row for each input: the effect of its move, and of one unit more at every handle.
+    """A row for each input: the effect of its move, and the effect of one unit more at every point
+    that can be dragged.
 
     `sources`: numbers from which inputs are made; their derivatives follow from those of the
     inputs.
@@ -216,7 +217,8 @@ def _said(inputs: Input, values: np.ndarray, i: int) -> str:
 
 
 def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
-    """The cause of the end of a calculation: the user's `module`, with its message, or snapo.
+    """A text on the end of a calculation: an error in the user's `module`, with its message, or in
+    snapo.
 
     `moved`: names of the inputs and choices that differ from the run's.
     """

@@ -69,10 +69,11 @@ class Valuation(WhatIf):
         self._last = self.setup
 
     def use(self, policy: int | str) -> None:
-        """From now on values a policy trained here, by number (0: the run's), or the one in a file.
+        """From now on values the policy with this number among those trained here (0 is the
+        run's), or the policy in a file.
 
         **Raises:** `CaseError` for a policy that was lost with the process that trained it, or a
-        file of another policy.
+        file with another kind of policy.
         """
         if isinstance(policy, str):
             try:
@@ -80,7 +81,12 @@ class Valuation(WhatIf):
             except PolicyFileError as error:
                 raise CaseError("this policy", "", None, str(error)) from None
             if not _alike(loaded, self._policies[0]):
-                raise CaseError("this policy", "", None, "it decides something else than the run's")
+                raise CaseError(
+                    "this policy",
+                    "",
+                    None,
+                    "it makes other kinds of decisions than the run's policy",
+                )
             self.policy = loaded
             return
         if not 0 <= policy < len(self._policies):
@@ -151,10 +157,11 @@ class Valuation(WhatIf):
         summary: Callable[[int, int], None],
         selected: SelectedChoices = NONE,
     ) -> dict[str, Any]:
-        """The policy trained on at these inputs, and its gain on the same paths.
+        """The policy after further training at these inputs, and its gain on the same paths.
 
-        It starts from the policy in use, which the page continues to value until it asks for
-        the new one by its number, "policy". `summary` is called with the number of steps done and
+        Training starts from the policy in use. The page continues to value that policy until it
+        requests the new one by its number, "policy". `summary` is called with the number of steps
+        done and
         of all; an exception in it stops training.
         """
         setup, policy = self._at(values, selected)[1], self.policy
@@ -235,7 +242,8 @@ class Valuation(WhatIf):
             study = self.rebuild(self.case_at({}, selected).case)
             if study.setup is None or not _alike(study.setup().policy, self.setup.policy):
                 message = (
-                    "the run's policy decides something else; keep this as a case, and solve it"
+                    "the run's policy makes other kinds of decisions; download this case, and "
+                    "solve it"
                 )
                 raise CaseError(", ".join(selected), "", None, message)
             self._variants[key] = study, study.setup()

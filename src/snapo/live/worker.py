@@ -44,7 +44,8 @@ def open_run(
     counts: PathCounts | None = None,
     domain: Domain | None = None,
 ) -> WhatIf:
-    """The run in a folder; `domain`: for a problem in Python; by default that of its kind.
+    """The run in a folder. `domain`: the domain of a problem in Python; by default that of the
+    run's kind.
 
     **Raises:** `CaseError` if there is no such run, or it has no inputs to move.
     """
@@ -63,7 +64,7 @@ def open_run(
         positions = InputPositions(domain.read, files, values.inputs_by_name, study.inputs, case)
         return Recalculation(study, values, positions, rebuild)
     if study.setup is None:
-        message = "this run trained no policy, and there is none to value again"
+        message = "this run trained no policy, so there is nothing to value again"
         raise CaseError(str(run), "", None, message)
     if study.setup_at is None:
         message = f'inputs of a run of kind "{study.kind}" cannot be moved yet'
@@ -92,11 +93,11 @@ class Post:
 
 
 class WorkerOrder(NamedTuple):
-    """An order of the server: to `do` something for a page's move of number `n`.
+    """A request of the server to `do` something for a page's move number `n`.
 
-    - `values`, `chosen`: the moved inputs and choices by name; `policy`: a number of one that was
-      trained here, or a file.
-    - `folder`: to which a case is written, as a `workbook` if it is asked for.
+    - `values`, `chosen`: the moved inputs and choices by name; `policy`: the number of a policy
+      that was trained here, or a file.
+    - `folder`: the folder into which a case is written, if requested as a `workbook`.
     """
 
     do: str = ""
@@ -115,9 +116,9 @@ class WorkerOrder(NamedTuple):
 
 
 class Desk:
-    """Requests as they come: moves by page, the newest only, and everything else in order.
-
-    A newer move also stops a page's training, and so does "cancel", which has no move.
+    """Requests in the order in which they arrive, except that of the moves of a page only the
+    newest is kept. A newer move also stops a page's training, and so does "cancel", which has no
+    move.
     """
 
     def __init__(self, lines: TextIO):

@@ -27,7 +27,7 @@ def wrap_angle(angle: ArrayLike) -> Float[Array, " *shape"]:
 
 
 def angle_features(angle: ArrayLike) -> Float[Array, " *shape 2"]:
-    """(cosine, sine) [..., 2] of an angle [...] in radians: features for a policy, without a jump.
+    """The features (cosine, sine) [..., 2] of an angle [...] in radians, which have no jump.
 
     >>> snapo.angle_features(np.float32(0.0)).tolist()
     [1.0, 0.0]

@@ -24,9 +24,10 @@ class Chain(Simulator):
 
     **Arguments:**
 
-    - `stages`: the simulators. All have the same action set, of any kind, or different Boxes: then
-      the set of the chain is the smallest Box that contains them all, and a stage uses the first
-      numbers of an action, clipped to its bounds. It also uses the first numbers of the noise.
+    - `stages`: the simulators. All have the same action set, of any kind, or different Boxes. In
+      the second case the set of the chain is the smallest Box that contains them all, and a stage
+      uses the first numbers of an action, clipped to its bounds. A stage also uses the first
+      numbers of the noise.
     - `maps`: one fewer than stages. `maps[i](constants, state, next_constants)` maps the terminal
       state of stage i to the initial state of stage i + 1, whose `initial` is not called.
     - `names`: prefixes of the stages' outputs ("reactor.yield"). Without them, outputs of the same
@@ -46,11 +47,11 @@ class Chain(Simulator):
         if not self.stages or len(self.maps) != len(self.stages) - 1:
             raise ValueError(
                 f"Chain: {len(self.stages)} stages need {len(self.stages) - 1} maps between them; "
-                f"{len(self.maps)} were given."
+                f"{len(self.maps)} were passed."
             )
         if self.names and len(set(self.names)) != len(self.stages):
             raise ValueError(
-                f"Chain: names are {self.names}; give {len(self.stages)} different ones."
+                f"Chain: names are {self.names}; there must be {len(self.stages)} different ones."
             )
         sets = [stage.action for stage in self.stages]
         if not self._alike and not all(isinstance(item, Box) for item in sets):
@@ -191,7 +192,7 @@ class Chain(Simulator):
                 if kinds.setdefault(name, kind) != kind:
                     raise ValueError(
                         f"Chain: {name!r} is totalled by {kinds[name]!r} in one stage and by "
-                        f"{kind!r} in another; give names to the stages, or others to the outputs."
+                        f"{kind!r} in another; name the stages, or rename the outputs."
                     )
         return kinds
 

@@ -32,7 +32,7 @@ class Family:
 
     The policy observes these inputs, scaled from -1 at the lower to 1 at the upper bound, after the
     features of the simulator. An objective that is not a mean, such as a CVaR, is computed over the
-    paths of all members together, so that training gives the worst members most weight.
+    paths of all members together, so that training gives the largest weights to the worst members.
 
     **Arguments:**
 
@@ -54,10 +54,12 @@ class Family:
         if not self.ranges:
             raise ValueError("Family: ranges is empty; name at least one input.")
         if self.members < 2:
-            raise ValueError(f"Family: members is {self.members}; at least 2 are needed.")
+            raise ValueError(f"Family: members is {self.members}; it must be at least 2.")
         for name, endpoints in self.ranges.items():
             if not isinstance(endpoints, tuple | list) or len(endpoints) != 2:
-                raise ValueError(f"Family: the range of {name} is {endpoints!r}; give (low, high).")
+                raise ValueError(
+                    f"Family: the range of {name} is {endpoints!r}; it must be (low, high)."
+                )
             low, high = endpoints
             if not np.all(np.asarray(low) < np.asarray(high)):
                 raise ValueError(
@@ -68,8 +70,8 @@ class Family:
     def training(self) -> Problem:
         """The problem to solve: its value is the objective of all members' paths together.
 
-        The named inputs are plain numbers there, without derivatives, since they differ between
-        members; differentiate at a member.
+        In it the inputs with ranges are plain numbers without derivatives, since they differ
+        between members; differentiate at a member.
         """
         from scipy.stats import qmc  # late: it takes a second to load
 

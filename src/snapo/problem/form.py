@@ -21,8 +21,8 @@ class Use(TreeRecord):
 
     - `name`: the name of the input; `size`: its number of entries.
     - `shape`: the shape of the numbers where they are used.
-    - `index`: integers of that shape into the input's numbers; None if they are used one by one in
-      order, if one number is used everywhere, and if there is no number.
+    - `index`: integers of that shape, the positions in the input's numbers; None if the numbers
+      are used one by one in order, if one number is used everywhere, or if there is no number.
     """
 
     name: str = field(static=True)

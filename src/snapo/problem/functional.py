@@ -51,12 +51,13 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
     The infinitesimal jackknife (Jaeckel 1972; Efron 1982, ch. 6): a path has the mass q_i / N in
     every sum over paths, and the influence is N dV/dq_i - sum_j dV/dq_j at q = 1.
 
-    If the formula is not made of sums over paths (but of a sort, say), N times a path's weight is
-    the slope of the influence function at that path (von Mises 1947). For one output this slope is
+    If the formula does not consist of sums over paths (but of a sort, for instance), N times a
+    path's weight is the slope of the influence function at that path (von Mises 1947). For one
+    output this slope is
     integrated along the sorted totals; for several, Tukey's sensitivity curve is used, n (V(x_1 …
     x_{n-1}, x) - V(x_1 … x_{n-1})), on n = 512 paths of the sample (Hampel et al. 1986, section
-    2.1e), with the sampling error of so many. A single quantile has no smooth slope, and neither is
-    reliable for it. In all cases the mean of the result is shifted to the value.
+    2.1e), with the sampling error of so many. A single quantile has no smooth slope, and neither
+    method is reliable for it. In all cases the mean of the result is shifted to the value.
     """
     totals, size = dict(totals), len(next(iter(totals.values())))
     centre = value(objective, totals)

@@ -100,16 +100,18 @@ def problem_of(
     seed: int = 0,
     needs: bool = True,
 ) -> Problem:
-    """The problem that a caller means: the one passed, or that of a simulator with its inputs.
+    """The problem that a caller means: the problem that was passed, or that of a simulator with its
+    inputs.
 
-    **Arguments:** `sources`: used without `scenarios`; `needs`: whether an objective is needed.
+    **Arguments:** `sources`: used if there are no `scenarios`; `needs`: whether an objective is
+    needed.
 
-    **Raises:** `ValueError` if a `Problem` comes with one of these too, if the first argument
-    is neither a problem nor a simulator, and for invalid sizes, scenarios or constraints.
+    **Raises:** `ValueError` if a `Problem` is passed together with one of these, if the first
+    argument is neither a problem nor a simulator, and for invalid sizes, scenarios or constraints.
     """
     if isinstance(problem, type):
         name = problem.__name__
-        raise ValueError(f"{verb}: {name} is a class; give its object, {name}().")
+        raise ValueError(f"{verb}: {name} is a class; pass an object of it, {name}().")
     if isinstance(problem, Problem):
         local = (item is not None for item in (inputs, objective, scenarios))
         if constraints not in ((), [], None) or any(local):
@@ -125,7 +127,7 @@ def problem_of(
         message = "it must be scenarios, such as snapo.Sobol(0), or Sources"
         raise ValueError(f"{verb}: scenarios is {scenarios!r}; {message}.")
     if not isinstance(constraints, Limit | list | tuple):
-        message = 'it must be a list of them, such as [snapo.Mean("unserved") <= 0.05]'
+        message = 'it must be a list of constraints, such as [snapo.Mean("unserved") <= 0.05]'
         raise ValueError(f"{verb}: constraints is {constraints!r}; {message}.")
     selected = sources if scenarios is None and sources is not None else Sources.of(scenarios, seed)
     aim = Mean("") if objective is None else objective

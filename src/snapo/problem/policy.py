@@ -56,7 +56,8 @@ class Policy(eqx.Module):
     def save(self, file: Path | str) -> None:
         """Writes the policy to a self-describing .npz file, for `snapo.load_policy`.
 
-        **Raises:** `PolicyFileError`, a `ValueError`, for a user-defined class: a file has no code.
+        **Raises:** `PolicyFileError`, a `ValueError`, for a user-defined class, since the file
+        contains no code.
         """
         save(self, file, features(self))
 
@@ -71,7 +72,8 @@ def as_observation(values: ArrayLike | Sequence[float]) -> Float[Array, " featur
 
 
 class Network(eqx.Module):
-    """A fully connected network with float32 weights: `widths` are features, hidden …, outputs.
+    """A fully connected network with float32 weights. `widths` are the numbers of features, of
+    units in each hidden layer, and of outputs.
 
     The last layer starts small (its weights divided by 100), so that a policy starts near the
     middle of its range and a residual starts at its base.
@@ -253,7 +255,7 @@ def _network(policy: MLP | Residual, action, features, key) -> Network | None:
     if not all(values):
         raise ValueError(
             f"{type(policy).__name__}: specify the action set, the number of features and a key "
-            "together, or none of them: then solve adds them."
+            f"together, or none of them; solve then adds them."
         )
     assert policy.hidden is not None
     return Network((features, *policy.hidden, action.size), key=key, activation=policy.activation)
@@ -273,8 +275,8 @@ def _fitting(policy, network: Network, interface: Interface):
     values = network.weights[0].shape[1], network.weights[-1].shape[0]
     if values != (interface.features, interface.action.size):
         raise ValueError(
-            f"{type(policy).__name__}: it takes {values[0]} features and gives {values[1]} "
-            f"actions; this simulator has {interface.features} and {interface.action.size}."
+            f"{type(policy).__name__}: it takes {values[0]} features and decides {values[1]} "
+            f"numbers; this simulator has {interface.features} and {interface.action.size}."
         )
     return policy
 

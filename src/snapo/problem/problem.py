@@ -84,13 +84,13 @@ class Problem:
     The schedule is prepared once, on first use, in float64 NumPy.
 
     - `simulator`, `inputs`: one path, and a tree of `Input`s.
-    - `objective`: the objective of the path totals; maximised. The name of an output means its
-      mean: "cash" is `Mean("cash")`.
+    - `objective`: the objective of the path totals, which is maximised. The name of an output
+      means its mean: "cash" is `Mean("cash")`.
     - `sources`: the scenarios of training, validation and evaluation; the last two have few paths
       if nothing is random (see `EqualPaths`).
     - `constraints`: limits on averages or probabilities: `[Mean("unserved") <= 0.05]`.
-    - `rebuild`: the same problem with everything in its simulator that was computed from the inputs
-      (a value table, a hedge, scales of features) recomputed; None if nothing was.
+    - `rebuild`: returns the same problem, with everything in its simulator that was computed from
+      the inputs (a value table, a hedge, scales of features) recomputed; None if nothing was.
     """
 
     simulator: Simulator
@@ -156,10 +156,9 @@ class Problem:
 
     @property
     def partly_observed(self) -> tuple[str, ...]:
-        """The names of state numbers that matter and that are not observed.
-
-        Empty if the observation has all information for decisions, as far as tests on paths show
-        (`problem.unseen`). It compiles a step if the observation is incomplete.
+        """The names of state numbers that matter for decisions but are not observed. It is empty
+        if the observation has all information for decisions, as far as tests on paths show
+        (`problem.unseen`). A step is compiled if the observation is incomplete.
         """
         if self.simulator.fully_observed:
             return ()

@@ -87,9 +87,9 @@ class Factors(NamedTuple):
     """Numbers of a `FactorPrice` at its T times.
 
     - `forward` [T]: expected price, positive.
-    - `mean_reversion` [F]: per unit of time, 0 allowed.
+    - `mean_reversion` [F]: per unit of time, at least 0.
     - `loading` [T, F]: volatilities of the price at each time, per square root of a unit of time.
-    - `correlation` [F, F] of the factors.
+    - `correlation` [F, F]: correlations of the factors.
     """
 
     forward: Float[Array, " T"]
@@ -118,7 +118,7 @@ class FactorStep(NamedTuple):
 class Gaps(TreeRecord):
     """The distinct intervals between successive times, the first of which begins today.
 
-    - `length` [n] of each interval; `none`: whether it is 0.
+    - `length` [n]: the length of each interval; `none`: whether it is 0.
     - `which` [T]: index of the interval that ends at each time.
     """
 

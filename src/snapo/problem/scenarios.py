@@ -107,8 +107,8 @@ class Pseudo(Scenarios):
             return Scenarios.blocks(self, paths, count)
         if paths % 2:
             raise ValueError(
-                f"Pseudo: {paths} antithetic paths; they come in pairs. `available` completes the "
-                "last one."
+                f"Pseudo: {paths} antithetic paths; their number must be even. `available` "
+                f"completes the last pair."
             )
         pairs = Scenarios.blocks(self, paths // 2, count)
         return [np.stack([2 * p, 2 * p + 1], axis=-1).reshape(-1) for p in pairs]
@@ -119,9 +119,9 @@ class Sobol(Scenarios):
     """Scrambled Sobol points through a Brownian bridge, for evaluation.
 
     Path p is point p // 32 of scramble p % 32, so standard errors come from 32 independent
-    scrambles. The bridge is built per component over equal steps: its leading coefficients take
-    the leading Sobol dimensions, the rest (beyond Sobol's dimensions) is pseudo-random. It
-    spans the calendar up to the simulator's last step, so that paths depend on this step.
+    scrambles. A bridge is built for each component over equal steps. Its first coefficients take
+    the first Sobol dimensions; the coefficients beyond Sobol's dimensions are pseudo-random. The
+    bridge spans the calendar up to the simulator's last step, so that paths depend on this step.
     """
 
     seed: int = 0
@@ -185,7 +185,7 @@ class Sobol(Scenarios):
 
 @dataclass(frozen=True, eq=False)
 class Supplied(Scenarios):
-    """User-supplied scenarios instead of normals.
+    """Scenarios supplied by the user instead of normals.
 
     - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are assumed to
       be independent.
@@ -284,7 +284,7 @@ def stream(use: int, number: int = 0) -> int:
 
 @dataclass(frozen=True)
 class Sources:
-    """One source of scenarios for each role, used for no other.
+    """A separate source of scenarios for each role.
 
     - `training`: returns different paths at every step.
     - `validation`: the paths on which policies are compared while training, always the same.
@@ -297,9 +297,9 @@ class Sources:
 
     @classmethod
     def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
-        """The sources for an argument of a caller: by default fresh normals of `seed`.
-
-        Scenarios of normals are used for the evaluation. Supplied paths are divided: the first
+        """The sources for the argument `scenarios` of a caller; by default fresh normals of
+        `seed`. Scenarios of normals are used for the evaluation only. Supplied paths are divided:
+        the first
         three fifths train, the next fifth validates, the last evaluates.
         """
         if isinstance(values, Sources):
@@ -343,8 +343,8 @@ class Sources:
         if supplied.size < FEWEST:
             raise ValueError(
                 f"Supplied: {supplied.size} paths are too few to train, validate and evaluate on "
-                f"different ones; give at least {FEWEST}, or Sources(training, validation, "
-                "evaluation)."
+                f"different ones; supply at least {FEWEST}, or Sources(training, validation, "
+                f"evaluation)."
             )
         first, second = supplied.size * 3 // 5, supplied.size * 4 // 5
         edges = ((0, first), (first, second), (second, supplied.size))
@@ -371,7 +371,8 @@ def bridge(levels: Float[np.ndarray, "paths steps k"]) -> Float[np.ndarray, "pat
     """Unit normals per step from normals in order of importance, by a Brownian bridge.
 
     The first number is the whole displacement, the next the midpoint conditional on both endpoints,
-    and so on (Caflisch, Morokoff and Owen 1997). The map is orthogonal: normals in, normals out.
+    and so on (Caflisch, Morokoff and Owen 1997). The map is orthogonal, so that the results are
+    standard normals too.
     """
     steps = levels.shape[1]
     walk = np.zeros((levels.shape[0], steps + 1, levels.shape[2]))

@@ -29,7 +29,7 @@ class Interface(NamedTuple):
     """The properties to which a policy is fitted.
 
     - `action`: the set of its actions; `features`: the length of its observation.
-    - `stages`: for a `Chain`, the same for every stage.
+    - `stages`: for a `Chain`, the interface of every stage.
     """
 
     action: Actions
@@ -46,13 +46,14 @@ class Simulator(eqx.Module):
     - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Integers`, `Choice`, `Stop` or a
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
-    - `first_step`: the number of its first step in the calendar by which scenarios count, 0 by
-      default. `initial_steps`: `initial` receives the noise of this number of first steps of the
-      calendar, one after another, and uses those before `first_step`. If there are fewer, its
+    - `first_step`: the number of its first step in the calendar by which the steps of scenarios
+      are counted, 0 by default. `initial_steps`: `initial` receives the noise of this number of
+      first steps of the calendar, one after another, and uses those before `first_step`. If there
+      are fewer, its
       noise is drawn separately, and steps are counted from the simulator's own start.
       `calendar`: path p is the same scenario only in simulators for which it is equal.
-    - `fully_observed`: declared by an author who knows that the observation has all of the state
-      that matters to a decision; it is then not examined (`problem.unseen`).
+    - `fully_observed`: declares that the observation has all parts of the state that matter for
+      decisions; this is then not examined (`problem.unseen`).
     """
 
     horizon: eqx.AbstractVar[int]
@@ -74,10 +75,10 @@ class Simulator(eqx.Module):
         """Turns inputs into the schedule. `inputs` holds plain arrays instead of every `Input`."""
 
     def prepared_apart(self) -> tuple["Simulator", Callable[[Schedule], Schedule]]:
-        """A simulator that prepares a part of the schedule, and a function that adds the rest.
-
-        The rest are arrays of this simulator that `prepare` passes on unchanged, such as a fitted
-        value table: the compiled `prepare` of the part serves before and after the table is fitted.
+        """A simulator that prepares a part of the schedule, and a function that adds the rest. The
+        rest consists of arrays of this simulator that `prepare` passes on unchanged, such as a
+        fitted value table. The compiled `prepare` of the part can therefore be used before and
+        after the table is fitted.
         """
         return self, lambda schedule: schedule
 
@@ -122,8 +123,8 @@ class Simulator(eqx.Module):
         return ()
 
     def in_mean(self) -> tuple[str, ...]:
-        """Names of inputs whose derivative is not correct on a single path, but in the mean of many
-        paths, such as parameters of draws in whole units. A certificate compares the mean.
+        """The names of inputs whose derivative is correct only in the mean over many paths, not on
+        a single path, such as parameters of draws in whole units. A certificate compares the mean.
         Parameters of `snapo.noise` need not be named."""
         return ()
 

@@ -30,8 +30,9 @@ class Constraints(TreeRecord):
 
     @abc.abstractmethod
     def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """max(x, 0). Smooth: w (u + 1)^3 (3 - u) / 16 with u = x / w where |x| < w =
-        temperature * scale, twice differentiable; above the exact by at most 3 w / 16, at x = 0."""
+        """max(x, 0). The smooth form is w (u + 1)^3 (3 - u) / 16 with u = x / w where |x| < w =
+        temperature * scale. It is twice differentiable, and above the exact form by at most 3 w /
+        16, at x = 0."""
 
     @abc.abstractmethod
     def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
@@ -41,8 +42,9 @@ class Constraints(TreeRecord):
     def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         """The share, 0 to 1, of a segment on which a line from `first` to `last` is positive.
 
-        Smooth: the mean of the logistic `indicator` along the segment, w (log(1 + e^(first / w)) -
-        log(1 + e^(last / w))) / (first - last); wrong by at most 2 w log(2) / |first - last|.
+        The smooth form is the mean of the logistic `indicator` along the segment, w (log(1 +
+        e^(first / w)) - log(1 + e^(last / w))) / (first - last), with an error of at most 2 w
+        log(2) / |first - last|.
         """
 
     @abc.abstractmethod
@@ -68,10 +70,9 @@ class Constraints(TreeRecord):
         return xp.where(finite, b + self.positive_part(gap, scale), xp.maximum(a, b))
 
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """x within [low, high], low <= high. Smooth: within, with an error of at most 3 w / 16.
-
-        Between limits that are closer than w the corners are rounded over high - low: two wider
-        ones would overlap and leave the limits.
+        """x clipped to [low, high], low <= high. The smooth form is also within the limits, with
+        an error of at most 3 w / 16. If the limits are closer than w, the corners are rounded over
+        high - low: wider corners would overlap, and results could be outside of the limits.
         """
         return self.minimum(self.maximum(x, low, scale), high, scale)
 
@@ -91,14 +92,15 @@ class Constraints(TreeRecord):
     ) -> Float[Array, " n"]:
         """Shares within bounds that add up to `total`, from any real numbers, by construction.
 
-        w_i = low_i + (high_i - low_i) / (1 + exp(-(logits_i + level))), the level being the one
-        number that makes them add up. Already smooth, so the same for `Smooth` and `Exact`.
+        w_i = low_i + (high_i - low_i) / (1 + exp(-(logits_i + level))), where the level is the
+        number with which they add up to `total`. This is smooth, so it is the same for `Smooth`
+        and `Exact`.
 
         **Arguments:**
 
         - `groups`: disjoint `(members, low, high)`: the members' sum lies within [low, high].
           Group sums are computed first, by the same formula on the groups' mean logits, then
-          shares within each group; an asset without a group forms one.
+          shares within each group; an asset without a group forms its own.
         - Bounds must be attainable: sum(low) <= total <= sum(high), in every group too.
         """
         n = logits.shape[0]

@@ -27,7 +27,7 @@ def quantile_fan(
     """Bands of quantiles over years: 1-99, 5-95 and 25-75 %, the median and the mean.
 
     `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value to draw a line at; `across`: the name of
-    the horizontal axis if it does not count years; `dates`: the steps of a date axis.
+    the horizontal axis if it does not show years; `dates`: the steps of a date axis.
     """
     for low, high, alpha, name in (
         ("p01", "p99", 0.14, "1–99 %"),
@@ -63,8 +63,8 @@ def heat(
 ) -> None:
     """Numbers in a grid [rows, columns], the first row at the bottom.
 
-    Darker is more, and those below zero have another colour. `text`: of the number in its cell, by
-    default the percentage of a share; a cell without a number stays empty.
+    Larger numbers are darker, and numbers below zero have another colour. `text`: the format of
+    the number in its cell, by default a percentage; a cell without a number stays empty.
     """
     from matplotlib.patches import Rectangle
 

@@ -123,9 +123,8 @@ def lines(axes: "Axes", when: np.ndarray, curves: Sequence[Line], unit: str) -> 
 
 
 def fan(axes: "Axes", when, mean, low, high, unit: str, *, reach=None, limits=None) -> None:
-    """A mean with its 5-95 % band; behind it the reachable range, around it the limits.
-
-    All arrays [T+1]; `low` and `high` may be None; `reach` and `limits` are pairs (low, high).
+    """A mean with its 5-95 % band, the reachable range behind it, and the limits around it. All
+    arrays are [T+1]; `low` and `high` may be None; `reach` and `limits` are pairs (low, high).
     """
     if reach is not None:
         axes.fill_between(when, *reach, color=LIGHT["reach"], linewidth=0, label="Reachable")
@@ -146,7 +145,8 @@ def fan(axes: "Axes", when, mean, low, high, unit: str, *, reach=None, limits=No
 
 
 def signed_strip(axes: "Axes", when, values, unit: str, names, *, half=None, compare=None) -> None:
-    """One thin bar a day: `names` = (label above zero, label below); `compare` a second plan.
+    """One thin bar for each day: `names` = (label above zero, label below); `compare`: a second
+    plan.
 
     `half` [T] is the half width of a 95 % interval, drawn as a whisker; days without a value
     are NaN.
@@ -171,7 +171,8 @@ def signed_strip(axes: "Axes", when, values, unit: str, names, *, half=None, com
 
 
 def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, compare) -> None:
-    """A bar per label, coloured by sign and named so; 95 % whiskers, and a comparison.
+    """A bar for each label, with a colour and a name for each sign, 95 % whiskers, and a
+    comparison.
 
     **Arguments:**
 
@@ -271,7 +272,8 @@ def trace(axes: "Axes", steps, curves: Sequence[Line], unit: str, log: bool = Fa
 
 
 def regions(axes: "Axes", level, below, above, here, names, units: tuple[str, str]) -> None:
-    """Prices over a level: under `below` one action, over `above` another, none between.
+    """Regions of prices over a level: one action below `below`, another above `above`, and none
+    between them.
 
     `here` is (level, price) today; `names` (under, between, over) are written into the regions.
     """

@@ -229,7 +229,7 @@ def draw(
     height: float = 250.0,
     rows: Sequence[float] = (1.0,),
 ) -> Markup:
-    """A chart as SVG for a page, its colours CSS variables and its text in the page's font.
+    """A chart as SVG for a page. Its colours are CSS variables, and its text has the page's font.
 
     **Arguments:**
 

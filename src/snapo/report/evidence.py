@@ -223,9 +223,9 @@ def _growth(run: RunFiles, leaves: list[str]) -> str:
     if window is not None:
         summary += f" Training used windows of {window} steps."
     if clip is not None:
-        summary += f" At its end training bounded each path's adjoint at {number(clip)}."
+        summary += f" At the end of training each path's adjoint was bounded at {number(clip)}."
     if keep is not None and keep < 1:
-        summary += f" Every backward step kept only a share of {number(keep)} of it."
+        summary += f" Every backward step passed on only a share of {number(keep)} of the adjoint."
     return summary
 
 
@@ -282,8 +282,8 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     half = plus_minus(result["standard_error"], digits)
     paths = number(result["paths"], 0)
     text = (
-        f"The case was trained with {len(result['rows'])} seeds. On {paths} common paths they earn "
-        f"{mean} {unit} on average, {worst} at worst and {best} at best"
+        f"The case was trained with {len(result['rows'])} seeds. On {paths} common paths their "
+        f"policies earn {mean} {unit} on average; the worst earns {worst}, the best {best}"
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (

@@ -33,8 +33,8 @@ class Sensitivity:
       known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
       policy", "range" or "not known".
     - `held`, `held_error`: with the decisions held fixed; `smooth`, `smooth_error`: through the
-      policy's reaction; `moved`, `moved_error`: the change of the held one in the second half of
-      training. None if they were not asked for.
+      policy's reaction; `moved`, `moved_error`: the change of the held derivative in the second
+      half of training. None if they were not requested.
     """
 
     input: str
@@ -56,13 +56,13 @@ class Sensitivity:
 
 @dataclass(frozen=True)
 class RunResult:
-    """The entries of result.json that every kind of run may have; one that is missing is empty.
+    """The entries of result.json that every kind of run may have; a missing entry is empty.
 
     - `value`, `standard_error`, `smoothing_gap`, `policy_gradient_norm`, `policy_gradient_noise`:
-      None also where they are non-finite.
+      None if they are missing or non-finite.
     - `references`: {name: value}; `limits`: the fields of a `LimitFound` each; `notes`: sentences.
-    - `window`, `clip`, `keep`: how training went back.
-    - `seconds`: by name; `engine`, `paths`, `seed`: how to get these numbers again.
+    - `window`, `clip`, `keep`: the settings of backpropagation at the end of training.
+    - `seconds`: seconds by name; `engine`, `paths`, `seed`: how to reproduce these numbers.
     """
 
     value: float | None = None
@@ -107,7 +107,7 @@ class RunFiles:
     - `result`: result.json.
     - `details`: run.json's `about` and the tables of all parts that are done; read with `get` and
       `numbers`, since any key may be missing.
-    - `parts`: by name, of run.json.
+    - `parts`: the parts in run.json by name.
     - `sensitivities`: the lines of sensitivities.csv.
     - `profile`, `history`, `adjoints`: columns of these CSV files by name, as text.
     """

@@ -55,9 +55,9 @@ class Table:
 
     - `caption`: the subject of the table, for every reader; may be empty.
     - `head`: (name, unit) of every column; empty for a table without a header.
-    - `rows`: cells, written out; a cell may be a `Mark`.
-    - `strong`: rows to set apart.
-    - `folded`: the text to click before the table shows; it is open in print.
+    - `rows`: the cells as text; a cell may be a `Mark`.
+    - `strong`: rows that are emphasised.
+    - `folded`: the text to click to show the table; in print the table is shown.
     """
 
     kind: ClassVar[str] = "table"
@@ -152,8 +152,8 @@ class Section:
 @dataclass(frozen=True)
 class Page:
     """A whole report; `about` are (name, value) pairs under the title, `logo` the address of an
-    image without references to other files, `menu` the links in its bar, (anchor, text): by default
-    one to every section."""
+    image without references to other files, `menu` the links in its navigation bar, (anchor,
+    text): by default one to every section."""
 
     title: str
     about: Sequence[tuple[str, str]]

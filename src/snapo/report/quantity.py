@@ -32,10 +32,8 @@ def finite(value: Any) -> float | None:
 
 
 def decimals(values: Iterable[Any], significant: int = 5) -> int:
-    """The number of decimals at which the largest of `values` has that many significant digits, at
-    least 0.
-
-    One count for a whole column, so that its decimal points are aligned.
+    """The number of decimals, at least 0, with which the largest of `values` has that many
+    significant digits. A whole column has the same number, so that its decimal points are aligned.
     """
     sizes = [abs(number) for value in values if (number := finite(value)) is not None]
     largest = max(sizes, default=0.0)
@@ -103,8 +101,8 @@ def plus_minus_half(half: Any, digits: int) -> str:
 def measured(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[str, str]:
     """A value and half of its 95 % interval, ("+0.00018", "± 0.00008"), from its standard error.
 
-    Both with `digits` decimals, or with those of the first digit of a smaller error; both as powers
-    of ten where they are tiny. An error below the rounding of the value is omitted.
+    Both have `digits` decimals, or as many as the first digit of a smaller error needs; both are
+    powers of ten if they are very small. An error below the rounding of the value is omitted.
     """
     available, values = finite(error), finite(value)
     half = None if available is None else half_width(available)

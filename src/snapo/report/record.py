@@ -16,9 +16,9 @@ def entries_of(kind: type[Entries], table: Any) -> Entries:
 
 
 class PartState(NamedTuple):
-    """The status of a part: "done", "failed" or "skipped", and the reason where it was not done.
+    """The status of a part: "done", "failed" or "skipped", and the reason if it was not done.
 
-    - `seconds`: that it took; `files`: {name: checksum} of those that it wrote.
+    - `seconds`: how long it took; `files`: {name: checksum} of the files that it wrote.
     """
 
     state: str = ""
@@ -30,7 +30,8 @@ class PartState(NamedTuple):
 class PreviousRun(NamedTuple):
     """The run before: its name, value and standard error, and the settings that differ from it.
 
-    - `difference`, `difference_error`: of the values; `paired`: whether on the same paths.
+    - `difference`, `difference_error`: the difference of the values and its error; `paired`:
+      whether both are on the same paths.
     """
 
     run: str | None = None
@@ -45,9 +46,10 @@ class PreviousRun(NamedTuple):
 class RunOrigin(NamedTuple):
     """The origin of a run.
 
-    - `run`: its name; `began`, `began_utc`: when it did, ISO 8601.
-    - `case`: folder and file; `sha256`: of the file; `assignments`: the assignments of `--set`.
-    - `previous`: the run before, read with `PreviousRun`; None without one.
+    - `run`: its name; `began`, `began_utc`: when it began, ISO 8601.
+    - `case`: folder and file of the case; `sha256`: the hash of the file; `assignments`: the
+      assignments of `--set`.
+    - `previous`: the previous run, read with `PreviousRun`; None if there is none.
     """
 
     run: str | None = None
@@ -96,7 +98,7 @@ class RunRecord(NamedTuple):
     """The tables of run.json.
 
     - `about`: the description of the study; `parts`: {name: state}, each read with `PartState`.
-    - `beside`: seconds outside parts, by name; `result`: the checksum of result.json.
+    - `beside`: seconds of work outside parts, by name; `result`: the checksum of result.json.
     """
 
     kind: str | None = None

@@ -24,9 +24,9 @@ class WithError(NamedTuple):
 class Column(NamedTuple):
     """A column of a table of records.
 
-    - `of`: the name of an attribute, or a function of the record; `unit`: in the header.
-    - `digits`: significant digits of the largest number; `sign`: whether a plus is written.
-    - `decimal_places`: decimals, those that `digits` ask for where it is None.
+    - `of`: the name of an attribute, or a function of the record; `unit`: the unit in the header.
+      - `digits`: significant digits of the largest number; `sign`: whether a plus sign is written.
+      - `decimal_places`: the number of decimals; None if `digits` determines it.
     """
 
     name: str
@@ -70,8 +70,8 @@ def table(
 ) -> Table:
     """A table with a row for each record.
 
-    - `decimal_places`: decimals of all its numbers; `by_row`: whether these differ between rows.
-    - `folded`: the text to click before the table is shown.
+    - `decimal_places`: decimals of all its numbers; `by_row`: whether decimals differ between rows.
+    - `folded`: the text to click to show the table.
     """
     values = [column.values(records) for column in columns]
     all_places = None if decimal_places is None else [decimal_places] * len(records)

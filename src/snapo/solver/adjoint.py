@@ -55,9 +55,9 @@ def value_and_gradient(
 
     **Arguments:**
 
-    - `smooth`: pathwise derivatives ignore the jumps of discrete decisions, so use
-      `Smooth(temperature)` for derivatives through the policy's reaction, or
-    - `decisions="held"`: they are recorded first and then replayed; the policy's gradient is zero.
+    - `smooth`: use `Smooth(temperature)` for derivatives through the policy's reaction, since
+      pathwise derivatives ignore the jumps of discrete decisions; or - `decisions`: with "held"
+      decisions are recorded first and then replayed; the policy's gradient is then zero.
     - `engine`: by default XLA in float64.
 
     **Raises:** `ValueError` for other `decisions`.
@@ -128,7 +128,7 @@ def adjoint_of_finite_paths(
 ) -> tuple[float, Adjoint, int]:
     """`weighted_adjoint` over the paths that are finite, and the number of those that are not.
 
-    If no path is finite, or all are finite but the objective is NaN, all paths are counted.
+    If no path is finite, or all are finite but the objective is NaN, all paths count as non-finite.
     """
     value, result = weighted_adjoint(bound_engine, policy, draws, smooth, objective, **options)
     if not np.isnan(value) and all_finite(result, objective.outputs):

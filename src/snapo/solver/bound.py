@@ -74,8 +74,8 @@ class Bound:
     - `gap`: upper minus lower, paired path by path.
     - `penalty`, `words`: kind and meaning of the penalty; `scale`: the scale of its parts.
     - `sure`: the certainty equivalents of `lower` and `upper`, if the objective is a utility.
-    - `few`: whether a few paths that gain much by foresight dominate the gap; its interval is wider
-      then.
+    - `few`: whether a few paths that gain much by foresight dominate the gap; the interval of the
+      gap is then wider.
     """
 
     lower: Between
@@ -103,9 +103,9 @@ class Bound:
         return f"says little: {summary}{share}{few}"
 
     def above(self, value: float, error: float, objective: Objective) -> "Bound":
-        """The bound of a policy whose value is known from more paths: that value plus the gap.
-
-        The upper bound on its few paths may lie below that value because of sampling error.
+        """The upper bound for a policy whose value is known from more paths: that value plus the
+        gap. The upper bound on the few paths of this bound may be below that value because of
+        sampling error.
         """
         if not np.isfinite(error):
             return self
@@ -170,7 +170,7 @@ def bound(
     source: Scenarios | None = None,
     training_paths: int = 256,
 ) -> Bound:
-    """Lower and upper bound of the value of the best policy, on fresh paths.
+    """The lower and the upper bound of the value of the best policy, on fresh paths.
 
     **Arguments:**
 
@@ -186,7 +186,7 @@ def bound(
     """
     if not problem.objective.by_path:
         kind = type(problem.objective).__name__
-        message = "only a mean of the values of paths is bounded from above"
+        message = "there is an upper bound only for a mean over paths"
         raise ValueError(f"bound: the objective is {kind}; {message}.")
     if relaxation is None:
         relaxation = relaxation_of(problem)
@@ -297,7 +297,9 @@ def _check(gap: np.ndarray, size: float) -> None:
     if gap.min() < -1e-6 * size:
         path = int(np.argmin(gap))
         message = "the inner problem earns less than the policy"
-        raise ValueError(f"bound: on path {path} {message} ({gap[path]:.6g}): not a relaxation.")
+        raise ValueError(
+            f"bound: on path {path} {message} ({gap[path]:.6g}), so it is not a valid relaxation."
+        )
 
 
 def _between(values: np.ndarray, groups: np.ndarray) -> Between:

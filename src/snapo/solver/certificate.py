@@ -28,14 +28,16 @@ NUDGE = 1e-3  # of each number: larger than any step, small against the number i
 class Bump(NamedTuple):
     """One derivative from the adjoint and from finite differences on the same paths.
 
-    - `direction`: the label bumped, or "random direction" over all of the input's entries.
+    - `direction`: the label of the bumped number, or "random direction" over all of the input's
+      entries.
     - `adjoint`; `central`, `up`, `down`: the derivative and three differences.
     - `allowed`: 1e-6 of the family's scale, plus the round-off of a difference.
-    - `kink`: the two one-sided differences disagree, and the adjoint is one of them.
+    - `kink`: whether the two one-sided differences disagree, and the adjoint equals one of them.
     - `crossing`: the share of paths with a kink within the step; if the adjoint equals neither
       side, it and the differences are those of the other paths only. If all paths have a kink, the
       adjoint has to lie between the sides.
-    - `judged`: whether it counts. If paths have several kinks at once, a correct adjoint may lie
+    - `judged`: whether the comparison counts. If paths have several kinks at once, a correct
+      adjoint may lie
       outside of both sides; the same derivative at a nearby point counts then.
     """
 
@@ -92,7 +94,8 @@ class Feasibility(NamedTuple):
 def nudged(problem: Problem, seed: int = 0) -> Problem:
     """The problem with each number of its inputs moved by a random relative amount of at most .001.
 
-    Round numbers tie: a store that fills in exactly eight days is on a kink of its limits,
+    Round numbers lead to ties: a store that is filled in exactly eight days is on a kink of its
+    limits,
     where every path has two derivatives. At a nearby point hardly any path is on a kink. A number
     that is zero is moved upwards, by up to its input's `move`; without one it stays zero.
     """
@@ -116,11 +119,9 @@ def certify_derivatives(
     """`bump_check` at the reported inputs; if most paths have a kink there, also near them.
 
     Inputs that fail while some paths are on a kink are also checked nearby. Kinks of one path at
-    the same point may cancel: both sides then have the same slope, which an adjoint that takes a
-    mean at every tie misses, and no second difference shows them. For these the nearby check
-    counts.
-
-    Without the inputs of `Problem.in_mean`, see `in_the_mean`.
+    the same point may cancel: both sides then have the same slope. An adjoint that takes a mean at
+    every tie misses this slope, and no second difference shows the kinks. For these inputs the
+    nearby check counts. The inputs of `Problem.in_mean` are not included, see `in_the_mean`.
     """
     pathwise = set(problem.inputs_by_name) - set(problem.in_mean)
     results = bump_check(problem, policy, paths=paths, only=pathwise, engine=engine)
@@ -141,7 +142,7 @@ def certify_derivatives(
 
 def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
     """Rows like those of `Bump`, for the inputs of `Problem.in_mean`: the reported derivative
-    against a move of all their numbers by 1 %, in four standard errors of the difference.
+    compared with a move of all their numbers by 1 %, within four standard errors of the difference.
 
     If a bump refutes the held derivative and is reported itself, there is no difference."""
     results = []

@@ -50,7 +50,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
 
 
 def load(file: Path, like: Progress, mark: str = "") -> Progress:
-    """The state of training in `file`, for a policy and an optimiser shaped as in `like`.
+    """The state of training in `file`, for a policy and an optimiser of the shapes in `like`.
 
     **Raises:** `CheckpointError` if the file is damaged, or belongs to another policy or run.
     """
@@ -93,7 +93,7 @@ def save_arrays(file: Path, tree: PyTree, header: Mapping[str, Any]) -> None:
 
 
 def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
-    """The tree again, shaped like `like`, and the header. Nothing is unpickled.
+    """The saved tree, with the shapes of `like`, and the header. Nothing is unpickled.
 
     **Raises:** `CheckpointError` if the file is damaged, or holds policies that differ from
     those of `like` in shape, activation or any other setting.

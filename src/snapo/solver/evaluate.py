@@ -64,7 +64,7 @@ def evaluate(
 
     **Arguments:**
 
-    - `paths`: their number. `smooth`: `Smooth(temperature)` for the simulator of training.
+    - `paths`: the number of paths. `smooth`: `Smooth(temperature)` for the simulator of training.
     - `engine`: by default XLA in float64.
     """
     totals = path_totals(problem, policy, paths, smooth=smooth, engine=engine)
@@ -84,11 +84,10 @@ def path_totals(
     controls: bool = True,
     before: Totals | None = None,
 ) -> dict[str, np.ndarray]:
-    """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
-
-    The scenarios are those of `source`, by default of the evaluation; all that are available.
-    `controls`: with only the outputs that are control variates. `before`: the totals on the first
-    of these paths, which are not valued again.
+    """{output: [paths]} in the order of the path numbers, computed in chunks of independent
+    blocks. The scenarios are all available ones of `source`, by default those of the evaluation.
+    `controls`: whether outputs that are only control variates are included. `before`: the totals
+    on the first of these paths, which are not computed again.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
     source = source or problem.sources.evaluation
@@ -237,7 +236,7 @@ class Simulation(NamedTuple):
 
     - `totals`: {output: [N]}, as the objective takes them.
     - `states`: {name: [T + 1, N]}, before every step and at the end.
-    - `actions`, `outputs`: {name: [T, N]} of every step.
+    - `actions`, `outputs`: {name: [T, N]}, at every step.
     """
 
     totals: Series

@@ -44,9 +44,11 @@ def simulated_series(problem: Problem, policy: Policy, paths: int = PATHS) -> di
 
 
 def series_named(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
-    """One of the series. **Raises:** `KeyError` for an unknown name."""
+    """One of the series.
+
+    **Raises:** `KeyError` for an unknown name."""
     if name not in series:
-        raise KeyError(f"plot.{subject}: there is no {name!r}; available are {sorted(series)}.")
+        raise KeyError(f"plot.{subject}: there is no {name!r}; available: {sorted(series)}.")
     return series[name]
 
 
@@ -161,7 +163,9 @@ class Figures:
         if output is None:
             output = max(totals, key=lambda name: float(np.nanstd(totals[name])))
         if output not in totals:
-            raise KeyError(f"plot.distribution: no output {output!r}; there are {sorted(totals)}.")
+            raise KeyError(
+                f"plot.distribution: there is no output {output!r}; available: {sorted(totals)}."
+            )
         values = np.asarray(totals[output], np.float64)
         values = values[np.isfinite(values)]
         figure, ax = _axes(ax)
@@ -201,7 +205,7 @@ class Figures:
         self, state: str, other: str | None = None, problem: Problem | None = None, *,
         step: int = 0, action: int = 0, ax: Any = None,
     ) -> Any:  # fmt: skip
-        """The decision at a `step` against a number of the state, the others at their means.
+        """The decision at a `step` against one number of the state, with the others at their means.
 
         Every action is a line; with a second number, `other`, the figure is a map of one `action`.
         The range is that of all paths at all steps; `problem` as in `fan`.
@@ -239,7 +243,7 @@ class Figures:
                 f"plot.{subject}: a loaded solution needs a problem: {subject}(…, problem)."
             )
         if self._policy is None:
-            raise ValueError(f"plot.{subject}: this solution came without its policy.")
+            raise ValueError(f"plot.{subject}: this solution was loaded without its policy.")
         return problem, self._policy
 
     def training(self, *, ax: Any = None) -> Any:

@@ -131,10 +131,12 @@ ALIKE = 1e-5  # of the level: round-off of a policy in float32, where all paths 
 class LimitFound(NamedTuple):
     """A limit on fresh paths of the exact simulator.
 
-    - `name`, `level` of the limit; `value`, `standard_error`, `low`, `high` of the measure.
+    - `name`, `level`: those of the limit; `value`, `standard_error`, `low`, `high`: those of the
+      measure.
     - `price`, `price_error`: the shadow price, the change of the objective per unit of the level
-      (negative for a lower limit); zero if the limit does not bind: if its multiplier in training
-      is zero, or the measure is far enough from the level. `multiplier`: its last value.
+      (negative for a lower limit); zero if the limit does not bind, that is, if its multiplier in
+      training is zero or the measure is far enough from the level. `multiplier`: the last
+      multiplier in training.
     - `met`: "met", "not met", or "met nearly": violated by less than the half width of the
       interval, a thousandth of one path's deviation, or round-off.
     """
@@ -164,7 +166,7 @@ class LimitFound(NamedTuple):
         return str(self)
 
     def __str__(self) -> str:
-        value = f"one unit more has the value {self.price:,.5g} {plus_minus(self.price_error, 3)}"
+        value = f"the value of one unit more is {self.price:,.5g} {plus_minus(self.price_error, 3)}"
         return (
             f"{self.name}: {self.value:,.6g} {plus_minus(self.standard_error, 3)} (95 %: "
             f"{self.low:,.6g} to {self.high:,.6g}), {self.met}; "
@@ -216,16 +218,21 @@ def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
 
 def _note(limit: LimitFound) -> str:
     if limit.met == "not met":
-        return f"Limit not met on fresh paths: {limit}. Try more steps; it may be infeasible."
+        return (
+            f"Limit not met on fresh paths: {limit}. Try more steps; the limit may also be "
+            f"infeasible."
+        )
     if limit.binds:
         return ""
     if limit.multiplier and limit.at_level:
         return (
-            f"Limit without a price, though it is met exactly: {limit.name}. All decisions "
-            "are at bounds of their set, where none has a derivative. Training ended at a price "
+            f"Limit without a price, although it is met exactly: {limit.name}. All decisions are "
+            f"at bounds of their set, where they have no derivative. Training ended at a price "
             f"of {limit.multiplier:,.4g} for it."
         )
-    slack = f"Limit with slack, and thus without a price: {limit.name}; it is {limit.value:,.6g}."
+    slack = (
+        f"Limit with slack, and so without a price: {limit.name}; the value is {limit.value:,.6g}."
+    )
     if limit.multiplier:
         slack += (
             f" Training ended at a price of {limit.multiplier:,.4g} for it: its decisions "

@@ -91,8 +91,9 @@ class Clock:
 FEW = 8  # bad paths that are followed step by step
 ADVICE = "snapo.check(simulator, inputs) searches for the line of code."
 LATER = (
-    "If it finds none, training led the policy there: a smaller learning_rate than {rate:.3g} "
-    "or narrower bounds of the decisions keep it away."
+    "If the check reports nothing, training led the policy into states in which the simulator is "
+    "non-finite: a smaller learning_rate than {rate:.3g}, or narrower bounds of the decisions, "
+    "prevents this."
 )
 
 
@@ -104,7 +105,7 @@ class FirstNonFinite(NamedTuple):
 
 
 def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, engine: Engine) -> str:
-    """A sentence on a training that diverged; empty for any other.
+    """A sentence on why a training diverged; empty if it did not.
 
     The last step's paths are simulated again, a few of the non-finite ones with complete
     trajectories.

@@ -25,7 +25,8 @@ from .solve import Evaluation, in_order, solve
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """Solutions by seed, all valued on the same paths: they differ only by their policies.
+    """Solutions by seed, all valued on the same paths, so that their values differ only by their
+    policies.
 
     - `solutions`: {seed: solution}, in the requested order.
     - `best`: the seed with the highest value. It is the best of several on the same paths: a fresh
@@ -89,7 +90,8 @@ def solve_seeds(
     evaluation: Evaluation | None = None,
     **more: Any,
 ) -> Seeds:
-    """`solve`, once for every seed; all use the programs compiled for the first.
+    """Runs `solve` once for every seed; all seeds use the programs that were compiled for the
+    first.
 
         found = snapo.solve_seeds(Reservoir(), inputs, objective="cash", seeds=5)
         print(found)
@@ -99,7 +101,8 @@ def solve_seeds(
     problem or of the first seed.
 
     **Arguments:** `seeds`: the number of seeds, from `training.seed` on, or the seeds themselves;
-    all others are those of `solve`. Ctrl-C during a training ends with its seed.
+    all other arguments are those of `solve`. After Ctrl-C during a training no further seed is
+    trained.
     """
     if isinstance(problem, int) or not isinstance(seeds, int | Iterable):
         message = "the problem comes first, and seeds is a keyword: solve_seeds(problem, seeds=5)"
@@ -109,7 +112,9 @@ def solve_seeds(
         seeds = range(training.seed, training.seed + seeds)
     selected = tuple(seeds)
     if not selected or len(set(selected)) < len(selected):
-        raise ValueError(f"solve_seeds: seeds is {selected}; it must be one or more, each once.")
+        raise ValueError(
+            f"solve_seeds: seeds is {selected}; there must be at least one seed, and no seed twice."
+        )
     inputs, policy = in_order(problem, inputs, policy)
     values, sources = (inputs, objective, scenarios, constraints), evaluation.sources(selected[0])
     problem = problem_of("solve_seeds", problem, *values, sources=sources, seed=selected[0])

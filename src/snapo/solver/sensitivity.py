@@ -53,9 +53,8 @@ def sensitivities(
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
-    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` smooth ones.
-
-    The latter use `smooth_paths`; all are paths of the problem's evaluation. Standard errors come
+    """Derivatives with decisions held fixed, on `paths`; with `Smooth(temperature)` also smooth
+    derivatives, on `smooth_paths`. All are paths of the problem's evaluation. Standard errors come
     from 32 to 64 independent blocks of paths. `earlier` is a policy from the middle of training:
     its held derivatives on the first of the same paths show how much they still changed. `actions`
     [T, paths, A] are the policy's decisions on these paths, and `totals` {output: [paths]} their
@@ -162,8 +161,9 @@ def second_order(
 ) -> list[dict[str, np.ndarray]]:
     """The change of derivatives along directions of the inputs (forward over reverse).
 
-    The derivatives are those with decisions held fixed, but along a direction the decisions respond
-    through the smooth policy: otherwise a value that is linear in prices has no second derivative.
+    The derivatives are those with decisions held fixed, but along a direction the decisions
+    respond through the smooth policy. Otherwise a value that is linear in prices would have no
+    second derivative.
     Directions and results are {input: array}; a missing direction is zero. `smooth`:
     `Smooth(0.005)` by default. XLA only; weights are held fixed if the objective is not linear.
     """

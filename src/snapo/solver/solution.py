@@ -65,7 +65,7 @@ class Solution:
     - `status`: "trained", "stopped early", "interrupted" (by Ctrl-C) or "diverged" (too many paths
       of a step are non-finite; see the notes); unless interrupted or diverged, "ruined" if the
       value is minus infinity and "not finite" if it is NaN.
-    - `roles`: {training, validation, evaluation, sensitivities}: the paths used for each.
+    - `roles`: {training, validation, evaluation, sensitivities}: the paths used for each role.
     - `convergence`: "converged", "still improving", "too short to tell", "saturated" (the decision
       stays at a limit), "constant" (a constant decision does as well), "barely moved" (the
       untrained network does as well), "as good as its start" (the rule that training began with
@@ -75,7 +75,7 @@ class Solution:
       bound on each path's adjoint (None: without), and the share of it passed on at each step.
     - `problem`: the problem that was solved, needed for figures over time; None in a loaded
       solution.
-    - `constraints`: those of the problem on fresh paths, with their shadow prices.
+    - `constraints`: the constraints of the problem on fresh paths, with their shadow prices.
     - `maximised`: the objective as text, "mean of cash"; empty in a solution saved without it.
     - `dropped`: {train, evaluate, sensitivities}: the number of non-finite paths, which are left
       out; `notes`: remarks on the value.
@@ -151,13 +151,13 @@ class Solution:
         if table == "history":
             columns = zip(*self.history) if self.history else ((),) * len(Record._fields)
             return frame(dict(zip(Record._fields, map(list, columns))), backend)
-        message = "it must be 'totals', 'history', or 'sensitivities' if there are some"
+        message = "it must be 'totals', 'history', or 'sensitivities' if the solution has them"
         raise ValueError(f"frame: {table!r}; {message}.")
 
     def write_table(self, file: Path | str) -> None:
         """Writes the results as a workbook (.xlsx): a sheet for each table, with native charts.
 
-        **Raises:** `ValueError` for another ending, `ModuleNotFoundError` without openpyxl.
+        **Raises:** `ValueError` for another suffix, `ModuleNotFoundError` without openpyxl.
         """
         file = Path(file)
         if file.suffix.lower() != ".xlsx":
@@ -175,8 +175,9 @@ class Solution:
     def report(self, file: Path | str, problem: Problem | None = None) -> Path:
         """Writes the report of this solution into an HTML file, and returns its path.
 
-        A solution from `snapo solve` has the report of its run. For any other one the report
-        measures fans over time and checks the derivatives on `problem`, by default the one solved.
+        A solution from `snapo solve` has the report of its run. For any other solution the report
+        measures fans over time and checks the derivatives on `problem`, by default the problem
+        that was solved.
 
         **Raises:** `ValueError` for a name that does not end in .html, or without a problem;
         `ModuleNotFoundError` without the extra `cli`.
@@ -195,7 +196,8 @@ class Solution:
 
         The page is served until `close()` of the returned page, or until this session ends.
 
-        - `problem`: by default the one solved; `simulator`: "MODULE:CLASS", for a run of
+        - `problem`: by default the problem that was solved; `simulator`: "MODULE:CLASS", for a run
+          of
           `snapo solve` with a user-defined simulator.
         - `browser`: whether to open one; by default outside of a notebook, which shows a link.
 

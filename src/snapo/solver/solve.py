@@ -66,7 +66,7 @@ def solve(
 
     - `problem`: a `Problem`, followed by the policy; or a simulator, with `inputs`, `objective` and
       `scenarios`.
-    - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which adapts to features and
+    - `policy`: the policy to train, such as `MLP(hidden=(64, 64))`, which adapts to features and
       actions; by default an `MLP` with two hidden layers of 32, wider if more than eight numbers
       are decided. A trained policy, or an earlier `Solution`, is trained further. Any other
       `eqx.Module` is called as `policy(observation, smooth)`, or as `network(observation)`, whose
@@ -75,7 +75,8 @@ def solve(
       output, unless its name suggests a cost, such as "cost".
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones are divided between all roles.
-    - `constraints`: one or several, on means, probabilities or other statistics of all paths, such
+    - `constraints`: one or several limits on means, probabilities or other statistics of all
+      paths, such
       as `[Mean("unserved") <= 0.05]`: an augmented Lagrangian determines their prices in training,
       and the derivatives with respect to inputs are those of the best value within them.
     - `engine`: "auto", "xla" or "native", or an engine.
@@ -85,7 +86,7 @@ def solve(
     - `check`: whether to run the checks that need only tracing, in tenths of a second.
     - `executor`: a `concurrent.futures.Executor`, such as Dask's `client.get_executor(pure=False)`,
       or several. Its workers compute a part of the paths of every step that takes 50 ms or more
-      here, with the same bits. It stays open.
+      here, with bit-identical results. `solve` does not close it.
     - `bar`: whether a line shows the progress and the time left; None: in a terminal or a notebook.
 
     Ctrl-C during training ends it: the best policy so far is measured, and the solution has the
@@ -162,7 +163,7 @@ def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Setti
     """
     settings = kind() if values is None else values
     if not isinstance(settings, kind):
-        raise ValueError(f"solve: {name} is {values!r}; give snapo.{kind.__name__}(…).")
+        raise ValueError(f"solve: {name} is {values!r}; it must be snapo.{kind.__name__}(…).")
     return settings
 
 

@@ -36,10 +36,9 @@ def rounded(value: float, digits: int) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """A number with half of its interval, to two significant digits of it: "2,732 ± 21".
-
-    Large and small ones share a power of ten, "(1.235 ± 0.021)e-07"; without an error, or with one
-    of the size of round-off, the number has twelve digits.
+    """A number with half of its interval, which has two significant digits: "2,732 ± 21". If they
+    are very large or small, both share a power of ten, "(1.235 ± 0.021)e-07". Without an error, or
+    with an error of the size of round-off, the number has twelve digits.
     """
     value, error = float(value) + 0.0, float(f"{error:.1e}")
     size = max((abs(x) for x in (value, error) if np.isfinite(x)), default=0.0)
@@ -115,10 +114,9 @@ class Estimate(NamedTuple):
         return float(joined.value), float(joined.standard_error)
 
     def norm(self) -> tuple[float, float]:
-        """The Euclidean norm, and the norm of the noise in it.
-
-        Noise adds the sum of the squared standard errors to the square of a norm: it is subtracted,
-        and a norm below its noise may be zero.
+        """The Euclidean norm, and the norm of the noise in it. Noise adds the sum of the squared
+        standard errors to the square of a norm. This sum is subtracted; a norm below its noise may
+        be zero.
         """
         noise = float(np.linalg.norm(self.standard_error))
         square = float(np.sum(self.value**2)) - noise**2
@@ -126,7 +124,8 @@ class Estimate(NamedTuple):
 
 
 def critical(degrees: float = np.inf, level: float = LEVEL, comparisons: int = 1) -> float:
-    """Standard errors to either side of an estimate; of all `comparisons` estimates together.
+    """The number of standard errors to either side of an estimate, for intervals that hold for all
+    `comparisons` estimates together.
 
     Bonferroni's bound: each may miss with probability (1 - level) / comparisons.
     """
@@ -179,7 +178,8 @@ def mean(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
 class Skewed(NamedTuple):
     """A mean with a possibly asymmetric interval.
 
-    - `standard_error`: half the width of the 95 % interval, in that of a normal distribution.
+    - `standard_error`: half the width of the 95 % interval, divided by that of a standard normal
+      distribution.
     - `low`, `high`: the interval; `few`: whether a few of the numbers dominate it.
     """
 
@@ -193,8 +193,9 @@ class Skewed(NamedTuple):
 def skewed_mean(values: np.ndarray, groups: np.ndarray | None = None) -> Skewed:
     """The mean over paths of numbers that a few large ones may dominate.
 
-    Up to a skewness of 3 Student's interval of 32 block means. Above, if that is too short,
-    the bootstrap-t: t-values of resampled means instead of Student's (Efron and Tibshirani, An
+    Up to a skewness of 3 it is Student's interval of 32 block means. Above 3, if that interval is
+    too short, it is the bootstrap-t: t-values of resampled means instead of Student's (Efron and
+    Tibshirani, An
     Introduction to the Bootstrap, 1993, section 12.5).
     """
     block_means = shares(values, groups)
@@ -264,8 +265,8 @@ def shortfall(
 ) -> tuple[Sampled, Sampled]:
     """The mean minus a quantile, and the mean minus the mean of the paths below that quantile.
 
-    `level`: 0.95 for the worst 5 %. Errors by influence functions, the density at the quantile from
-    the quantiles at both ends of the interval of the share below it.
+    `level`: 0.95 for the worst 5 %. Errors are computed by influence functions. The density at the
+    quantile is estimated from the quantiles at both ends of the interval of the share below it.
     """
     values = np.asarray(values, np.float64)
     share = 1 - level
@@ -290,10 +291,9 @@ def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None)
 
 
 def proportion(count, of: int):
-    """The share of independent draws that were counted, and its standard error: arrays like it.
-
-    The error is that with two additional draws of either kind (Agresti and Coull 1998): zero of a
-    hundred does not imply a probability of zero.
+    """The share of independent draws that were counted, and its standard error, as arrays of the
+    same shape. The error is that with two additional draws of either kind (Agresti and Coull
+    1998), since zero of a hundred draws does not imply a probability of zero.
     """
     count = np.asarray(count, np.float64)
     moved = (count + 2) / (of + 4)

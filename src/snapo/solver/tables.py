@@ -66,7 +66,7 @@ def frame(columns: Mapping[str, Any], backend: str = "pandas") -> Any:
     except ModuleNotFoundError:
         message = f"frame: {backend} is not installed: pip install {backend}"
         raise ModuleNotFoundError(message) from None
-    raise ValueError(f"frame: {backend!r}; it must be one of {', '.join(BACKENDS)}.")
+    raise ValueError(f"frame: the backend is {backend!r}; it must be one of {', '.join(BACKENDS)}.")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], text: Sequence[int] = (0,)) -> str:

@@ -69,10 +69,9 @@ Callback = Callable[[Progress], object]  # one that returns True stops the train
 
 
 class TrainingLoop(NamedTuple):
-    """All that one step of training needs; `update` is the compiled step of the optimiser.
-
-    - `problem`, `bound_engine`: the objective of a step; with a `spread` or `exploration` they
-      are perturbed; the problem itself is `inner`, which `exact` simulates.
+    """Everything that one step of training needs; `update` is the compiled step of the optimiser.
+    - `problem`, `bound_engine`: the problem whose objective a step uses, which is perturbed with a
+    `spread` or `exploration`; the unperturbed problem is `inner`, which `exact` simulates.
     """
 
     problem: Problem
@@ -97,11 +96,12 @@ def train(
 ) -> Progress:
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
-    With `until` it stops after that step, validated, and can be continued from there. A training
+    With `until` it stops after that step and its validation, and can be continued from there. A
+    training
     whose policy does nothing restarts, the n-th time from `fresh(n)` (n from 0), if available.
     `bar` shows every step.
 
-    It stops early if a callback returns True. On Ctrl-C they are called once more, and
+    It stops early if a callback returns True. On Ctrl-C the callbacks are called once more, and
     `Interrupted`, a `KeyboardInterrupt`, has the progress so far. The status of the result is
     "trained", "stopped early" or "diverged".
     """

@@ -13,9 +13,9 @@ OPTION = "--set"
 
 
 def assigned(data: Mapping[str, Any], assignments: Iterable[str]) -> tuple[dict, set[str]]:
-    """A copy of the tables of a case with each "path=value" assigned, and the paths.
-
-    A path is made of keys; an array's element is identified by its number from 0, or its `name`.
+    """A copy of the tables of a case with each "path=value" assigned, and the list of paths. A
+    path consists of keys; an element of an array is identified by its number from 0, or by its
+    `name`.
     A value is written as in TOML. The domain decides whether a new key is allowed.
 
     **Raises:** `CaseError` for a path that does not exist, and for a value that is not TOML.
@@ -77,7 +77,7 @@ def value_at(data: Mapping[str, Any], path: str) -> Any:
 
 def key_as_in(data: Mapping[str, Any], key: str) -> str:
     """A key of a case in the spelling of its tables, if `key` differs from it only in capital
-    letters; otherwise in lower case, as names of columns are, if its table has no such key."""
+    letters. If the table has no such key, the result is in lower case, as names of columns are."""
     parts, position = list[str](), data
     for part in key.split("."):
         names = [name for name in position if name.casefold() == part.casefold()]

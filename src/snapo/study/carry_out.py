@@ -38,9 +38,9 @@ def write_report(domain: Domain, folder: Path) -> Path:
 
 
 def page_of(domain: Domain, folder: Path) -> str:
-    """The report of a run folder as HTML.
-
-    If a file or a key is missing, the section has a sentence on it. The same files give the
+    """The report of a run folder as HTML. If a file or a key is missing, the section reports this.
+    The
+    same files give the
     same page, byte for byte.
     """
     summary = domain.report()
@@ -104,8 +104,9 @@ def carry_out(
 ) -> dict[str, Any]:
     """Does the parts of a study one after another; returns the content of result.json.
 
-    `preparing`: the seconds that reading the case and making the study took; `adjacent`: those of
-    other work for this run, by name; `origin`: the origin of a new run, for its report. A part that
+    `preparing`: the seconds that reading the case and making the study took; `adjacent`: the
+    seconds of other work for this run, by name; `origin`: the origin of a new run, for its report.
+    A part that
     fails leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts
     and the best policy so far are reported, and `Interrupted`, a `KeyboardInterrupt`, has the
     content of result.json.
@@ -226,7 +227,7 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
 def _words(error: Exception) -> str:
     """An exception in one line; an error of the disk with its file."""
     if isinstance(error, OSError) and error.strerror:
-        return f"could not write: {error.filename or ''}: {error.strerror}"
+        return f"could not write {error.filename or ''}: {error.strerror}"
     text = (str(error).strip().splitlines() or [""])[0]
     return f"{type(error).__name__}: {text}"[:300]
 
@@ -291,7 +292,7 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
 
     "seconds" has the time of every part and of preparing the case, with the sum as "total"; the
     time of writing reports, which the page itself cannot contain; and the stages of the training,
-    which are within its part.
+    whose times are part of the time of the training.
     """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}

@@ -44,9 +44,10 @@ class Chapter(Generic[Result]):
       also `tuple[Row, ...]` of them.
     - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
     - `needs`: names of the parts that must be done before.
-    - `key`: under which the file of the part has the result; "": the fields are keys of the file.
-    - `table`: the table of the case, without which the part is not among those of the study.
-    - `optional`: whether a run without the part has no section on it; else it gives the reason.
+    - `key`: the key of the result in the file of the part; with "" the fields are keys of the file.
+    - `table`: a table of the case; without this table the study does not have the part.
+    - `optional`: whether a run without the part has no section on it; otherwise the section gives
+      the reason.
 
     No two chapters of a study may write the same key.
     """

@@ -48,11 +48,12 @@ class DerivativePair(NamedTuple):
 class Comparison:
     """The differences of the second run from the first.
 
-    - `values`, `errors`: of the two; None if a run has no value.
-    - `difference`, `standard_error`: second minus first; `paired`: on the same scenarios.
-    - `why`: one clause on why the runs are paired or not.
-    - `settings`: everything that affects the numbers and differs.
-    - `sensitivities`: those of inputs that both have, the largest differences first.
+    - `values`, `errors`: values of the two runs and their errors; None if a run has no value.
+    - `difference`, `standard_error`: second minus first, and its error; `paired`: whether both are
+      on the same scenarios.
+    - `why`: a clause on why the runs are paired or not.
+    - `settings`: all settings that affect the numbers and differ.
+    - `sensitivities`: the sensitivities that both runs have, the largest differences first.
     """
 
     kind: str
@@ -99,7 +100,7 @@ class Comparison:
 
     def _sensitivities(self) -> Iterator[str]:
         if not self.sensitivities:
-            yield "no sensitivity that is known in both runs differs"
+            yield "all sensitivities that are known in both runs are equal"
             return
         yield "sensitivities that differ most (first, second, difference, error of the policies):"
         for sensitivity in self.sensitivities[:MAXIMUM]:
@@ -199,7 +200,7 @@ class Comparisons(NamedTuple):
                 table.setdefault((item.input, item.label), {})[position] = item
         ranked = sorted(table.items(), key=lambda x: -max(abs(y.effect) for y in x[1].values()))
         head = "sensitivities that differ most (-: the same, or not known in both runs):"
-        yield head if ranked else "no sensitivity that is known in both runs differs"
+        yield head if ranked else "all sensitivities that are known in both runs are equal"
         for (name, label), items in ranked[:MAXIMUM]:
             one = next(iter(items.values()))
             values = [items[i].second if i in items else None for i in range(len(self.pairs))]

@@ -60,8 +60,8 @@ class Case(Protocol):
 class Report:
     """The layout of a run's report, from the files of its folder only.
 
-    - `title`: if the run has none.
-    - `folder`: reads the run; the class of a domain adds its units.
+    - `title`: the title of a run that has no title of its own.
+    - `folder`: the class that reads the run; that of a domain adds its units.
     - `about`: (name, value) pairs under the title.
     - `sections`: each makes a section of the page.
     - `menu`: {link: the first section of its group}; empty: a link to each section.
@@ -182,7 +182,9 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
 def _no_such_kind(kind: Any, available: Collection[str], file: str, where: str) -> CaseError:
     """The mistake in a kind; that of a file may be "book" as well, for other commands."""
     if where and kind == BOOK:
-        message = "this is a book of contracts: snapo book values it, snapo check reads it"
+        message = (
+            "this is a book of contracts: use snapo book to value it, or snapo check to check it"
+        )
         return CaseError(file, where, kind, message)
     names = [*available, BOOK] if where else list(available)
     kinds = ", ".join(f'"{item}"' for item in available)
@@ -234,9 +236,10 @@ def load(request: CaseRequest) -> Loaded:
         if not isinstance(domain, RunsCode):
             got = Unquoted(":".join(request.simulator))
             message = (
-                f'a case of kind "{domain.kind}" has its own simulator; one of yours is of kind '
+                f'a case of kind "{domain.kind}" has its own simulator; a simulator of yours '
+                'needs a case of kind "own"'
             )
-            raise CaseError("--simulator", "", got, message + '"own"')
+            raise CaseError("--simulator", "", got, message)
         domain = domain.with_simulator(*request.simulator)
     try:
         return Loaded(domain, file, data, domain.read(file, data), request.assignments)

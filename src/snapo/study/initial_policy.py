@@ -46,8 +46,8 @@ class SuppliedPolicy:
     """A policy to begin with, before its fit has been checked.
 
     - `source`: the run folder or the file, as the command names it; `file`: where it was read.
-    - `content`: the bytes of the file; `value`: that of its run, if it has one.
-    - `arrays`: all of its numbers, in order; `text`: {place: kinds, sizes, functions}.
+    - `content`: the bytes of the file; `value`: the value in its run, if there is one.
+    - `arrays`: all numbers of the policy, in order; `text`: {position: kinds, sizes, functions}.
     """
 
     source: Path
@@ -85,7 +85,7 @@ class SuppliedPolicy:
 
     def _misfit(self, subject: str, has: str, needs: str, more: str = "") -> CaseError:
         text = (
-            f"this policy does not fit the case: it has {subject} {has}, and the case needs {needs}"
+            f"this policy does not fit the case: it has {subject} {has}, but the case needs {needs}"
         )
         return CaseError(str(self.file), "", None, text + more)
 
@@ -96,7 +96,7 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     - `kind`: the kind of the case; `out`: the folder of the new run. If both folders are the same,
       the policy is read before the new run removes it, and a resumed run reads its copy.
 
-    **Raises:** `CaseError` if there is none, or it is damaged, or of a run of another kind.
+    **Raises:** `CaseError` if there is no policy, or it is damaged, or from a run of another kind.
     """
     source = followed(source)
     value, file = None, source
@@ -128,7 +128,7 @@ def _of_run(run: Path, kind: str) -> float | None:
     """The value of a run whose policy is undamaged."""
     record = run_folder.read(run)
     if record["kind"] != kind:
-        message = f'this run is of kind "{record["kind"]}", and the case is of kind "{kind}"'
+        message = f'this run is of kind "{record["kind"]}", but the case is of kind "{kind}"'
         raise CaseError(str(run / run_folder.RUN), "", None, message)
     state = entries_of(RunRecord, record).part(TRAINING.name).state
     if state not in ("done", INTERRUPTED):

@@ -29,12 +29,12 @@ class Kind:
     - `reader`, `summary`, `maker`, `page`, `timer`: "MODULE:NAME" in the package, of `read(file,
       data)`, `check(case)`, `study(case, options)`, a `Report`, and `bench(engine, progress)`;
       without a timer, nothing of the kind is timed separately.
-    - `tables`: the same of the `Formats` of its tables, or of a function that returns them; the
-      schema that `snapo schema` prints is made of them.
-    - `relaxed`: the same of a function of a case's tables that returns them without the checks that
-      apply only to its present numbers, for a case with others; "": no such checks.
-    - `explainer`: the same of a function of two runs that splits the change of value between them
-      into parts; "": there is none.
+    - `tables`: the name of the `Formats` of its tables, or of a function that returns them; the
+      schema that `snapo schema` prints is made of these.
+    - `relaxed`: the name of a function that returns a case's tables without the checks that apply
+      only to its present numbers, for a case with other numbers; "" if there are no such checks.
+    - `explainer`: the name of a function that splits the change of value between two runs into
+      parts; "" if there is none.
     """
 
     kind: str

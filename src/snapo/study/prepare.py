@@ -85,7 +85,7 @@ def _plain(data: Any) -> Any:
 
 
 def use_every_core() -> None:
-    """Sets XLA to one device per core, if JAX has not computed yet, with its programs on disk.
+    """Sets XLA to one device per core, if JAX has not computed yet, and keeps its programs on disk.
 
     On a machine with a GPU everything except an engine's rollouts still runs on the CPU:
     its many small programs take longer to compile for a GPU than to run.
@@ -103,8 +103,9 @@ def use_every_core() -> None:
 def keep_memory() -> None:
     """Lets the process keep memory that it has used, if the C library is glibc.
 
-    For processes that repeat calls of the same sizes: most of the time that the system would take
-    to give them new pages is saved. Threads share two pools, so that less is kept.
+    This is for processes that repeat calls of the same sizes: it saves most of the time that the
+    system would take to give them new memory pages. Threads share two pools of memory, so
+    that less is kept.
     """
     if (set_option := _of_glibc("mallopt")) is not None:
         set_option(MAPPED_FROM, 16 << 20)
@@ -128,8 +129,8 @@ class Wanted(NamedTuple):
     - `engine`, `reference`, `ladder`, `hedge`, `gamma`: as in `Options`.
     - `resume`: continue the run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
-    - `about`: that of another run of the same case, whose checks are valid for this one too.
-    - `workers`: compute groups of paths, with the same bits.
+    - `about`: the `about` of another run of the same case, whose checks are valid for this run too.
+    - `workers`: compute groups of paths, with bit-identical results.
     """
 
     engine: str = "auto"
@@ -248,8 +249,8 @@ def carried_out(
 ) -> dict[str, Any]:
     """Does the parts of the study; returns the content of result.json.
 
-    `began`: when the command did, by `time.perf_counter()`; `adjacent`: seconds of other work for
-    it.
+    `began`: when the command began, by `time.perf_counter()`; `adjacent`: seconds of other work
+    for the run.
     """
     from .carry_out import carry_out
 

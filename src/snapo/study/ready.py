@@ -25,10 +25,10 @@ PROGRAM = "_program"  # under which a problem keeps its own
 
 
 def same_program(problem: Problem, other: Simulator) -> bool:
-    """Whether `other`, instead of the problem's simulator, computes the same functions.
+    """Whether `other` computes the same functions as the problem's simulator.
 
-    Both are traced at the problem's inputs; nothing is compiled. The problem stores its program,
-    since a page asks again at every move.
+    Both are traced at the problem's inputs; nothing is compiled. The problem keeps its program,
+    since a page needs this check at every move.
     """
     with jax.enable_x64(True):
         version = of_preparation(problem.simulator, problem.inputs), problem.version

@@ -117,9 +117,8 @@ def copy_case(file: Path, out: Path, logo: str | None = None) -> None:
 
 
 def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """All settings that determine the numbers of a run; a resumed run must have the same.
-
-    The keys of the case as they were read (with `--set`), the bytes of the files next to it, the
+    """All settings that determine the numbers of a run; a resumed run must have the same. They are
+    the keys of the case as they were read (with `--set`), the bytes of the files next to it, the
     options of the command, the versions of the libraries and the machine.
     """
     from snapo.solver.provenance import versions  # late: a list of runs needs no JAX
@@ -237,8 +236,8 @@ def mark(decides: Mapping[str, Any]) -> str:
 
 
 def decisive_settings(decides: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings on which numbers depend: without the list of requested parts, so that a run of
-    few parts can be continued with more, and without the texts of its page."""
+    """The settings on which numbers depend. The list of requested parts is not among them, so that
+    a run of few parts can be continued with more parts, and neither are the texts of its page."""
     case = dict(entries_of(RunSettings, decides).case)
     if isinstance(case.get("report"), dict):
         case["report"] = {key: item for key, item in case["report"].items() if key not in APART}
@@ -267,15 +266,15 @@ def _no_run(out: Path) -> CaseError:
         return CaseError(str(out), "", None, message)
     if (out / RESULT).exists() or (out / CHECKPOINT).exists():
         message = (
-            "an earlier version of snapo wrote this run, and its files are laid out in another "
-            f"way; solve its case again: snapo solve {out / CASE} --out NEW"
+            "an earlier version of snapo wrote this run, and its files have another format; "
+            f"solve its case again: snapo solve {out / CASE} --out NEW"
         )
         return CaseError(str(out), "", None, message)
     message = "this is not the folder of a run: `snapo solve` writes run.json into it"
     if (out / BOOK).is_file():
         message = f"this is the folder of a book; `snapo report {out}` writes its report.html"
     elif out.is_file() and OF_A_BOOK.search(out.read_text(encoding="utf-8", errors="replace")):
-        message = f"this is a book, which has contracts and no page: snapo book {out}"
+        message = f"this is a book, which has no live page: use snapo book {out}"
     elif out.is_file() or any((out / name).is_file() for name in ("case.toml", "case.xlsx")):
         message = f"this case has no run yet; `snapo solve {out}` makes one"
     return CaseError(str(out), "", None, message)

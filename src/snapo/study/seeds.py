@@ -68,10 +68,10 @@ class SeedRow(NamedTuple):
 class SeedComparison(NamedTuple):
     """All seeds side by side.
 
-    - `best`: the seed with the highest value, of those within their limits where some are.
-    - `mean`, `worst`, `highest`, `deviation`: of the values; `standard_error`: the Monte Carlo
-      error of their mean, which all of them share.
-    - `fresh`: whether the paths are used for nothing else; `paths`: how many there are.
+    - `best`: the seed with the highest value, among those within their limits if there are any.
+    - `mean`, `worst`, `highest`, `deviation`: statistics of the values; `standard_error`: the Monte
+      Carlo error of their mean, which all values share.
+    - `fresh`: whether the paths are used for nothing else; `paths`: the number of paths.
     """
 
     rows: tuple[SeedRow, ...]
@@ -221,7 +221,7 @@ def solve_seeds(
 ) -> dict[str, Any]:
     """Trains every seed, and carries out the run of the best; returns the content of result.json.
 
-    `seeds`: how many, from the seed of the case on, or the seeds themselves.
+    `seeds`: the number of seeds, from the seed of the case on, or the seeds themselves.
 
     **Raises:** `CaseError` if the case trains nothing, or the folder contains another run.
     """

@@ -30,8 +30,9 @@ ProgressCallback = Callable[[str], None]
 class Setup(NamedTuple):
     """All arguments of `snapo.solve` for a training.
 
-    `recipe`: the recipe of `policy`, if that is a general one, so that training begins as
-    `snapo.solve` does; None: training begins from `policy` itself. `case`: the prepared case, if
+    `recipe`: the recipe of `policy`, if it is a general policy, so that training begins as
+    `snapo.solve` does; with None training begins from `policy` itself. `case`: the prepared case,
+    if
     the problem's simulator does not contain it.
     """
 
@@ -79,8 +80,9 @@ def with_change(
 class Today(NamedTuple):
     """The decision of today in the terms of its domain.
 
-    - `description`: in one line, "withdraw 164 MWh"; `facts`: (name, number, unit) next to it.
-    - `columns`: (name, unit) of the table, and its `rows`.
+    - `description`: the decision in one line, "withdraw 164 MWh"; `facts`: triples (name, number,
+      unit) next to it.
+    - `columns`: pairs (name, unit) of the table; `rows`: its rows.
     """
 
     description: str
@@ -92,9 +94,9 @@ class Today(NamedTuple):
 class LiveTable(NamedTuple):
     """A section of the domain on the live page.
 
-    - `title`; `description`: one line above; `columns`: (name, unit) of the table, and its `rows`,
-      of texts and numbers.
-    - `facts`: (name, number, unit) of the figures to read first, above the table.
+    - `title`; `description`: one line above the table; `columns`: pairs (name, unit) of the table;
+      `rows`: its rows of texts and numbers.
+    - `facts`: triples (name, number, unit) of the figures to read first, above the table.
     """
 
     title: str
@@ -140,7 +142,8 @@ class DisplayedValue(NamedTuple):
 class CalculatedOutput(NamedTuple):
     """An output of a study without a policy.
 
-    - `values`: [N] by path; `nominal`: the value without random effects; `within`: the share of
+    - `values`: [N] the value on each path; `nominal`: the value without random effects; `within`:
+      the share of
       paths within its limits.
     """
 
@@ -161,7 +164,7 @@ class Recalculated(Protocol):
     def inputs_by_name(self) -> Mapping[str, Input]: ...
 
     def stages(self, case: Any) -> Iterator[tuple[str, Any]]:
-        """(name, table) one after another.
+        """Pairs (name, table), one after another.
 
         - "value": "value", "standard_error", "paths", "kept" [N] by path, and "outputs", each a
           `CalculatedOutput`.
@@ -179,7 +182,7 @@ class Part(NamedTuple):
       parts/sensitivity-matrix.json.
     - `work`: takes the `StudyRun` and returns {key: table} in plain data or NumPy: the keys under
       which reports find them (`run.get("key")`). No two parts give the same key.
-    - `needs`: the parts without which it cannot be done; where one failed, it is skipped.
+    - `needs`: the parts without which it cannot be done; if one of them failed, it is skipped.
     """
 
     name: str
@@ -197,22 +200,23 @@ class Study:
     """A problem, and the parts of its runs.
 
     - `kind`: the kind of the domain.
-    - `about`: known before any work: title, currency, dates, notes …, for the report; "units" and
-      "names" of series for report and live page: empty, not shown.
+    - `about`: facts that are known before any work: title, currency, dates, notes … for the report;
+      "units" and "names" of series for report and live page, where a series with an empty name is
+      not shown.
     - `parts`: in the order in which they are done.
-    - `result`: the content of result.json, from the run so far: "value", "standard_error",
+    - `result`: makes the content of result.json from the run so far: "value", "standard_error",
       "status" …
     - `setup`: returns the arguments of training, always the same object; None if nothing trains.
-    - `relaxation`: returns the inner problem of the upper bound; or the reason for its absence as
-      text.
+    - `relaxation`: returns the inner problem of the upper bound; or a text with the reason why
+      there is none.
     - `setup_at`: gives the setup at a case that differs in the numbers of its inputs only, as fast
-      as it can: with code that is compiled already. None: its inputs cannot be moved.
-    - `checks`: the case's tables with figures that check its numbers: a case with other numbers is
+      as it can: with code that is compiled already. None if its inputs cannot be moved.
+    - `checks`: the case's tables with figures that check its numbers; a case with other numbers is
       written without them.
-    - `today`: gives the decision of today: of a setup and a policy, the rows of a table.
-    - `inputs`: gives the inputs of a case by name; None: they are found among its records.
+    - `today`: returns today's decision for a setup and a policy, as the rows of a table.
+    - `inputs`: returns the inputs of a case by name; None if they are collected from its records.
     - `live_tables`: returns the sections of the domain on the live page.
-    - `headline`: gives the headline of a value of a setup's objective; None if it has none.
+    - `headline`: returns the headline for a value of a setup's objective; None if there is none.
     - `recalculated`: returns the calculation at other inputs for a study without training.
     - `meanwhile`: work for later parts, done in a thread during the training; they repeat it if it
       failed.
@@ -223,9 +227,7 @@ class Study:
     parts: Sequence[Part]
     result: "Callable[[StudyRun], Mapping[str, Any]]"
     setup: Callable[[], Setup] | None = None
-    relaxation: Callable[[], Relaxation] | str = (
-        "no bound from above is known for this kind of case"
-    )
+    relaxation: Callable[[], Relaxation] | str = "there is no upper bound for this kind of case"
     setup_at: Callable[[Setup, Any], Setup] | None = None
     checks: Sequence[str] = ()
     today: Callable[[Setup, Policy], "Today"] | None = None

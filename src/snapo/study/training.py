@@ -80,8 +80,8 @@ def trained(
     """The result of a study that trains; empty before the training.
 
     If the run has an upper bound or an `exact` value, the possible gain is the "verdict" on the
-    terminal and the first note. `advantages` over classical rules, on the same paths: a rule that
-    does better is in the notes, and replaces the verdict.
+    terminal and the first note. `advantages`: the advantages over classical rules, on the same
+    paths; a rule that does better is named in the notes, and replaces the verdict.
     """
     result = dict(run.get("solution", {}))
     if not result:
@@ -114,8 +114,8 @@ def _beaten(advantages: Iterable[Advantage]) -> str:
     name, more, error = max(certain, key=lambda entry: entry[1])
     return (
         f"The classical rule “{name}” does better than the trained policy, by "
-        f"{rounded(more, 3)} {plus_minus(error or 0.0)} on the same paths: take that rule, "
-        "or train for longer (training.steps)."
+        f"{rounded(more, 3)} {plus_minus(error or 0.0)} on the same paths: use that rule, or "
+        f"train longer (training.steps)."
     )
 
 

@@ -16,10 +16,9 @@ def wrong_derivatives(
     engine: Engine | None = None,
     every: bool = False,
 ) -> list[str]:
-    """The inputs whose adjoint differs from central differences, a line each.
-
-    The problem is first moved away from round numbers, where limits tie and two derivatives are
-    correct. The other arguments are those of `snapo.solver.certificate.bump_check`: without
+    """A line for each input whose adjoint differs from central differences. The inputs are first
+    moved away from round numbers, at which two limits may be equal and two derivatives correct.
+    The other arguments are those of `snapo.solver.certificate.bump_check`: without
     `smooth` the recorded decisions are held fixed, with `every` each number is bumped separately.
     """
     result = bump_check(

@@ -60,7 +60,7 @@ def quiet(text: str) -> None:
 
 
 def once(folder: Path, make: Callable[[Path], Any]) -> Path:
-    """The folder, filled by `make(folder)` in the first process that calls; the others wait.
+    """The folder, filled by `make(folder)` in the first process that calls; other processes wait.
 
     If `make` fails, its files are removed, and the next caller tries again. The lock is one of the
     operating system, released if the process is killed (POSIX only).

@@ -44,7 +44,7 @@ class Mistake:
 
 
 def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path) -> list[str]:
-    """The mistakes that `read` does not handle, one line each; an empty list is correct.
+    """The mistakes that `read` does not handle, one line each; the list is empty if it handles all.
 
     **Arguments:**
 
@@ -101,7 +101,9 @@ def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
             if position not in free:
                 yield Mistake(f"{position}: unknown key", _put((*path, UNKNOWN), 1), (UNKNOWN,))
             if path:
-                yield Mistake(f"{position}: a number for a table", _put(path, 1.5), (_named(path),))
+                yield Mistake(
+                    f"{position}: a number instead of a table", _put(path, 1.5), (_named(path),)
+                )
         for kind, wrong, certain in _wrong(value):
             by_name = (_named(path),) if certain else ()
             yield Mistake(f"{position}: {kind}", _put(path, wrong), by_name)
@@ -175,9 +177,9 @@ def _inside(data: Any, path: Route) -> Any:
 
 
 def spoilt_files(folder: Path, labels: Iterable[str] = ()) -> Iterator[Mistake]:
-    """Mistakes in every CSV next to the case in `folder`: the file, its header, each column.
-
-    `labels`: columns of names, if any text is valid, even one that looks like a number.
+    """Mistakes in every CSV next to the case in `folder`: in the file, its header, and each
+    column. `labels`: columns of names in which any text is valid, even a text that looks like a
+    number.
     """
     labels = set(labels)
     for file in sorted(folder.glob("*.csv")):

@@ -84,7 +84,7 @@ def test_rolling_intrinsic_is_between_the_plan_and_the_exact_value():
 def test_a_product_across_the_end_of_a_year_has_a_reason():
     case = swing(year_begins="11-15", shortfall=6.0)
     contract, _, _, products = flat(case)
-    with pytest.raises(Infeasible, match="over the end of a contract year"):
+    with pytest.raises(Infeasible, match="beyond the end of a contract year"):
         Chains(contract).of(products.blocks(0))
 
 
@@ -97,7 +97,7 @@ def test_contracts_of_several_levels_or_moves_have_a_reason():
 def test_an_hourly_contract_has_no_products():
     from tests.domains.energy.energy_cases import case_at
 
-    with pytest.raises(CaseError, match="hourly contract"):
+    with pytest.raises(CaseError, match="a contract by the hour has none"):
         case_at(HOME / "template_battery", {"products.months": {}})
 
 

@@ -204,7 +204,7 @@ def test_a_month_that_has_begun_has_its_index():
         ({"contract.shortfall": "strike"}, "contract.shortfall: .*indexed strike"),
         ({"contract.start": datetime.date(2026, 10, 5)}, "contract.start: .*first day of a month"),
         ({"contract.end": datetime.date(2027, 9, 5)}, "contract.end: .*first day of a month"),
-        ({"market.valuation_date": datetime.date(2026, 10, 5)}, "strike.fixing: .*give it"),
+        ({"market.valuation_date": datetime.date(2026, 10, 5)}, "strike.fixing: .*specify it"),
         (
             LATE | {"contract.strike": {"index": "month-ahead", "fixing": 30.0}},
             "strike.fixing: .*fixed on the last day before",

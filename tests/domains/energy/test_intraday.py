@@ -182,11 +182,11 @@ def test_a_schedule_depends_on_what_is_known_at_its_auction():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"intraday": {"half_spread": 2.0}}, "contract.intraday: .*give `auction` too"),
+        ({"intraday": {"half_spread": 2.0}}, "contract.intraday: .*specify `auction` too"),
         ({"auction": {"step": "4h"}, "intraday": {"half_spread": -1.0}}, "half_spread"),
         ({"auction": {"step": "4h"}, "intraday": {}}, "half_spread"),
         ({"auction": {"step": "4h"}, "intraday": {"half_spread": 2.0},
-          "start": datetime.datetime(2026, 5, 5, 2)}, "a start at an auction"),
+          "start": datetime.datetime(2026, 5, 5, 2)}, "the hour of an auction"),
     ],
 )  # fmt: skip
 def test_mistakes_of_trades_are_named(changes, message):

@@ -299,8 +299,8 @@ def test_a_derivative_at_a_kink_is_not_known():
     ("changes", "words"),
     [
         ({"power": {"max": 110.0, "ramp": 0.0}}, "power.ramp.*above 0"),
-        ({"power": {"min": 5.0, "max": 400.0, "ramp": 1e-3}}, "power.ramp.*150 running states"),
-        ({"power": {"min": 5.0, "max": 400.0, "ramp": 3.0}}, "power.ramp.*150 running states"),
+        ({"power": {"min": 5.0, "max": 400.0, "ramp": 1e-3}}, "power.ramp.*150 states"),
+        ({"power": {"min": 5.0, "max": 400.0, "ramp": 3.0}}, "power.ramp.*150 states"),
         ({"before": {"on": 3, "power": 80.0}}, "before.power.*has a ramp"),
         (
             {"power": {"min": 50.0, "max": 110.0, "ramp": 25.0}, "before": {"on": 3}},

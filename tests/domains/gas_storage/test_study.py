@@ -197,7 +197,7 @@ def test_a_run_that_nothing_bounds_says_why(whole, folder, tmp_path):
     record = json.loads((out / "run.json").read_text())
     record["decides"]["case"]["objective"] = {"kind": "cvar", "level": 0.9}
     run_folder.save(out, record)
-    with pytest.raises(CaseError, match=r'only a mean is bounded from above, .* "cvar"'):
+    with pytest.raises(CaseError, match=r'only a mean has an upper bound, .* "cvar"'):
         commands.certify(out, lambda text: None)
     with pytest.raises(CaseError, match="this case has no run yet; `snapo solve"):
         commands.certify(folder, lambda text: None)

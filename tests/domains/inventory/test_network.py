@@ -57,7 +57,7 @@ def test_one_place_is_the_newsvendor():
 
 
 def test_a_utility_is_refused_as_costs_are_no_wealth():
-    with pytest.raises(CaseError, match="costs are not wealth"):
+    with pytest.raises(CaseError, match="for wealth, not for costs"):
         network(*LINE, objective={"kind": "crra", "risk_aversion": 2.0, "wealth": 9.0})
 
 

@@ -15,7 +15,7 @@ SLIPS = {
     "holding of a year in cents": (
         {"holding": 5200.0},
         "item.holding: holding_cost is 5,200 EUR/piece/week, outside 4e-05 to 40 EUR/piece/week: it "
-        "should be for one week and unit, and a unit short costs 4.",
+        "must refer to one week and unit, and a missing unit costs 4.",
     ),
     "a shortage in thousands": (
         {"purchase": 5000.0, "holding": 1.0},

@@ -119,7 +119,7 @@ def test_a_negative_weight_of_a_measure_of_risk_is_that_of_a_cost(folder):
 
 
 MISTAKES = {
-    "no code": ([], "", "", "does not name code to run", "simulator:Reservoir"),
+    "no code": ([], "", "", "cannot name code", "simulator:Reservoir"),
     "no module": (["--simulator", "nothing:Shop"], "", "", "got nothing:Shop", "no nothing.py in"),
     "no class": (["--simulator", "simulator:Stop"], "", "", "has no Stop; its classes are Shop"),
     "no simulator": (["--simulator", "simulator:jnp"], "", "", "is not a subclass of snapo.Sim"),
@@ -128,7 +128,7 @@ MISTAKES = {
     "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "utility of a cost": (
         PLACE, '[objective]\n', '[[objective]]\nkind = "crra"\nrisk_aversion = 2\nwealth = 1\nweight = -1\n',
-        "objective.1.weight: got -1; a utility is for a quantity to maximise",
+        "objective.1.weight: got -1; a utility must be of a quantity that is maximised",
     ),
     "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input must be a"),
     "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; it must be a"),

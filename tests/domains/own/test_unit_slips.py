@@ -17,7 +17,7 @@ SLIPS = {
     "a price in cents": (
         "weeks.csv", "3,75.0,", "3,7500,",
         "weeks.csv, line 5, column price: price 3 is 7,500 EUR/MWh, ",
-        "times its neighbours of about 74.",
+        "times its neighbours, which are about 74.",
     ),
 }  # fmt: skip
 

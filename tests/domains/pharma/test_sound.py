@@ -65,7 +65,7 @@ def test_what_cannot_be_is_a_status_and_keeps_no_limit():
     case = replace(case, units=units)
     run = PharmaProcess(case).run()
     assert run.measures["filter.time"] < 0
-    assert run.status.startswith("filter.time is -") and "which cannot be" in run.status
+    assert run.status.startswith("filter.time is -") and "which is impossible" in run.status
 
 
 def test_a_limit_is_not_kept_by_what_cannot_be():

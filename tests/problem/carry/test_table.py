@@ -31,5 +31,5 @@ def test_raw_numbers_are_observed_first():
 
 @pytest.mark.parametrize("x, y", [(0, 0), (0, 3), (-1, 1)])
 def test_numbers_that_do_not_exist_are_refused(x, y):
-    with pytest.raises(ValueError, match="two different numbers of 3"):
+    with pytest.raises(ValueError, match="two different numbers from 0 to 2"):
         snapo.decision_table(RULE, x=(x, X), y=(y, Y), at=[0, 0, 0])

@@ -110,7 +110,7 @@ def test_a_path_of_the_training_is_one_of_its_member():
 def test_refused():
     with pytest.raises(ValueError, match="no input"):
         snapo.Family(PROBLEM, {"speed": (0, 1)})
-    with pytest.raises(ValueError, match=r"range of effort is 0.3; give \(low, high\)"):
+    with pytest.raises(ValueError, match=r"range of effort is 0.3; it must be \(low, high\)"):
         snapo.Family(PROBLEM, {"effort": 0.3})  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="low must be less"):
         snapo.Family(PROBLEM, {"effort": (2.0, 1.0)})

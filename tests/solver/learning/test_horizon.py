@@ -74,7 +74,7 @@ def test_a_record_of_adjoints_names_the_step_and_the_state_where_they_explode():
     record = Growth.of(Norms(whole, {"level": 0.1 * whole, "price": 0.9 * whole}), 7)
     words = record.describe()
     assert "step 20 of 50" in words and "'price'" in words and "5,000-fold" in words
-    assert "no more than usual" in Growth.of(Norms(np.ones((5, 4)), {}), 0).describe()
+    assert "which is usual" in Growth.of(Norms(np.ones((5, 4)), {}), 0).describe()
     assert record.columns == ("step", "usual", "largest", "level", "price")
     assert record.table()[20] == (20, 2.5, 5000.0, *(record.leaves[n][20] for n in record.leaves))
 

@@ -205,7 +205,7 @@ class Fixed(Drive):
     "setting, said",
     [({"spread": 2.0}, "spread is 2.0, and the simulator starts every path in the same state. Set "
       "initial_noise_size"),
-     ({"exploration": 0.1}, "exploration is 0.1, and Choice explores by itself")],
+     ({"exploration": 0.1}, "exploration is 0.1, and a Choice explores by its temperature")],
 )  # fmt: skip
 def test_what_a_problem_cannot_have_is_refused_in_words(setting, said):
     problem = replace(PROBLEM, simulator=Fixed())

@@ -29,8 +29,8 @@ class Bets(snapo.Simulator):
 @pytest.mark.parametrize(
     "objective, limits, told",
     [
-        (snapo.CVaR("cash", 0.9), (), ["102 of 1,024 paths", "take 2,000 paths"]),
-        (snapo.Mean("cash") - 0.5 * snapo.CVaR("cash", 0.95), (), ["51 of 1,024", "take 4,000"]),
+        (snapo.CVaR("cash", 0.9), (), ["102 of 1,024 paths", "use 2,000 paths"]),
+        (snapo.Mean("cash") - 0.5 * snapo.CVaR("cash", 0.95), (), ["51 of 1,024", "use 4,000"]),
         (snapo.Mean("cash"), (snapo.AtMost(snapo.CVaR("cash", 0.9), 9.0),), ["102 of 1,024"]),
         (snapo.Mean("cash") + snapo.CVaR("cash", 0.5), (), []),
     ],
@@ -41,6 +41,6 @@ def test_a_tail_of_few_paths_is_noted(objective, limits, told):
         training=snapo.Training(steps=2, paths=16, validation_paths=16),
         evaluation=snapo.Evaluation(paths=1024, sensitivity_paths=0),
     )
-    notes = [note for note in found.notes if note.startswith("Few paths in the tail")]
+    notes = [note for note in found.notes if note.startswith("There are few paths in the tail")]
     assert len(notes) == bool(told)
     assert all(part in notes[0] for part in told)

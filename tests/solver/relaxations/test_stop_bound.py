@@ -142,5 +142,5 @@ def test_no_relaxation_is_known_of_another_action():
 def test_supplied_paths_are_refused():
     supplied = snapo.Supplied(np.zeros((DATES, 256, 1)))
     given = replace(problem(), sources=snapo.Sources.of(supplied))
-    with pytest.raises(ValueError, match="nothing can be drawn"):
+    with pytest.raises(ValueError, match="no nested paths can be drawn"):
         snapo.bound(given, BelowStrike())

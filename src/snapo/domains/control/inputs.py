@@ -25,11 +25,12 @@ def make_inputs(
     noise: Mapping[str, Any] | None = None,
     measurement: Mapping[str, Any] | None = None,
 ) -> PlantInputs:
-    """{"plant", "cost", "start", "noise", "measurement"} of a plant, by default its own numbers.
+    """The inputs {"plant", "cost", "start", "noise", "measurement"} of a plant, by
+    default its own numbers.
 
     - `start`: {state: {"at"}, {"low", "high"} or {"mean", "deviation"}}.
-    - `noise`: {state: standard deviation of a step's disturbance}; or a matrix that multiplies
-      normals, or one for every step.
+    - `noise`: {state: standard deviation of a step's disturbance}; instead of a number also a
+      matrix that multiplies normals, or one matrix for every step.
     - `measurement`: {state: standard deviation of its measurement error}.
 
     **Raises:** `KeyError` for a name that the plant does not have.

@@ -15,8 +15,8 @@ PlantValues = Mapping[str, Any]
 
 
 class PlantParameter(NamedTuple):
-    """A parameter of a plant or of its cost: its default (None if it is required; infinite if there
-    is no such limit), its unit and meaning. `positive`: it must be above 0."""
+    """A parameter of a plant or of its cost: its default (None if it is required; infinite if
+    there is no such limit), its unit and meaning. `positive`: whether it must be above 0."""
 
     value: Any
     unit: str
@@ -246,7 +246,7 @@ class LinearQuadraticKind(PlantKind):
                 yield f"start.x.{key}", inputs.tolist(), f"it must be {size} numbers"
         for inputs in values["noise"].values():
             if inputs.shape != (size, size):
-                message = f"it must be {size} numbers, or {size} rows of {size}"
+                message = f"it must be {size} numbers, or {size} rows of {size} numbers"
                 yield "noise.x", inputs.tolist(), message
 
         for inputs in values["measurement"].values():
@@ -294,11 +294,11 @@ class TwoTanksKind(PlantKind):
         ratio = float(plant["lower"] / plant["upper"])
         maximum = float(plant["height"]) / max(1.0, ratio**2)
         if plant["target"] > maximum:
-            message = f"it must be at most {maximum:.4g}: no tank may overflow while it is held"
+            message = f"it must be at most {maximum:.4g}: at a higher target a tank would overflow"
             yield "plant.target", float(plant["target"]), message
         holding = float(with_numpy(holding_flow)(plant))
         if holding > plant["flow"]:
-            message = f"it must be at least {holding:.4g}, which holds the target"
+            message = f"it must be at least {holding:.4g}, the flow that holds the target"
             yield "plant.flow", float(plant["flow"]), message
 
 

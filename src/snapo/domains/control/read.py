@@ -75,13 +75,13 @@ class ControlPolicyTable(CaseTable):
     )
     memory: Literal["GRU", "Recent"] | None = doc(
         "memory of earlier observations", None,
-        '"GRU" (a recurrent network), "Recent" (the last observations) or left out',
+        '"GRU" (a recurrent network), "Recent" (the last observations), or no such key',
     )  # fmt: skip
     steps: int | None = _whole_number(
         "number of last observations that the policy remembers",
         2,
         1000,
-        ', of observations with memory = "Recent"',
+        ', the number of observations with memory = "Recent"',
     )
 
 
@@ -155,7 +155,7 @@ class NormalStart(CaseTable):
 FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"
 RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(0.0, 25.2, "an angle is in radians, 180 degrees are 3.14", unit="rad", by_size=True),
-    Plausible(0.0, 1e3, "an angular speed is in radians a second", unit="rad/s", by_size=True),
+    Plausible(0.0, 1e3, "an angular speed is in radians per second", unit="rad/s", by_size=True),
     Plausible(0.5, 30.0, "on Earth it is 9.81 m/s2", unit="m/s2", endings=("gravity",)),
     Plausible(1e-6, 1e4, "1 ms is 0.001 s", unit="s"),
     Plausible(1e-4, 1e4, "1 mm is 0.001 m", unit="m", by_size=True),
@@ -295,7 +295,7 @@ def read_starts(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> d
 
 
 def read_noise(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """{state: standard deviations of a step's disturbance} of the states that are named.
+    """{state: standard deviations of a step's disturbance} for the states in the table.
 
     For a state of several numbers: a list, or the rows of a matrix that multiplies normals.
     """

@@ -16,10 +16,10 @@ from .kinds import PlantKind
 class ControlCase:
     """All that a study needs: the plant with its inputs, the objective, and how it is trained.
 
-    - `kind`: the kind of the plant; `horizon`, `timer`: steps, and whether the policy sees how many
-      are left, None for the default of the kind.
-    - `hidden`, `memory`, `window`: those of the trained network, see `[policy]`.
-    - `objective_words`: "mean reward".
+    - `kind`: the kind of the plant; `horizon`, `timer`: the number of steps, and whether the policy
+      sees how many are left; None for the default of the kind.
+    - `hidden`, `memory`, `window`: the keys of `[policy]` for the trained network.
+    - `objective_words`: the objective as text, "mean reward".
     - `positions`: {input: the positions of its numbers in the file}.
     """
 

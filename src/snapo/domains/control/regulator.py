@@ -102,8 +102,8 @@ def estimation_cost(
 ) -> float:
     """The additional mean cost of measurement noise.
 
-    `start`, `shocks`, `errors`: covariances of the initial state, of disturbances and of errors;
-    all of them normal.
+    `start`, `shocks`, `errors`: covariances of the initial state, of disturbances and of
+    measurement errors, all of which are normal.
     """
     total, prior = 0.0, start
     every = np.broadcast_to(shocks, result.P[1:].shape)

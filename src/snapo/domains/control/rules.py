@@ -20,8 +20,8 @@ from .regulator import linearised, riccati
 class LinearFeedback(Policy):
     """u = rest - K (state - target), clipped to the plant's limits.
 
-    - `gains`: [T, m, n] with one matrix for each step where the observation shows the time that is
-      left, [1, m, n] otherwise; states in the order of their names, as a vector.
+    - `gains`: [T, m, n] one matrix for each step, if the observation shows the time that is left;
+      else [1, m, n]. The states are a vector in the order of their names.
     - `numbers`: the numbers of the plant; `target` [n]; `rest`, `unit` [m]: u = rest + unit x
       action.
     """

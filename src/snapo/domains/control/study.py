@@ -56,7 +56,7 @@ def study(case: ControlCase, options: Options) -> Study:
     chapters = [DISTRIBUTION, PROFILE, MOVES, BASELINES, PLANE]
     if options.reference:
         if not plant.twin:
-            message = f'no environment of Gymnasium is known for the plant "{plant.type}"'
+            message = f'Gymnasium has no environment for the plant "{plant.type}"'
             raise CaseError("--reference", "", None, message)
         chapters.append(GYMNASIUM)
     parts = [TRAINING, *(chapter.part for chapter in [*chapters, CERTIFICATE])]

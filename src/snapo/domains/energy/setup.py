@@ -66,8 +66,8 @@ def setup_at(setup: Setup, case: EnergyCase) -> Setup:
 def rebuilt(problem: Problem) -> Problem:
     """The problem with the fitted value and the scales of features of its inputs.
 
-    Its nodes are as far apart as before, and read in the same way: values are then equally
-    accurate.
+    The nodes of the fitted value are as far apart as before, and are read in the same way, so that
+    values are equally accurate.
     """
     table = simulator_of(problem).unit_values
     problem = _bare(problem)
@@ -84,8 +84,9 @@ def _bare(problem: Problem) -> Problem:
 
 
 def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Problem:
-    """The problem with the unit values that its policy starts from, and with a control variate if
-    prices have no risks except its factors. `before`: those of other inputs."""
+    """The problem with the unit values from which its policy starts, and with a control variate if
+    prices have no risks other than the factors of the fit. `before`: the fitted values at other
+    inputs."""
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
     apart, like = np.zeros(len(layout.levels)), None
     if before is not None:

@@ -69,9 +69,12 @@ def study(case: EnergyCase, options: Options) -> Study:
 def _relaxation(prepared: "_Prepared", problem: Problem) -> Callable[[], EnergyRelaxation] | str:
     kind = prepared.case.objective.kind
     if kind != "mean":
-        return f'only a mean is bounded from above, but the objective is "{kind}"'
+        return f'only a mean has an upper bound, but the objective is "{kind}"'
     if not grid_of(simulator_of(problem).layout, problem.schedule).exact:
-        return "its volumes have no common divisor with few enough nodes: bounds would be too low"
+        return (
+            "its volumes have no common divisor with few enough nodes, so that upper bounds "
+            "would be too low"
+        )
     return lambda: prepared.relaxation
 
 

@@ -36,7 +36,8 @@ def lines(case: EnergyCase) -> list[str]:
 
 @with_numpy
 def known_schedule(case: EnergyCase) -> Schedule:
-    """The schedule of a case at its forward prices, in NumPy, without those of the price process.
+    """The schedule of a case at its forward prices, in NumPy, without the numbers of the price
+    process.
 
     It equals `EnergySimulator.prepare` of its inputs, up to rounding.
     """

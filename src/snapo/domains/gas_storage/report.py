@@ -95,7 +95,7 @@ def _sentence(run: StorageRun, now: FirstDecision) -> str:
     start = f"{long_date(now.date)}: the spot price is {quantity(spot, price, digits)}"
     store = finite(now.inventory)
     start += f" with {run.gas(store)} in store." if store is not None else "."
-    return f"{start} The rule at this inventory: {rule}." if rule else start
+    return f"{start} The rule at this inventory is: {rule}." if rule else start
 
 
 def _price_places(prices) -> int:
@@ -169,9 +169,7 @@ def readme_picture(folder: Path, exact: float | None = None) -> str:
     """A separate picture of a result as SVG text: value ladder and monthly deltas.
 
     `exact`: the contract's value by dynamic programming from another run, for a run without
-    `--reference`.
-
-    Raises `ValueError` if the run has only one or none of them.
+    `--reference`. Raises `ValueError` if the run lacks the value ladder or the deltas.
     """
     run = StorageRun.read(Path(folder))
     values, deltas = VALUES.of(run), DELTAS.of(run)

@@ -72,7 +72,7 @@ def _relaxation(prepared: "_Prepared"):
     """The store of known prices; or the reason why a run has no bound from above."""
     kind = prepared.case.objective.kind
     if kind != "mean":
-        return f'only a mean is bounded from above, but the objective is "{kind}"'
+        return f'only a mean has an upper bound, but the objective is "{kind}"'
     return lambda: prepared.relaxation
 
 

@@ -70,10 +70,9 @@ def first_policy(problem: Problem, case: AnyCase, seed: int) -> OrderUpTo | Eche
 
 
 def first_batch(case: InventoryCase) -> tuple[float, float]:
-    """The distances of S above and s below the base-stock level, in standard deviations of demand.
-
-    With an economic lot Q, stock runs short in the share h Q / (p mean + h Q) of its cycles; an
-    order is placed half a period's demand too late on average. S = s + Q minus that half.
+    """How far S is above and s below the base-stock level, in standard deviations of demand. With
+    an economic lot Q, stock runs short in the share h Q / (p mean + h Q) of its cycles. On average
+    an order is placed half a period's demand too late, so S = s + Q minus half a period's demand.
     """
     item, mean, deviation = case.item, mean_demand(case), usual_deviation(case)
     lot, half = economic_lot(case), mean / 2

@@ -68,5 +68,5 @@ def _network_lines(case: NetworkCase) -> list[str]:
 
 
 def _periods(case: InventoryCase | NetworkCase) -> str:
-    after = f", after {case.warm_up} that do not count" if case.warm_up else ""
+    after = f", after a warm-up of {case.warm_up} that do not count" if case.warm_up else ""
     return f"{counted(case.periods, case.period)}{after}"

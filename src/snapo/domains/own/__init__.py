@@ -38,8 +38,8 @@ class OwnDomain(Kind):
     def read(self, file: Path, data: Mapping[str, Any]) -> "OwnCase":
         if self.location is None:
             message = (
-                f'a case of kind "{KIND}" does not name code to run; name its simulator as '
-                f"MODULE:CLASS, such as {OPTION} {self.example}"
+                f'a case of kind "{KIND}" cannot name code; name its simulator with the option '
+                f"{OPTION} MODULE:CLASS, such as {OPTION} {self.example}"
             )
             raise CaseError(OPTION, "", None, message)
         return self.loaded(self.reader)(file, data, self.location)

@@ -122,7 +122,7 @@ class PythonDomain(Kind):
 def write_report(solution: Solution, file: Path, problem: Problem | None) -> Path:
     """Writes the report of a solution into an HTML file; returns its path.
 
-    **Raises:** `ValueError` for another ending, or if the solution has neither a problem nor
+    **Raises:** `ValueError` for another suffix, or if the solution has neither a problem nor
     the folder of a run.
     """
     if file.suffix.lower() not in (".html", ".htm"):
@@ -140,7 +140,9 @@ def write_report(solution: Solution, file: Path, problem: Problem | None) -> Pat
 def open_page(
     solution: Solution, problem: Problem | None, simulator: str | None, browser: bool
 ) -> "LivePage":
-    """Opens the live page of a solution. **Raises:** as `write_report`."""
+    """Opens the live page of a solution.
+
+    **Raises:** as `write_report`."""
     import webbrowser
 
     from snapo.live.open import LivePage, server_of
@@ -168,7 +170,9 @@ def _run_of(solution: Solution, problem: Problem | None) -> Path | None:
 
 
 def _domain(solution: Solution, problem: Problem | None, verb: str) -> PythonDomain:
-    """The domain of a solution's problem. **Raises:** `ValueError` if something is missing."""
+    """The domain of a solution's problem.
+
+    **Raises:** `ValueError` if something is missing."""
     problem = problem or solution.problem
     missing = f"{verb}: this solution was loaded without its"
     if problem is None:

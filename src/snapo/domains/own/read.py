@@ -89,7 +89,7 @@ class InputTable(CaseTable):
     move: float | None = doc(
         "standard move, whose effect reports show", None, "a number other than 0, in the unit"
     )
-    trade_unit: str = doc("unit in reports", "", "text: the unit that its user prefers")
+    trade_unit: str = doc("unit in reports", "", "the name of the preferred display unit, as text")
     trade_factor: Annotated[float, Range(0, endpoints="()", note=FACTOR)] = doc(
         "number of trade units in one unit", 1.0
     )
@@ -126,7 +126,7 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
     """The ranges of shares: those that are shown as percentage points, or in basis points."""
     for entry in entries:
         if entry.display_factor == 100 and PERCENT.search(entry.display_unit):
-            hint = "a fraction is expected; the display unit is one percent of it"
+            hint = "a fraction is expected; the display unit is percent"
             yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
         if entry.display_factor == 1e4 and entry.display_unit == "bp":
             hint = "a fraction is expected, 0.0001 is 1 bp"
@@ -164,7 +164,7 @@ def _in_file(section: TableContext, table: InputTable) -> InputParts:
         raise section.error("value", table.value, "all rows must have the same length") from None
     labels = tuple(table.labels or ())
     if labels and len(labels) != values.size:
-        message = f"there are {values.size} numbers; give each one label"
+        message = f"there are {values.size} numbers; each needs one label"
         raise section.error("labels", table.labels, message)
     return values, labels, positions((*section.keys, "value"), values.shape)
 

@@ -15,11 +15,12 @@ from snapo.problem.simulator import Simulator
 class OwnCase:
     """The data that `snapo solve` needs from a case.
 
-    - `location`: module and class of the simulator; `code`: the file of the module, where it is
-      one, and `code_hash`: of its bytes.
-    - `unit`: the unit of the value; `units`: by name of a state, of the action, of an output.
-    - `objective_words`: "mean of cash"; `outputs`: {place in the case: output} of all that is
-      maximised.
+    - `location`: module and class of the simulator; `code`: the file of the module, if it is a
+      file, and `code_hash`: the hash of its bytes.
+    - `unit`: the unit of the value; `units`: units by the name of a state, of the action or of an
+      output.
+    - `objective_words`: the objective as text, "mean of cash"; `outputs`: {key in the case: output}
+      for all outputs that are maximised.
     - `positions`: {input: the positions of its numbers in the files}.
     - `step`: the word for one step, "week".
     """

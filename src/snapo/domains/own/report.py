@@ -16,9 +16,10 @@ from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
 CAVEAT = (
-    "Nearly met: missed by less than the half width of the interval, or by a thousandth of one "
-    "path's deviation. Raising the level by one unit changes the objective by its shadow price, "
-    "from derivatives on fresh paths with respect to the policy; a limit with slack has none. "
+    "A limit is nearly met if it is missed by less than the half-width of the interval, or by "
+    "less than a thousandth of the standard deviation of one path. If the level of a limit is "
+    "raised by one unit, the objective changes by the shadow price. Shadow prices are computed "
+    "on fresh paths from derivatives with respect to the policy; a limit with slack has none. "
     "Sensitivities are those of the best value within the limits."
 )
 

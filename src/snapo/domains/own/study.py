@@ -45,8 +45,8 @@ class SimulatorError(CaseError):
 def checked(case: OwnCase) -> Findings:
     """The remarks of `snapo.check` on a simulator that can be trained.
 
-    **Raises:** `SimulatorError` if it cannot be trained; `CaseError` if the case, or a limit of the
-    class, does not refer to an output.
+    **Raises:** `SimulatorError` if it cannot be trained; `CaseError` if the case, or a limit of
+    the class, refers to an output that does not exist.
     """
     findings = check(case.simulator, case.inputs)
     if not findings.ok:
@@ -174,5 +174,7 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     recipe = getattr(case.simulator, "policy", None) or MLP()
     if not isinstance(recipe, Policy):
         got = Unquoted(f"a {type(recipe).__name__}")
-        raise CaseError(":".join(case.location), "policy", got, "it must be a policy, snapo.MLP()")
+        raise CaseError(
+            ":".join(case.location), "policy", got, "it must be a policy, such as snapo.MLP()"
+        )
     return with_auto(engine, problem, recipe, training, evaluation)

@@ -38,10 +38,10 @@ FROM_YEAR, BY_AGE = "from_year", "sex,age"
 @dataclass(frozen=True)
 class FundQuantity(Quantity):
     """A number of a fund; each row of its CSV applies from its "from_year" on, or from its age on
-    (columns "sex,age"; its reader resolves these).
+    (columns "sex,age", which another reader handles).
 
-    - `blank`: the number of an empty cell, if a cell may be empty.
-    - `by_factor`: whether a list has one for each factor of a model; then several are read.
+    - `blank`: the number that an empty cell means, if a cell may be empty.
+    - `by_factor`: whether a list has one number for each factor of a model.
     """
 
     blank: float | None = None
@@ -86,7 +86,7 @@ class FundQuantity(Quantity):
         """The numbers of rows from_year,value; `starts` are years from now."""
         begins = rising(rows, self.by, -NEVER)
         if begins[0] > NEVER:
-            raise rows[0].error(self.by, "the first value must hold from year 0 on")
+            raise rows[0].error(self.by, "the first value must apply from year 0 on")
         return self.from_rows(name, rows, [f"from {years(b)}" for b in begins], starts=begins)
 
     def column_of(self, name: str, rows: Sequence[Row], labels: Sequence[str]) -> CaseInput:
@@ -143,5 +143,8 @@ def side_by_side(name: str, parts: Sequence[CaseInput], names: Sequence[str]) ->
     numbers = replace(stacked(name, parts), labels=tuple(labels))
     if len(set(numbers.positions)) == len(labels):
         return numbers
-    reason = "several of these numbers are a single number in the files of the case"
+    reason = (
+        "several of these numbers are one number in the files of the case, so they cannot "
+        "be changed separately"
+    )
     return replace(numbers, positions=(NoPosition(reason),) * len(labels))

@@ -102,7 +102,7 @@ def _trades(run: PensionRun) -> tuple[str, str]:
         return "", ""
     classes = sorted(today.trades.classes, key=lambda x: -abs(x.trade))
     moved = sum(abs(x.trade) for x in classes) / 2
-    action = f"Turn over {share(moved / run.assets)} of the assets"
+    action = f"Trade {share(moved / run.assets)} of the assets"
     largest = [x for x in classes[:4] if x.trade]
     parts = [f"{x.name} {share(x.now, 0)} → {share(x.target, 0)}" for x in largest]
     sentence = f"Largest trades: {'; '.join(parts)}." if parts else ""
@@ -156,7 +156,11 @@ def _facts_of_pots(run: PensionRun) -> dict[str, list[Fact]]:
         left = f"of the assets; median {last} a year before the end"
         facts[POTS.name] = [
             ("Pension today", share(pots.level), "of the accrued pension"),
-            ("Years with a cut", share(worst), "of those of payment, most of any cohort"),
+            (
+                "Years with a cut",
+                share(worst),
+                "of the years of payment, the largest share of any cohort",
+            ),
             ("Solidarity reserve", now, left),
         ]
     return facts

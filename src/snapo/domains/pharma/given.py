@@ -56,7 +56,7 @@ def absent(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> bool:
 def _held(values: CaseInput | InputUse) -> np.ndarray:
     """The numbers of what is no input."""
     if values.values is None:
-        raise KeyError(f"{values.name} is an input, and this form has no numbers of it.")
+        raise KeyError(f"{values.name} is an input, but its numbers are not in this record.")
     return values.values
 
 

@@ -16,7 +16,8 @@ def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) ->
     """One row for each node of a profile, and for each other number that may be chosen.
 
     `changed`: numbers instead of the case's own, in the domain's units. `kind` "linear": the
-    setpoint goes straight to the next; "constant": it stays until the next; "once": it holds.
+    setpoint changes linearly to the next one; "constant": it stays until the next one; "once": it
+    does not change.
     """
     changed = changed or {}
     selected = {

@@ -38,10 +38,10 @@ def unavailable() -> str | None:
 
 
 class Seats(NamedTuple):
-    """The path of every lane of all blocks, part by part; the last path of a part fills its last
-    block.
+    """The path of every lane of all blocks, part by part; the last path of a part is repeated to
+    fill its last block.
 
-    - `path`: [blocks x lanes] the number of each lane's path; `inner`: whether it counts.
+    - `path`: [blocks x lanes] the number of each lane's path; `inner`: whether the lane counts.
     - `edges`: [parts + 1] the first block of every part, and the number of all blocks.
     """
 
@@ -272,7 +272,8 @@ class NativeCall:
         return jax.tree.unflatten(tree, leaves)
 
     def gradients(self, runner: Runner, out: Back):
-        """(policy, schedule, start) as NumPy arrays in the engine's precision, of one column.
+        """The gradients (policy, schedule, start) of one column, as NumPy arrays in the engine's
+        precision.
 
         Policy and schedule have a leading axis of parts, if sums are by part.
         """

@@ -41,8 +41,8 @@ class Distributed:
     """Runs of kernels whose groups of paths are computed by workers, if that saves time.
 
     A kernel's first run is timed on this machine. Later runs go to workers if they would take at
-    least `MIN_SECONDS` here, plus the time to move their rows. After the loss of a job this process
-    computes everything.
+    least `MIN_SECONDS` here, plus the time to move their rows. If a worker loses a job, this
+    process computes everything from then on.
     """
 
     def __init__(self, workers: Workers):
@@ -59,7 +59,7 @@ class Distributed:
             return ""
         return (
             f"Workers were not used: the paths of a step take {1e3 * self.longest:,.0f} ms on this "
-            f"machine, and workers help from {1e3 * self.needed:,.0f} ms on (training.paths)."
+            f"machine; workers save time from {1e3 * self.needed:,.0f} ms on (see training.paths)."
         )
 
     def groups(

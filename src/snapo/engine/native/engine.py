@@ -30,9 +30,8 @@ class Native(Engine):
 
     - `precision`: "float32" (training) or "float64" (values and sensitivities).
     - `threads`: None uses every processor available to this process.
-    - `distributed`: workers that compute groups of paths, where that saves time.
-
-    Results depend on neither.
+    - `distributed`: workers that compute groups of paths, where that saves time. Results depend
+      neither on threads nor on workers.
 
     Results are NumPy arrays. Raises `Unsupported` if a simulator or policy uses something that
     cannot be compiled, or if nothing can be compiled (`unavailable`).

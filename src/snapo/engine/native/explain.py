@@ -56,7 +56,7 @@ def explain(
     - `schedule`: the result of `prepare`; by default that of `simulator.prepare(None)`.
     - `policy`: by default a small network.
 
-    **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
+    **Returns:** the programs (operations on one path; `v…` differs between paths, `s…` does not),
     the layout of memory, and LLVM IR. Raises `Unsupported` with the reason.
     """
     schedule = simulator.prepare(None) if schedule is None else schedule
@@ -92,8 +92,8 @@ def unsupported(
     None if it can, including the gradient, every record, and clipping by `state_scale`.
     Nothing is compiled; tracing takes some tenths of a second, once for all simulators of one form.
 
-    `quickly`: without code of the user's own, only the kernel of the derivatives is traced, which
-    evaluation uses again.
+    `quickly`: if there is no user-defined code, only the kernel of the derivatives is traced,
+    which evaluation uses again.
     """
     if (missing := unavailable()) is not None:
         return missing

@@ -28,10 +28,9 @@ from ..base import factor_of
 
 
 class SharedTree:
-    """A tree that all paths share, taken apart once per call, as flattening takes time.
-
-    Arrays, as NumPy with floating ones in the call's precision, are read at every call;
-    everything else is compiled in.
+    """A tree that all paths share, flattened once per call, since flattening takes time. Its
+    arrays (NumPy, floating-point ones in the call's precision) are read at every call; everything
+    else is compiled in.
     """
 
     def __init__(self, tree, dtype):

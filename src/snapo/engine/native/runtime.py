@@ -28,7 +28,7 @@ GROUPS = 32  # independent partial sums: fixed, so that threads do not change th
 
 @dataclass(eq=False)
 class KernelInputs:
-    """All that one run reads, as rows of the kernel's layouts; weights for each column.
+    """Everything that one run reads, as rows of the kernel's layouts, with weights for each column.
 
     `edges`: the blocks at which parts of the paths begin, whose sums are separate.
     """
@@ -186,9 +186,9 @@ class Runner(GroupRunner):
     def run(
         self, inputs: KernelInputs, threads: int, groups: Groups | None = None
     ) -> KernelOutputs:
-        """All blocks, forward and (in an adjoint kernel) back, for every column of weights.
-
-        `groups`: computes them in the place of `GroupRunner.groups`, with the same bits.
+        """Runs all blocks forward and (in an adjoint kernel) backward, for every column of
+        weights. `groups`: computes the groups instead of `GroupRunner.groups`, with bit-identical
+        results.
         """
         context, edges = self.prepared(inputs), inputs.edges
         if edges is None:

@@ -36,8 +36,8 @@ class StoredKernel:
 
     - `simulator`: its class is part of the name.
     - `shared`, `steps`: trees that paths share, as in `NativeCall`.
-    - `like`: shapes of a given starting state, or None.
-    - `noise`: the numbers of a path's initial noise.
+    - `like`: shapes of a supplied starting state, or None.
+    - `noise`: how many numbers the initial noise of a path has.
     """
 
     def __init__(

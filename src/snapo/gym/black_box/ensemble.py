@@ -27,9 +27,10 @@ class Fit(NamedTuple):
     - `layers`: [(weights [E, out, in], biases [E, out])] in the units of the environment, from
       observation and action to the difference of the observation, the reward of a step that does
       not end the episode, the reward of a step that ends it, and the log odds of the end.
-    - `raw`: the same between numbers of order one, from which to continue.
-    - `error`: [k + 2] root mean square errors of the members' mean on held-out rows, over the
-      spread of each number: differences, then the reward; last the share of ends predicted wrongly.
+    - `raw`: the same layers for numbers of order one, from which a further fit starts.
+    - `error`: [k + 2] root mean square errors of the members' mean on held-out rows, divided by the
+      spread of each number: differences, then the reward; the last number is the share of ends that
+      were predicted wrongly.
     - `spread`: [k] the standard deviation of the environment's noise.
     """
 
@@ -65,8 +66,9 @@ def fit(
 ) -> Fit:
     """The ensemble fitted further from the weights `raw`, and its error on held-out rows.
 
-    A tenth of the rows is held out. Every member keeps the weights that were best on it; the fit
-    stops after `maximum` steps, or after `patience` checks without a better one. `capacity` is the
+    A tenth of the rows is held out. Every member keeps the weights that were best on these rows;
+    the fit stops after `maximum` steps, or after `patience` checks without an improvement.
+    `capacity` is the
     maximum number of rows: arrays have that length, so that all fits are compiled once.
     """
     rng = np.random.default_rng((seed, transitions.count))

@@ -41,12 +41,13 @@ def learn(
     **Arguments:**
 
     - `environment`: a name such as "Pendulum-v1", a function that creates it, or an environment.
-    - `steps`: the maximum number of steps in the real environment, for all purposes together.
+    - `steps`: the maximum number of steps in the real environment, in total.
     - `policy`: the network's recipe, such as `MLP(hidden=(64, 64))`, or a policy to train further,
       such as that of an earlier result.
     - `rounds`: the number of rounds of fit, training and real episodes.
-    - `hold`: steps of the environment for which a decision is held; by default such that an episode
-      has at most 250 decisions. `limit`: the longest episode, in steps; by default that of the
+    - `hold`: steps of the environment for which a decision is held; by default as many as needed
+      for at most 250 decisions in an episode. `limit`: the longest episode, in steps; by default
+      that of the
       environment.
     - `horizon`: decisions of a path in training; by default half an episode, at most 125.
     - `members`, `hidden`: networks of the ensemble, and their layers.

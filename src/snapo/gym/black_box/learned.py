@@ -45,8 +45,9 @@ class Compared(NamedTuple):
 class LearningRound(NamedTuple):
     """One round: a fit, a training, and episodes of the new policy in the real environment.
 
-    - `steps`: real steps up to its end, `rows`: transitions to which the model was fitted.
-    - `error`: the error of the model on held-out rows, over the spread of each number (see
+    - `steps`: real steps up to the end of the round; `rows`: transitions to which the model was
+      fitted.
+    - `error`: the error of the model on held-out rows, divided by the spread of each number (see
       `Fit.error`).
     - `comparison`: the new policy without noise, from initial observations common to all rounds.
     - `seconds`: the seconds of processor time.
@@ -63,13 +64,13 @@ class LearningRound(NamedTuple):
 class Learned:
     """A policy learned in a model, and its results in the real environment.
 
-    - `policy`: from the environment's observation to its action, both in its units: can be played
-      with `snapo.gym.Agent(policy)`, saved and exported like every policy.
+    - `policy`: maps the environment's observation to its action, both in its units. It can be
+      played with `snapo.gym.Agent(policy)`, saved and exported like every policy.
     - `comparison`: its value in the environment and in the model, and the gap, on fresh initial
       states that no round used.
     - `steps`: total number in the real environment; `hold`: the steps of a held decision.
-    - `rounds`: the history; `selected`: the round of this policy, from 1: the one with the highest
-      reward in the real environment from the common initial observations.
+    - `rounds`: the history; `selected`: the round of this policy, counted from 1. It is the round
+      with the highest reward in the real environment from the common initial observations.
     - `model`, `inputs`: the simulator and its inputs after the last fit: `snapo.Problem(model,
       inputs, "reward")`.
     """

@@ -23,8 +23,9 @@ class Model(Simulator):
     """One path of a learned environment: state and observation are those of the environment.
 
     The inputs are those of `inputs_of`: weights of all members, scales, first observations. A path
-    follows one member, drawn by its initial noise: so a policy must be good in all of them, and
-    cannot exploit the errors of one. A path that may have ended continues with a smaller weight.
+    follows one member, drawn by its initial noise, so that a policy must be good in all members
+    and cannot exploit the errors of one. A path that may have ended continues with a smaller
+    weight.
     """
 
     horizon: int = eqx.field(static=True)

@@ -20,9 +20,9 @@ ON_CIRCLE = 1e-3  # of the sum of two squares, at every observation
 
 
 class Transitions(NamedTuple):
-    """Steps of the environment, one a row; with `hold`, a step is that of a held decision.
-
-    `ended` is true if the environment terminated. A time limit is not such an end, since it does
+    """Steps of the environment, one in each row; with `hold`, a row is the whole time of a held
+    decision. `ended` is true if the environment terminated. A time limit is not such an end, since
+    it does
     not depend on the state.
     """
 
@@ -174,7 +174,8 @@ def _box(environment: Any, name: str):
     space = getattr(environment, f"{name}_space", None)
     if not isinstance(space, gymnasium.spaces.Box):
         raise ValueError(
-            f"learn: the {name} space is {space}, and a Box of numbers is needed: {REMEDIES[name]}."
+            f"learn: the {name} space is {space}, but it must be a Box of numbers: "
+            f"{REMEDIES[name]}."
         )
     return space
 

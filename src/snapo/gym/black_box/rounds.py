@@ -238,10 +238,9 @@ def compared(
     maximum: float,
     common: Any = None,
 ) -> Compared:
-    """Episodes in the real environment up to `maximum` steps, at least one, and the same in the
-    model.
-
-    With the seeds `common`, every second episode has others and noise, for the next fit only.
+    """Plays as many episodes in the real environment as fit into `maximum` steps, but at least
+    one, and the same episodes in the model. With the seeds `common`, every second episode has
+    another seed and noise on its actions, and is used for the next fit only.
     """
     agent = Agent(available.units.undone(policy))
     played: list[Episode] = []

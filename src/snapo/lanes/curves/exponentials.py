@@ -72,7 +72,8 @@ def expm1(a: Arithmetic, x: Ref) -> Ref:
 
 
 def tanh(a: Arithmetic, x: Ref) -> Ref:
-    """A ratio of polynomials: of x in float32, of the remainder after halves of ln 2 in float64.
+    """A ratio of polynomials: in x for float32, and for float64 in the remainder of x after
+    multiples of ln 2 / 2.
 
     With |x| = n ln 2 / 2 + y and tanh(y) = p / q the answer is
     ((2^n - 1) q + (2^n + 1) p) / ((2^n + 1) q + (2^n - 1) p).

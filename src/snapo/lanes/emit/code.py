@@ -41,10 +41,9 @@ LINE = 64  # bytes of a line of the cache
 
 
 class Ahead:
-    """Memory from an address on that loops of dot products fetch before it is needed.
-
-    Each of their rounds fetches a part. Fetched at once, it would occupy all of the processor's
-    buffers for cache misses, and loads of the present step would wait.
+    """Memory from an address on, which loops of dot products fetch before it is needed. Each of
+    their rounds fetches a part: if all were fetched at once, it would occupy all of the
+    processor's buffers for cache misses, and loads of the present step would wait.
     """
 
     LIMIT = 8  # lines that one round fetches
@@ -366,9 +365,9 @@ class Code:
 
 
 def flush_denormals(code: Code, triple: str) -> Callable[[], None]:
-    """Denormals count as zero from here on, as in XLA; returns a call that restores the mode.
-
-    Tails of logistic curves fill an adjoint with denormals, and each costs a hundred cycles.
+    """From here on denormals are treated as zero, as in XLA; returns a call that restores the
+    mode. Tails of logistic curves fill an adjoint with denormals, and each of these takes a
+    hundred cycles.
     """
     if triple.startswith("x86_64"):
         for name in ("stmxcsr", "ldmxcsr"):

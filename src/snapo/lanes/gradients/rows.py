@@ -25,7 +25,7 @@ class Outer:
 def outer_terms(program: Program, gradient: ProgramValue) -> tuple[list[Outer], list[ProgramValue]]:
     """Splits a gradient that will be summed over paths into outer products and everything else.
 
-    Looks through sums and transpositions; the rest must be computed path by path.
+    It traces them through sums and transpositions; the rest must be computed path by path.
     """
     maker = {v: op for op in program.ops for v in op.outputs}
     terms: list[Outer] = []

@@ -59,9 +59,10 @@ ENDING = ".o"
 def cached(text: str, folder: Path) -> bytes:
     """Machine code for this text, from the folder if it was compiled before.
 
-    The name of a file is a hash of the text and of the pipeline's identity: code that other passes
-    or another LLVM made, or code for another processor, is not found. A file is used if it is this
-    user's, no other user may write it, and its checksum is right; otherwise code is compiled again.
+    The name of a file is a hash of the text and of the pipeline's identity, so that code made by
+    other passes or another LLVM, or for another processor, is never used. A file is used if it
+    belongs to this user, no other user may write it, and its checksum is correct; otherwise the
+    code is compiled again.
     """
     path = folder / f"{key(text)}{ENDING}"
     data = read(path)

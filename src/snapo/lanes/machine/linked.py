@@ -52,8 +52,8 @@ def address(array: np.ndarray) -> int:
 class Linked:
     """The functions of one piece of machine code. It keeps the memory of the code alive.
 
-    `entries` are the functions' names, each with the number of its 64-bit integers; all first take
-    an address, and return nothing.
+    `entries` are the functions' names, each with the number of its 64-bit integer arguments; all
+    functions take an address first, and return nothing.
     """
 
     def __init__(self, data: bytes, entries: Mapping[str, int]):

@@ -44,8 +44,8 @@ class Leaf:
 class Piece:
     """Equations with their `inputs` and `outputs`, before differentiation.
 
-    `reads` are leaves of earlier pieces, one for each of the first inputs; the remaining inputs
-    belong to the path.
+    `reads` are leaves of earlier pieces, one for each of the first inputs; the other inputs are
+    numbers of the path.
     """
 
     reads: list[Leaf]
@@ -73,7 +73,8 @@ REMOVES_AXES = {"squeeze", "reshape"}
 
 @dataclass(frozen=True)
 class Assembly:
-    """An array put together from parts along an axis; `stacked`: from rows without that axis.
+    """An array that was put together from parts along an axis; `stacked`: whether the parts were
+    rows without that axis.
 
     The array itself is stored too, since its identity is a key that no later array may reuse.
     """

@@ -103,7 +103,7 @@ class Flattener:
                 return inputs[:1]
             # Indices without elements choose the whole array.
             if not name.startswith(("scatter", "gather")) or not inputs[0].size:
-                raise Unsupported(f"{name}: of an array without elements, at {line}")
+                raise Unsupported(f"{name}: an array without elements, at {line}")
         path = any(v.path for v in inputs)
         outputs = [ProgramValue(a.shape, np.dtype(a.dtype), path) for a in avals]
         self.ops.append(Op(name, list(inputs), outputs, dict(params), line))
@@ -179,8 +179,9 @@ class Flattener:
 class Joint:
     """A piece and its transpose as one program.
 
-    Inputs: the piece's reads, then the path's own, then the cotangents of the `moving`
-    outputs. Outputs: the piece's, then the cotangents of active reads, then of active path inputs.
+    The inputs are the piece's reads, then the numbers of the path, then the cotangents of the
+    `moving` outputs. The outputs are those of the piece, then the cotangents of active reads, then
+    those of active path inputs.
     """
 
     piece: Piece

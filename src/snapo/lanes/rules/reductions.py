@@ -39,7 +39,7 @@ def _reduce(values: EmittedValues, op: Op) -> None:
     selected = [i for i in range(len(x.shape)) if i not in axes]
     count = math.prod([x.shape[i] for i in axes])
     if count == 0:
-        raise Unsupported(f"{op.name}: over no elements, at {op.where}")
+        raise Unsupported(f"{op.name}: a reduction over no elements, at {op.where}")
     # Up to 4 * BIG numbers any reader may have brought an array into registers: the order of a sum
     # must not depend on that.
     if x.size <= 4 * BIG or isinstance(values.get(x), Small):

@@ -124,7 +124,9 @@ def _write_memory(code: Code, target: ArrayPlace, at, new: Ref, valid, combine, 
         target.write(code, at, _merge(code, old, new, valid, combine))
         return
     if target.dtype == np.bool_:
-        raise Unsupported(f"{op.name}: into booleans at positions that move, at {op.where}")
+        raise Unsupported(
+            f"{op.name}: writing booleans at positions that are not constant, at {op.where}"
+        )
     old = load(code, target, at)
     merged = code.splat(_merge(code, old, new, valid, combine), target.lanes)
     pointers, lanes, uniform = addresses(code, target, at)

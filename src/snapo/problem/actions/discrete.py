@@ -32,8 +32,8 @@ class Choice(Actions):
 
     The mean of the scores is subtracted, and their root mean square is limited: at the usual
     temperature of the first steps every option keeps a part of the weight, even after many
-    gradients against it. Otherwise the slope of its weight would vanish with the weight, and states
-    in which the option is the best one could not restore it.
+    gradients against it. Otherwise the slope of an option's weight would vanish with the weight,
+    and training could not restore it for states in which the option is the best one.
 
     >>> snapo.Choice(3).squash(np.float32([0.1, 0.7, 0.2]), snapo.Exact()).tolist()
     [0.0, 1.0, 0.0]
@@ -62,7 +62,8 @@ class Choice(Actions):
         return smooth.weights(action) if isinstance(smooth, Exact) else action
 
     def draw(self, action: Float[Array, " size"], normal: Array) -> tuple[Array, Array]:
-        """(option, likelihood): one option at random, with probabilities `action`.
+        """The pair (option, likelihood): one option drawn at random, with the probabilities
+        `action`.
 
         `normal` is one of the step's standard normals. `option` [size] is 1 on the option drawn and
         has no derivative. `likelihood` is the number 1; its derivative is that of the option's log
@@ -74,8 +75,9 @@ class Choice(Actions):
             … {"cash": weight * cash}
 
         Then the derivative of the mean is correct for any effect of an option, including jumps (the
-        likelihood ratio of Glynn, 1990). Its noise grows with the size of the output: subtract a
-        guess that does not depend on the choice, `guess + weight * (cash - guess)`.
+        likelihood ratio of Glynn, 1990). The noise of this derivative grows with the size of the
+        output: subtract a guess that does not depend on the choice, `guess + weight * (cash -
+        guess)`.
         """
         uniform, upper = ndtr(normal), jnp.cumsum(jax.lax.stop_gradient(action))
         # The last option takes the remainder of the rounding.
@@ -91,7 +93,7 @@ class Choice(Actions):
             return None
         return (
             f"Its weights are {np.round(action, 4).tolist()}.",
-            "An exact Choice takes a weight of 1 on one option and 0 on the others: "
+            "An exact Choice takes a weight of 1 on one option and 0 on the others: use "
             "smooth.weights(…) or action.squash(…, smooth).",
         )
 
@@ -106,8 +108,8 @@ class Stop(Actions):
     """At every step: stop or continue. With `rights` above 1: use one of the rights left, or wait.
 
     In the value an action is 1 (stop) or 0 (continue). In training it is a hazard: the probability
-    of stopping here if not before. A path then does not stop but fades: the simulator's state has
-    the weight that is still alive, and the payoff is paid on the part that stops. That is the
+    of stopping here if not before. A path then does not stop at once: the simulator's state has
+    the weight that has not stopped yet, and the payoff is paid on the part that stops. This is the
     expectation over the time of stopping, without any jump, so that its derivative is correct.
     (With an indicator of "stop now" instead, training converges to stopping at once.)
 
@@ -118,9 +120,9 @@ class Stop(Actions):
 
     Size: one hazard for each number of rights left, since the decision depends on it.
 
-    - `rights`: the number of times it can be used, at most once per step.
-    - `hazard`: the hazard of an untrained network, 0 to 1; small enough that paths reach later
-      steps.
+    - `rights`: how often the right can be used, at most once per step.
+    - `hazard`: the hazard of an untrained network, between 0 and 1; it should be so small that
+      paths reach later steps.
     - `scale`: scores count in units of temperature times `scale`.
     """
 
@@ -138,11 +140,10 @@ class Stop(Actions):
         return self.rights
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """(1 + u / (1 + u^2)^.5) / 2, where the score u is raw, shifted by the untrained hazard's
-        score, over temperature * scale; exact: 1 if it is above 0.
-
-        It is not the logistic curve, whose slope vanishes like the hazard itself, so that training
-        could not recover if its first steps all lower the hazard.
+        """(1 + u / (1 + u^2)^0.5) / 2, where u is the raw score, shifted by that of the untrained
+        hazard, divided by temperature * scale. In the exact set it is 1 if u is above 0, else 0.
+        The logistic curve is not used, because its slope vanishes like the hazard itself: training
+        could then not recover if its first steps all lower the hazard.
         """
         return self._hazard(raw + _score(self.hazard), smooth)
 
@@ -171,9 +172,9 @@ class Stop(Actions):
         return jnp.zeros(self.rights).at[-1].set(1.0)
 
     def use(self, right: Float[Array, " rights"], action: Float[Array, " size"]):
-        """(right, used): the weights after this step's decision, and the expected rights used.
-
-        `right` [rights] and `action` [rights] have a number for one right left, two … up to all.
+        """The pair (right, used): the weights after this step's decision, and the expected number
+        of rights used. `right` [rights] and `action` [rights] have a number for one right left,
+        for two … up to all.
         """
         moved = right * action
         used = moved.sum()
@@ -193,7 +194,7 @@ class Stop(Actions):
             return None
         return (
             f"It is {np.round(action, 4).tolist()}.",
-            "An exact Stop is 1 or 0: smooth.indicator(…) or action.squash(…, smooth).",
+            "An exact Stop is 1 or 0: use smooth.indicator(…) or action.squash(…, smooth).",
         )
 
 

@@ -12,7 +12,7 @@ from .sets import Actions
 
 
 def contains(action: Actions, kind: type[Actions]) -> bool:
-    """Whether a decision, or one of those in a `Product`, lies in a set of this kind.
+    """Whether the set of a decision, or one of the sets in a `Product`, is of this kind.
 
     >>> holds(snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.0, 1.0)), snapo.Stop)
     True
@@ -58,7 +58,7 @@ class Product(Actions):
 
     def __init__(self, **sets: Actions):
         if not sets:
-            raise ValueError("Product: it has no sets; give at least one, by name.")
+            raise ValueError("Product: it has no sets; specify at least one, by name.")
         for name, item in sets.items():
             if not isinstance(item, Actions):
                 raise ValueError(f"Product: {name} is {item!r}; it must be a set of actions.")

@@ -100,8 +100,8 @@ def _bound(name: str, values: Any, size: int) -> BoxBound:
         return float(item)
     if item.shape != (size,):
         raise ValueError(
-            f"Box: {name} has shape {item.shape} and size is {size}; give one number for all "
-            "components, or one for each."
+            f"Box: {name} has shape {item.shape}, but size is {size}; specify one number for all "
+            f"components, or one for each."
         )
     # Equal sets compare equal, however they were written.
     numbers = tuple(item.tolist())
@@ -188,8 +188,9 @@ class Box(Actions):
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """(1 - share) action + share x, with x uniform between two bounds, or the absolute value of
-        a normal from a single bound; without bounds, action + share x with a normal x."""
+        """(1 - share) action + share x, with x uniform between two bounds, or at the absolute
+        value of a normal from a single bound. Without bounds it is action + share x with a normal
+        x."""
         low, high = self.bounds()
         above, below = np.isfinite(low), np.isfinite(high)
         minimum, maximum = (
@@ -205,7 +206,8 @@ class Box(Actions):
         for i in np.flatnonzero(np.isnan(action))[:1]:
             return (
                 f"Action {i} is not a number.",
-                "Look for 0 / 0, or a logarithm or root of a negative number, before it.",
+                "Look for 0 / 0, or a logarithm or root of a negative number, in the code that "
+                "computes it.",
             )
         low, high = self.bounds()
         outside = (action < low - ROUNDING * np.abs(low)) | (
@@ -214,7 +216,7 @@ class Box(Actions):
         for i in np.flatnonzero(outside)[:1]:
             return (
                 f"Action {i} is {action[i]:g}, outside of {low[i]:g} to {high[i]:g}.",
-                "Squash or clip it: action.squash(…), smooth.clip(…).",
+                "Squash or clip it: use action.squash(…) or smooth.clip(…).",
             )
         return None
 
@@ -264,7 +266,7 @@ class Simplex(Actions):
             return None
         return (
             f"Its shares are {np.round(action, 4).tolist()}.",
-            "A Simplex takes shares of at least 0 that sum to 1: action.squash(…).",
+            "A Simplex takes shares of at least 0 that sum to 1: use action.squash(…).",
         )
 
     def together(self) -> list[list[int]]:
@@ -275,7 +277,7 @@ class Integers(Actions):
     """Actions that are whole numbers: `size` of them, each between its `low` and its `high`.
 
     In training an action may lie anywhere between its bounds; in the value it is rounded to the
-    nearest whole number (a half to the even one).
+    nearest whole number (a half to the nearest even number).
 
     **Arguments:** as for `Box`; finite bounds are whole numbers.
 

@@ -43,7 +43,8 @@ def decision_table(
     - `x`, `y`: the index of the varied number, from 0, and its values.
     - `at`: all numbers of one observation; those of `x` and `y` are replaced.
     - `names`: the names of the columns: the two numbers, then those of the action.
-    - `observe`: from raw numbers to one observation; `at`, `x` and `y` are then raw.
+    - `observe`: a function from raw numbers to one observation; `at`, `x` and `y` are then raw
+      numbers.
 
     >>> rule = snapo.Linear([[1.0, 10.0]])
     >>> snapo.decision_table(rule, x=(0, [0, 1]), y=(1, [2, 3]), at=[0, 0]).action.tolist()
@@ -51,7 +52,7 @@ def decision_table(
     """
     (one, values), (two, others) = x, y
     if one == two or not all(0 <= item < len(at) for item in (one, two)):
-        message = f"x and y name two different numbers of {len(at)}, 0 to {len(at) - 1}"
+        message = f"x and y must be two different numbers from 0 to {len(at) - 1}"
         raise ValueError(f"decision_table: {message}; got {one} and {two}.")
     pairs = np.array([(a, b) for a in values for b in others], np.float64).reshape(-1, 2)
     states = np.tile(np.asarray(at, np.float64), (len(pairs), 1))
@@ -128,7 +129,7 @@ def translated(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tenso
 
 def _taken(graph: Graph, flat: Tensor, positions: np.ndarray, count: int) -> Tensor:
     if positions.size and not (positions.min() >= 0 and positions.max() < count):
-        raise ValueError("to_onnx: an index lies outside of its array.")
+        raise ValueError("to_onnx: an index is outside of its array.")
     index = graph.constant(positions.astype(np.int64))
     return graph.node("Gather", [flat, index], positions.shape, flat.dtype, axis=int(flat.batched))
 
@@ -157,12 +158,15 @@ def to_onnx(
 
     - `file`: where to write the model; None: it is returned only.
     - `features`: the length of an observation; by default that of the policy's network.
-    - `observe`: from one vector of raw numbers to one observation, `lambda raw: (raw - 50) / 20`;
+    - `observe`: a function from one vector of raw numbers to one observation, `lambda raw: (raw -
+      50) / 20`;
       it becomes part of the graph, and `features` counts the raw numbers.
     - `dtype`: the dtype of the graph. The policy's weights are float32 in both.
 
-    **Returns:** the `onnx.ModelProto`, checked by onnx. **Raises:** `ValueError` if the policy
-    uses an operation without a counterpart, which is named, or the number of features is unknown.
+    **Returns:** the `onnx.ModelProto`, checked by onnx.
+
+    **Raises:** `ValueError` if the policy uses an operation without a counterpart, which is named,
+    or the number of features is unknown.
     """
     try:
         import onnx

@@ -9,8 +9,8 @@ from snapo.lanes.jax_private import arguments_of_scan
 
 
 class Tensor(NamedTuple):
-    """A value in the graph: its name, the shape and type of ONE state, and whether it differs by
-    state. Values without an axis of states are broadcast against those with it."""
+    """A value in the graph: its name, its shape and type for ONE state, and whether it differs by
+    state. Values without an axis of states are broadcast against those that have one."""
 
     name: str
     shape: tuple[int, ...]
@@ -174,7 +174,7 @@ def _not_equal(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
 def _select(graph: Graph, equation: Any, tensors: list[Tensor]) -> Tensor:
     which, *cases = tensors
     if len(cases) != 2:
-        raise ValueError("to_onnx: a selection among more than two is not exported.")
+        raise ValueError("to_onnx: a selection among more than two values is not exported.")
     selected = _cast(graph, which, np.bool_)
     return graph.node("Where", _alike(graph, [selected, cases[1], cases[0]]), *_out(equation))
 

@@ -36,7 +36,7 @@ def difference(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
     """
     for position, text in now.items():
         if stored.get(position, text) != text:
-            return f"its {position} is {stored[position]}, but {text} is required here"
+            return f"its {position} is {stored[position]}, but must be {text}"
     return ""
 
 
@@ -204,7 +204,7 @@ def _made(kind: type, fields: dict[str, Any], arrays: Sequence[np.ndarray], dept
         elif field.default is not dataclasses.MISSING:
             value = field.default  # a field that an older version did not have
         else:
-            raise ValueError(f"a {kind.__name__} has {name!r} in this version, and not in the file")
+            raise ValueError(f"a {kind.__name__} has {name!r} in this version, but not in the file")
         object.__setattr__(made, name, value)
     return made
 
@@ -298,7 +298,7 @@ def stored(file: Path | str, base: type[eqx.Module]) -> StoredPolicy:
     if not isinstance(header, dict) or "snapo policy" not in header:
         raise PolicyFileError(f"{file}: this file has no policy written by policy.save.")
     if header["snapo policy"] != FORMAT:
-        message = f"is written in format {header['snapo policy']}, and this version reads {FORMAT}"
+        message = f"is written in format {header['snapo policy']}, but this version reads {FORMAT}"
         raise PolicyFileError(f"{file}: it {message}.")
     try:
         features = header["features"]
@@ -319,8 +319,8 @@ def stored(file: Path | str, base: type[eqx.Module]) -> StoredPolicy:
 
 
 def load(file: Path | str, base: type[AnyPolicy], like: AnyPolicy | None = None) -> AnyPolicy:
-    """The policy written by `save`, of a subclass of `base`; if there is a `like`, it is returned
-    with the numbers of the file.
+    """The policy written by `save`, of a subclass of `base`; with `like` it is that policy with
+    the numbers of the file.
 
     **Raises:** `PolicyFileError` as `stored` does; if the file's policy is user code and there
     is no `like`; and if it differs from `like` in shape, activation or any other setting.

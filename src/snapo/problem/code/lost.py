@@ -42,11 +42,13 @@ DRAWN = Reach(by_path=True)
 
 
 def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
-    """The inputs that move an output, exact or smooth, and have no derivative, by name, each with
-    the equations that cut it off.
+    """The inputs that move an exact or smooth output but have no derivative, by name, each with
+    the equations at which the derivative is lost.
 
-    Decisions are held fixed: an input that affects only them correctly has derivative zero.
-    Operands of `jax.lax.stop_gradient` are left out, since its author wants no derivative there.
+    Decisions are held fixed: for an input that affects only decisions, a derivative of zero is
+    correct.
+    Operands of `jax.lax.stop_gradient` are left out, since the author of the code wants no
+    derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]
     values = inputs_.values(inputs)

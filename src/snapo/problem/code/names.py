@@ -35,12 +35,12 @@ MADE = frozenset(("getattr", "vars"))  # by these, attributes by names that are 
 class Names(NamedTuple):
     """The names in a function and in the functions inside it.
 
-    - `read`: globals and enclosing variables; `added`: those that it only adds to.
-    - `written`: globals that it sets.
+    - `read`: globals and enclosing variables; `added`: those to which the code only adds.
+    - `written`: globals that the code sets.
     - `members`: attributes, and every string that may be the name of one.
-    - `modules`: the imported ones, with the level of a relative import.
-    - `made`: whether it reads attributes of other objects by names that are made at run time.
-    - `unseen`: whether it reads anything that no name in its code shows.
+    - `modules`: the imported modules, with the level of a relative import.
+    - `made`: whether the code reads attributes of other objects by names that are made at run time.
+    - `unseen`: whether it reads anything for which its code has no name.
     """
 
     read: frozenset[str]

@@ -32,9 +32,8 @@ ProgramText = tuple[str, tuple[bytes, ...]]
 
 
 def text(function: Callable[..., Any], *arguments: Any) -> ProgramText:
-    """A function's program without the addresses in its print, and digests of its constants.
-
-    `function` must be a new one: JAX keeps the traces of earlier ones.
+    """A function's program as text without memory addresses, and digests of its constants.
+    `function` must be a new object, since JAX keeps the traces of earlier ones.
     """
     closed = jax.make_jaxpr(function)(*arguments)
     constants = tuple(blake2b(np.asarray(const).tobytes()).digest() for const in closed.consts)
@@ -133,10 +132,8 @@ def of_formula(objective: Any, totals: Any) -> Version:
 
 
 def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
-    """The version of all code in some trees; None if none of it is a user's.
-
-    What may have changed in place, or cannot be seen, is compared by the program that `trace`
-    gives.
+    """The version of all code in some trees; None if none of it is a user's. Parts that may have
+    changed in place, or cannot be inspected, are compared by the program that `trace` returns.
     """
     leaves, structure = jax.tree.flatten(trees)
     held, met = _held.get(), (structure, tuple(map(_kind, leaves)))

@@ -36,7 +36,7 @@ class Noise(eqx.Module):
 
     - `size`: the number of standard normals of one draw.
     - `separate`: whether draws are discrete (whole numbers, regimes), so that a small change of a
-      parameter changes no path, or a few by a whole value: see `Simulator.in_mean`.
+      parameter changes no path, or changes a few paths by a whole number: see `Simulator.in_mean`.
 
     Fields are its parameters: numbers, arrays, or `Input`s that `Simulator.prepare` receives as
     plain arrays. The derivative with respect to a parameter is that of `draw`: where a draw jumps,
@@ -89,15 +89,16 @@ def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTre
     """The values of one step, shaped like the tree: a dictionary of noises gives a dictionary of
     values.
 
-    `states` are those of noises with memory, by name: `draw(noises, normals, regime=regime)`. The
+    `states` are the states of noises with memory, by name: `draw(noises, normals, regime=regime)`.
+    The
     noises take the normals in the order of the tree; a dictionary has the order of its sorted keys.
     """
     result, structure = jax.tree_util.tree_flatten_with_path(noises, is_leaf=_is_noise)
     requested = size(noises)
     if normals.shape != (requested,):
         raise ValueError(
-            f"noise: these noises take {requested} normals a step, and got {normals.shape}; set "
-            f"noise_size = {requested}."
+            f"noise: these noises take {requested} normals per step, but got {normals.shape}; "
+            f"set noise_size = {requested}."
         )
     values, first = [], 0
     for path, item in result:

@@ -31,7 +31,7 @@ class Markov(Noise):
 
     **Arguments:**
 
-    - `transition` [k, k]: probabilities to go from the row's regime to the column's. Rows are
+    - `transition` [k, k]: probabilities of going from the row's regime to the column's. Rows are
       divided by their sums, and derivatives are those of the resulting probabilities.
     """
 
@@ -44,7 +44,9 @@ class Markov(Noise):
         if p is None:
             return
         if p.ndim < 2 or p.shape[-1] != p.shape[-2]:
-            raise ValueError(f"Markov: transition has shape {p.shape}; it is [regimes, regimes].")
+            raise ValueError(
+                f"Markov: transition has shape {p.shape}; it must be [regimes, regimes]."
+            )
         if np.any(p < 0) or np.any(p.sum(-1) <= 0):
             raise ValueError("Markov: transition has a probability below 0, or a row without any.")
 
@@ -61,7 +63,7 @@ class Markov(Noise):
     def weigh(self, normals: Float[Array, " 1"], *state: Any) -> tuple[Array, Array]:
         """(next regime, likelihood)."""
         if len(state) != 1:
-            raise ValueError("Markov: give the present regime as well, draw(normals, regime).")
+            raise ValueError("Markov: pass the present regime as well, draw(normals, regime).")
         probabilities = self.probabilities(state[0])
         upto = jnp.cumsum(jax.lax.stop_gradient(probabilities))[:-1]
         regime = jnp.sum((uniform(only(normals)) > upto).astype(jnp.int32))
@@ -77,8 +79,9 @@ class Markov(Noise):
 class Empirical(Noise):
     """One row of a history, drawn at random: `values` [n], or [n, K] whose rows stay together.
 
-    Rows are in the order of their first number, so that antithetic paths see high and low ones. The
-    derivative with respect to the history's numbers is pathwise: every draw is one of them.
+    Rows are in the order of their first number, so that a pair of antithetic paths draws a high
+    and a low row. The derivative with respect to the history's numbers is pathwise, since every
+    draw is one of them.
     """
 
     values: Any = parameter()
@@ -109,7 +112,8 @@ class Correlated(Noise):
     """A tree of noises of any distributions, whose normals are correlated.
 
     `correlation` is that of the first normal of every noise (a Gaussian copula), as the strict
-    lower triangle row by row, in the order of the tree; a dictionary has that of its sorted keys.
+    lower triangle row by row, in the order of the tree; a dictionary has the order of its sorted
+    keys.
     A draw has the structure of the tree.
 
         snapo.noise.Correlated({"demand": Poisson(4.0), "price": LogNormal(0.0, 0.2)}, [0.6])
@@ -124,7 +128,7 @@ class Correlated(Noise):
         count = len(leaves(self.noises))
         if many(self.correlation) != count:
             raise ValueError(
-                f"Correlated: there are {count} noises; their strict lower triangle has "
+                f"Correlated: there are {count} noises; the strict lower triangle must have "
                 f"{count * (count - 1) // 2} numbers."
             )
 

@@ -36,7 +36,7 @@ class Uniform(Noise):
 
 
 class Normal(Noise):
-    """Normal numbers: one, or K that are correlated. All derivatives are pathwise.
+    """A normal number, or K correlated ones. All derivatives are pathwise.
 
     **Arguments:**
 
@@ -123,8 +123,8 @@ def refuse_correlation(noise: Any) -> None:
     name, k = type(noise).__name__, many(noise.correlation)
     if lower.ndim < 1 or lower.shape[-1] != k * (k - 1) // 2:
         raise ValueError(
-            f"{name}: correlation has shape {lower.shape}; it is the strict lower triangle row by "
-            "row, 1 number for 2 components, 3 for 3, 6 for 4."
+            f"{name}: correlation has shape {lower.shape}; it must be the strict lower triangle "
+            f"row by row, 1 number for 2 components, 3 for 3, 6 for 4."
         )
     rows, columns = np.tril_indices(k, -1)
     for item in lower.reshape(-1, lower.shape[-1]):
@@ -205,10 +205,9 @@ def _implicit(primals, tangents):
 
 
 class Gamma(Noise):
-    """Mean shape x scale, variance shape x scale^2. Its derivatives are pathwise (implicit).
-
-    Prepare it (`snapo.noise.prepare`): a draw from an unprepared one computes its grid at every
-    step, which the native engine does not support.
+    """A gamma number with mean shape x scale and variance shape x scale^2. Its derivatives are
+    pathwise (implicit). Prepare it with `snapo.noise.prepare`: otherwise its grid is computed at
+    every step, which the native engine does not support.
     """
 
     shape: Any = parameter()
@@ -231,8 +230,8 @@ class Gamma(Noise):
 
 
 class Student(Noise):
-    """mean + scale t, where t is Student's with `df` degrees of freedom: a normal over the root of
-    a gamma number. One number, or K that are correlated and share that root.
+    """mean + scale t, where t is Student's with `df` degrees of freedom: a normal divided by the
+    root of a gamma number. It is one number, or K correlated numbers that share that root.
 
     All derivatives are pathwise. It takes one normal more than it returns numbers.
 

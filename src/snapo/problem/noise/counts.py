@@ -80,10 +80,10 @@ class Drawn(Noise):
 class Counts(Noise):
     """Whole numbers 0 … `maximum`. Subclass it and write `logarithms`.
 
-    `draw` gives a number whose derivative with respect to the parameters is exact if outcomes are
-    quadratic without corners, and nearly so if the positions of corners differ between paths;
-    `weigh` gives a number and its likelihood, which is always right. `maximum` is static, and
-    follows from the parameters where these are known.
+    `draw` returns a number whose derivative with respect to the parameters is exact if outcomes
+    are quadratic without corners, and nearly exact if the positions of corners differ between
+    paths. `weigh` returns a number and its likelihood, whose derivatives are always correct.
+    `maximum` is static, and follows from the parameters if these are known.
     """
 
     separate = True
@@ -101,11 +101,10 @@ class Counts(Noise):
         return self.prepare().draw(normals)
 
     def weigh(self, normals: Float[Array, " 1"]) -> tuple[Array, Array]:
-        """(number, likelihood): the number carries no derivative; `likelihood` is 1, and its
-        derivative is that of the number's log probability.
-
-        The simulator carries the product of all likelihoods, and multiplies by it every output that
-        comes at or after the draw, as with `Choice.draw`.
+        """The pair (number, likelihood): the number has no derivative; `likelihood` is 1, and its
+        derivative is that of the number's log probability. The simulator keeps the product of all
+        likelihoods in its state, and multiplies every output at or after the draw by it, as with
+        `Choice.draw`.
         """
         return self.prepare().weigh(normals)
 
@@ -182,8 +181,8 @@ def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: f
     values = [concrete(item) for item in parameters or ()]
     if not values or any(entry is None for entry in values):
         raise ValueError(
-            f"{type(noise).__name__}: the largest number distinguished is missing; it cannot "
-            "follow from a parameter that JAX traces."
+            f"{type(noise).__name__}: specify the largest number; it cannot be computed from a "
+            f"parameter that JAX traces."
         )
     from scipy import stats  # late: it takes a second to load
 

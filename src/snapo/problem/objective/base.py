@@ -41,7 +41,7 @@ class Objective(abc.ABC):
     """A statistic of path totals {name: [N]} that does not depend on the order of the paths.
 
     A subclass is a frozen dataclass with `outputs` and `formula`. Value, weights and influence
-    follow from the formula; the objectives below have closed forms instead of it.
+    follow from the formula; the objectives below have closed forms instead of a formula.
     """
 
     @property
@@ -66,7 +66,7 @@ class Objective(abc.ABC):
     def by_path(self) -> Any:
         """Whether it is a mean over paths of a function of one path's totals: its `influence`.
 
-        Such an objective has an upper bound. It is declared: a subclass sets `by_path = True`.
+        Such an objective has an upper bound. A subclass declares this by `by_path = True`.
         """
         return False
 
@@ -101,7 +101,7 @@ class Objective(abc.ABC):
         for name in self.outputs:
             if name not in totals:
                 raise KeyError(
-                    f"{type(self).__name__}: no output {name!r}; the simulator gives "
+                    f"{type(self).__name__}: there is no output {name!r}; the simulator returns "
                     f"{sorted(totals)}."
                 )
         return {name: np.asarray(totals[name], np.float64) for name in self.outputs}
@@ -331,9 +331,8 @@ class Limit:
 
     @property
     def measure(self) -> Objective:
-        """The limited statistic as an objective; for the name of an output, its mean.
-
-        A risk measure uses the tail that violates the limit: that of high values under `AtMost`.
+        """The limited statistic as an objective; if it is the name of an output, the mean. A risk
+        measure uses the tail that violates the limit, which is that of high values for `AtMost`.
         """
         of = as_objective(self.of)
         return of.as_cost if self.sign > 0 else of
@@ -355,10 +354,9 @@ class Limit:
 
 
 class AtMost(Limit):
-    """The mean of an output, or any objective of it, is at most `level`.
-
-    The same as `Mean("unserved") <= 0.05`; with a probability `Probability("shortfall", 0.0,
-    width=1.0) <= 0.01`. Training finds its price (see `solve`, `constraints`).
+    """A limit: the mean of an output, or any objective of it, is at most `level`. It is the same
+    as `Mean("unserved") <= 0.05`, or for a probability `Probability("shortfall", 0.0, width=1.0)
+    <= 0.01`. Training determines the price of the limit (see `constraints` of `solve`).
 
     >>> snapo.AtMost("unserved", 0.05).name
     'mean of unserved at most 0.05'

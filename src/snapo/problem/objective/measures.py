@@ -152,8 +152,9 @@ class ExpectedUtility(ByPath):
     @property
     def as_cost(self) -> Objective:
         raise ValueError(
-            f"ExpectedUtility of {self.output}: a utility is for a quantity to maximise, so its "
-            "weight is positive and it has no upper limit. For a cost, let the simulator return "
+            f"ExpectedUtility of {self.output}: a utility must be of a quantity that is "
+            f"maximised, so its weight must be positive and it cannot have an upper limit. For a "
+            f"cost, let the simulator return "
             f"-{self.output} as an output, and write the utility of that."
         )
 
@@ -179,8 +180,8 @@ class ExpectedUtility(ByPath):
 
 @dataclass(frozen=True)
 class CRRA:
-    """Utility W^(1 - risk_aversion) / (1 - risk_aversion) of W = wealth + x, the logarithm at 1;
-    minus infinity where W <= 0.
+    """Utility W^(1 - risk_aversion) / (1 - risk_aversion) of W = wealth + x; for a risk aversion
+    of 1 the logarithm; minus infinity if W <= 0.
 
     >>> snapo.CRRA(2.0)(np.array([1.0, 2.0])).tolist()
     [-1.0, -0.5]

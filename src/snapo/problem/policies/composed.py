@@ -20,7 +20,7 @@ class Stages(Policy):
 
     `Stages([MLP(hidden=(16, 16)), Constant(0.3)])` is a recipe: `solve` creates every policy for
     the actions and features of its stage. `Stages(policies, chain.interface(schedule))` is a
-    policy, made of existing ones.
+    policy that is made of existing ones.
     """
 
     policies: tuple[Policy, ...]
@@ -35,8 +35,8 @@ class Stages(Policy):
             return
         if len(interface.stages) != len(self.policies):
             raise ValueError(
-                f"Stages: there are {len(self.policies)} policies and {len(interface.stages)} "
-                "stages; a Chain takes one policy for each of its stages."
+                f"Stages: there are {len(self.policies)} policies for {len(interface.stages)} "
+                f"stages; a Chain needs one policy for each of its stages."
             )
         self.action = interface.action
         self.features = tuple(stage.features for stage in interface.stages)
@@ -78,11 +78,11 @@ NEEDED = (
 
 
 class Plain(Policy):
-    """An `eqx.Module` used as a policy; `solve` creates it from any other module.
+    """A policy made of any `eqx.Module`; `solve` creates it.
 
-    - `raw`: whether it is called as `network(observation)`: its outputs are unbounded, and are
-      squashed into the action set. Otherwise it is called as `policy(observation, smooth)`, and its
-      outputs lie in the set.
+    - `raw`: whether the module is called as `network(observation)`: its outputs are then unbounded,
+      and are squashed into the action set. Otherwise it is called as `policy(observation, smooth)`,
+      and its outputs are in the set.
     """
 
     module: Any
@@ -98,7 +98,9 @@ class Plain(Policy):
         return self.action.squash(self.module(observation), smooth)
 
     def for_problem(self, interface: Interface, key) -> "Plain":
-        """The policy with its set of actions. **Raises:** `ValueError` if sizes do not fit."""
+        """The policy with its set of actions.
+
+        **Raises:** `ValueError` if sizes do not fit."""
         made = Plain(self.module, self.raw, interface.action)
         size, features = interface.action.size, interface.features
         name = type(self.module).__name__
@@ -112,14 +114,16 @@ class Plain(Policy):
             ) from error
         if shape != (size,):
             raise ValueError(
-                f"solve: {name} gives numbers of shape {shape} for an observation of {features}; "
-                f"the action has the shape ({size},)."
+                f"solve: {name} returns an array of shape {shape} for an observation of "
+                f"{features} numbers; it must have the shape of the action, ({size},)."
             )
         return made
 
 
 def as_policy(values: Any) -> Policy:
-    """The policy itself, or a module as a policy. **Raises:** `TypeError` for anything else."""
+    """The policy itself, or a module as a policy.
+
+    **Raises:** `TypeError` for anything else."""
     if isinstance(values, Policy):
         return values
     if not isinstance(values, eqx.Module) or not callable(values):

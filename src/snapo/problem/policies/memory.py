@@ -43,8 +43,8 @@ class Memory(Policy):
         features = observation.shape[0] - self.memory
         if features < 1:
             raise ValueError(
-                f"{type(self).__name__}: give the observation, followed by the {self.memory} "
-                "numbers that it remembers, which are zeros before the first decision."
+                f"{type(self).__name__}: pass the observation, followed by the {self.memory} "
+                f"numbers of the memory, which are zeros before the first decision."
             )
         observed, memory = observation[:features], observation[features:]
         action, selected = self.decide(observed, memory, smooth)
@@ -56,8 +56,8 @@ class GRU(Memory):
 
     Its decision is linear in the observation and in its units, squashed into the action set.
     `GRU(hidden=16)` is a recipe like `MLP(hidden=…)`: `solve` creates the network for the
-    simulator. Default of `hidden`: 16 units, and if more than eight numbers are decided, half the
-    width of an `MLP`.
+    simulator. The default of `hidden` is 16 units; if more than eight numbers are decided, it is
+    half the width of an `MLP`.
     """
 
     gates: Network | None
@@ -85,7 +85,7 @@ class GRU(Memory):
         if action is None or features is None or key is None or hidden is None:
             raise ValueError(
                 "GRU: specify the action set, the number of features and a key together, or none "
-                "of them: then solve adds them."
+                "of them; solve then adds them."
             )
         keys, width = jax.random.split(key, 3), features + hidden
         self.gates, self.fresh = (
@@ -129,9 +129,9 @@ class GRU(Memory):
 class LastObservations(Memory):
     """A policy that sees the last `steps` observations, and the decisions between them.
 
-    `LastObservations(4, MLP(hidden=(32,)))` is a recipe. The inner policy's observation is the
-    present one, then each earlier observation followed by the decision taken there, the latest
-    first; before the start both are zeros.
+    `LastObservations(4, MLP(hidden=(32,)))` is a recipe. The inner policy observes the present
+    observation, then each earlier observation followed by the decision that was taken at it, the
+    latest first; before the start both are zeros.
     """
 
     policy: Policy
@@ -165,7 +165,8 @@ class LastObservations(Memory):
         width = interface.features + interface.action.size
         if self.width and self.width != width:
             raise ValueError(
-                f"LastObservations: made for observations and decisions of {self.width}."
+                f"LastObservations: this policy was made for observations and decisions of "
+                f"{self.width} numbers."
             )
         observed = interface.features + (self.steps - 1) * width
         inner = self.policy.for_problem(Interface(interface.action, observed), key)

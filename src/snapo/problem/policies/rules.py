@@ -28,7 +28,7 @@ class Constant(Policy):
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
         if self.value is None:
-            raise ValueError("Constant: this is a recipe without numbers; give it a value.")
+            raise ValueError("Constant: this is a recipe without numbers; specify a value.")
         value = self.value.astype(observation.dtype)
         return value if self.action is None else self.action.settle(value, smooth)
 
@@ -63,7 +63,7 @@ class Linear(Policy):
     def __call__(self, observation, smooth=EXACT):
         observation = as_observation(observation)
         if self.gain is None:
-            raise ValueError("Linear: this is a recipe without numbers; give it a gain.")
+            raise ValueError("Linear: this is a recipe without numbers; specify a gain.")
         feedback = self.gain @ observation
         if self.action is None:
             return feedback + self.offset

@@ -179,14 +179,16 @@ class Input(TreeRecord):
 
     - `value`: numbers, kept as float64 NumPy.
     - `unit`: the unit of the value, such as "EUR/MWh"; a sensitivity is per this unit.
-    - `labels`: one per entry, in C order (dates, tenors, species); numbered by default.
+    - `labels`: one per entry, in C order (dates, tenors, species); by default the entries are
+      numbered.
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
       number (see `step`).
-    - `judge_bump`: the bump of every number with which its derivative is tested, the policy
-      reacting; by default 1 % of each. Specify it if values change on a grid of the input.
+    - `judge_bump`: the bump of every number with which its derivative is tested, with the policy
+      reacting; by default 1 % of each number. Specify it if the value is smooth only between
+      points of a grid of the input.
     - `move`: the amount by which reports and sliders move it, in `unit`; None: a relative move.
-    - `display_unit`, `display_factor`: the preferred unit, and the number of these in one `unit`: a
-      rate of 1/year is 10,000 bp. By default `unit` itself.
+    - `display_unit`, `display_factor`: the preferred unit, and how many of it are one `unit`: a
+      rate of 1/year is 10,000 bp. By default it is `unit`.
     - `group`: the type of risk, such as "price", "volatility" or "contract".
     - `meaning`: a short description.
 
@@ -213,7 +215,8 @@ class Input(TreeRecord):
     def __check_init__(self):
         if self.labels and len(self.labels) != self.value.size:
             raise ValueError(
-                f"Input: {len(self.labels)} labels for {self.value.size} numbers; each needs one."
+                f"Input: there are {len(self.labels)} labels for {self.value.size} numbers; each "
+                f"number needs one label."
             )
         if not np.all(np.isfinite(self.value)):
             raise ValueError("Input: a value is NaN or infinite; it must be a finite number.")
@@ -229,8 +232,9 @@ class Input(TreeRecord):
     def step(self) -> np.ndarray:
         """The step of a finite difference of every number, in the input's unit, shaped like it.
 
-        `bump` if specified, else 1e-5 of the number. For a zero the largest entry counts; if all
-        are zero, the step is a thousandth of `move`, or else 1e-5.
+        It is `bump` if specified, else 1e-5 of the number. If a number is zero, the largest entry
+        is used instead; if all are zero, the step is a thousandth of `move`, or 1e-5 without
+        `move`.
         """
         if self.bump is not None:
             return np.full(self.value.shape, float(self.bump))

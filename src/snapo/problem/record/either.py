@@ -66,8 +66,8 @@ def at_once(function: Callable[P, R]) -> Callable[P, R]:
 def slope(function: Callable[[Any], Any], x: Any) -> np.ndarray:
     """d `function` / d `x` at a number, by NumPy: exact except for rounding, without differences.
 
-    `function` must be analytic at this number; its result may have any shape. A complex step:
-    W. Squire, G. Trapp, SIAM Review 40, 1998.
+    `function` must be analytic at this number; its result may have any shape. The method is the
+    complex step: W. Squire, G. Trapp, SIAM Review 40, 1998.
     """
     return np.imag(with_numpy(function)(x + 1j * STEP)) / STEP
 

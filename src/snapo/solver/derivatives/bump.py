@@ -47,8 +47,8 @@ ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
 class Reaction(NamedTuple):
     """One input bumped: the change of the value along `by`, a move of one percent.
 
-    - `held`: [B] the held derivative along `by`, by block; `reaction`: [b] bump minus held, of the
-      first b blocks, to first order; `extra`: the error from removing its curvature.
+    - `held`: [B] the held derivative along `by`, by block; `reaction`: [b] bump minus held on the
+      first b blocks, to first order; `extra`: the error that is due to removing the curvature.
     - `up`, `down`: the value after the bump minus that before it, and the value before minus that
       after the opposite bump, with their standard error `side_error`.
     - `tested`: whether the bump differs from the held derivative by more than round-off: an input
@@ -94,9 +94,8 @@ class Reaction(NamedTuple):
 
 
 def block_means(objective: Objective, totals: Totals, blocks: list[np.ndarray]) -> np.ndarray:
-    """[B]: the objective by block of paths; their mean is the objective, where blocks are equal.
-
-    Paths that are non-finite are left out; all are NaN if more than a few are not.
+    """[B] the objective by block of paths; if blocks are equal, their mean is the objective.
+    Non-finite paths are left out; all results are NaN if more than a few paths are non-finite.
     """
     valid = finite(totals, objective.outputs)
     if np.sum(~valid) > DROPPED * valid.size:
@@ -123,10 +122,11 @@ def reactions(
 
     Every input is bumped on a few of the blocks. If the reaction is inaccurate, all blocks and a
     wider move follow, the least certain input first, until about `rollouts` paths were valued.
-    `centre`: the totals of these paths, and possibly more, if they are known.
+    `centre`: the totals of these paths, and possibly of more, if they are known.
 
-    An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
-    are all if the value is non-finite, as after a ruin. A held derivative that is NaN, such as one
+    An input whose numbers are all zero moves by its own `move`; without one it has no reaction. No
+    input has one if the value is non-finite, as after a ruin. A held derivative that is NaN, such
+    as one
     that is lost in a rounding, counts as zero: the reaction is the whole bump.
     """
     count = max((len(item.blocks) for item in held.values()), default=BLOCKS)
@@ -203,8 +203,9 @@ class _Bumper:
     ) -> dict[str, Reaction]:
         """Every input moved by itself, on few paths.
 
-        Objects built from the inputs are first held fixed, which is fast: if that shows no
-        reaction, rebuilt ones, at a near-optimal policy, have none to first order either. Problems
+        Objects built from the inputs are first held fixed, which is fast. If there is no reaction,
+        then with a near-optimal policy there is none to first order with rebuilt objects either.
+        Problems
         are rebuilt in two threads, while other inputs are valued; in one if paths are long, as
         their tables are large.
         """

@@ -29,8 +29,8 @@ class ScheduleDerivatives(NamedTuple):
 
     The derivatives with respect to all inputs of that schedule can be computed from them.
 
-    - `passes`: the sums over the paths of each block, times `scale`; `further`: those of pieces of
-      the weights (`BlockPlan.blocks`).
+    - `passes`: the sums over the paths of each block, times `scale`; `further`: the sums for
+      pieces of the weights (`BlockPlan.blocks`).
     """
 
     plan: BlockPlan
@@ -57,7 +57,8 @@ class PassResult(NamedTuple):
     """Derivatives with respect to every input and the policy, and the number of paths left out.
 
     `schedule`: those with respect to the schedule, from which those of the inputs follow.
-    `totals` {output: [paths]} in the order of the blocks; None if some were passed one by one.
+    `totals` {output: [paths]} in the order of the blocks; None if some blocks were computed one by
+    one.
     """
 
     inputs: dict[str, Estimate]
@@ -87,9 +88,10 @@ class DerivativePass(NamedTuple):
     """One way to differentiate: with the decisions recorded and replayed, or through the policy.
 
     `recorded` [T, paths, A]: the decisions by number of the path, if they are known already.
-    `totals` {output: [paths]}: those of the policy in the same way, if they are known already.
-    `inputs`: whether derivatives with respect to the inputs are found, in addition to those of the
-    policy.
+    `totals` {output: [paths]}: the totals of the policy by number of the path, if they are known
+    already.
+    `inputs`: whether derivatives with respect to the inputs are computed, in addition to those
+    with respect to the policy.
     """
 
     problem: Problem

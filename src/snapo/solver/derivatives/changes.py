@@ -29,9 +29,9 @@ SMALL, NOTHING = 0.05, 1e-12  # relative: of a further change that is left out, 
 class BlockPlan(NamedTuple):
     """The weights of all paths, in the order of the blocks, and their changes.
 
-    - `total`: {output: [N]}; `sizes`: [B] of the blocks.
-    - `sample`: [R] positions of paths; `blocks`: weights {output: [R]} of K pulls on them.
-    - `parts`: [B, K], by how much of each piece the weights change without a block.
+    - `total`: {output: [N]} the weights; `sizes`: [B] the sizes of the blocks.
+    - `sample`: [R] positions of paths; `blocks`: K pieces of weights {output: [R]} on these paths.
+    - `parts`: [B, K] how much of each piece is added to the weights if a block is left out.
     """
 
     total: Weights
@@ -41,9 +41,8 @@ class BlockPlan(NamedTuple):
     parts: np.ndarray
 
     def estimate(self, sums: np.ndarray, further: np.ndarray) -> np.ndarray:
-        """[B, *shape]: numbers whose mean is the derivative and whose spread is its error.
-
-        `sums`: the sums of w_i dX_i by block [B, *shape]; `further`: those of the pieces [K,
+        """[B, *shape] numbers whose mean is the derivative and whose spread gives its error.
+        `sums`: the sums of w_i dX_i by block [B, *shape]; `further`: the sums for the pieces [K,
         *shape].
         """
         blocks, shape = len(sums), (len(sums), *(1,) * (sums.ndim - 1))

@@ -58,8 +58,9 @@ class Curvature(NamedTuple):
     """A quadratic surface in n coordinates that approximates the value around the policy, at its
     maximum.
 
-    - `inverse`: [n, n], of minus the second derivatives; `covariance`: [n, n], of the position of
-      the maximum; `gap`: by how much the best policy may be above this one.
+    - `inverse`: [n, n] the inverse of minus the second derivatives; `covariance`: [n, n] the
+      covariance of the position of the maximum; `gap`: by how much the best policy may be above
+      this one.
     """
 
     inverse: np.ndarray
@@ -78,12 +79,15 @@ class Reported(NamedTuple):
     - `source`: "held" (decisions replayed), "through the policy" (a move of the exact simulator
       with the policy reacting), "range" (at a kink: between both one-sided derivatives) or "not
       known".
-    - `estimate`: by block; NaN for numbers of which only the sum is known.
+    - `estimate`: the derivative of each block; NaN for numbers of which only the sum is known.
     - `by`: a move of the input; `whole` [B]: the derivative along it by block.
-    - `unseen`: standard error of the policy's reaction that is not in `estimate`, like the input.
-    - `slopes`: [n, *shape] of the estimate with respect to the coordinates of `curvature`;
-      `others`: [K, *shape] changes in random directions of all weights, over sqrt(2 loss).
-    - `sides`: the one-sided derivatives along `by` at a kink, (less, more); else None.
+    - `unseen`: standard error of the policy's reaction that is not in `estimate`, an array like the
+      input.
+    - `slopes`: [n, *shape] derivatives of the estimate with respect to the coordinates of
+      `curvature`; `others`: [K, *shape] changes of the estimate in random directions of all
+      weights, divided by sqrt(2 loss).
+    - `sides`: the one-sided derivatives along `by` at a kink, for a decrease and an increase; else
+      None.
     """
 
     source: str
@@ -205,8 +209,9 @@ def plain(held: Estimate, by: np.ndarray, source: str = HELD) -> Reported:
 class Verdict(NamedTuple):
     """One input bumped by one percent: the change of the value, and the derivatives along it.
 
-    - `source`: of the reported derivative, see `Reported`.
-    - `held`, `bump`, `reaction`: (change, standard error); `reaction`: `bump` minus `held`, paired.
+    - `source`: the source of the reported derivative, see `Reported`.
+    - `held`, `bump`, `reaction`: pairs (change, standard error); `reaction` is `bump` minus `held`,
+      paired.
     - `up`, `down`: the change of the value for an increase and a decrease of the input;
       `side_error` of their difference.
     - `probability`: the p-value of the reaction; `tested`: whether there is one.

@@ -34,8 +34,9 @@ SMOOTH_FLOOR, HARD_FLOOR = 0.5, 1.0  # of a target: the gap that no search sees
 
 
 class Margin(NamedTuple):
-    """The change of derivatives with the policy: held ones as {input: [n, *shape]} in the surface's
-    coordinates, {input: [K, *shape]} in random directions, per root of twice the loss."""
+    """The change of held derivatives with the policy: {input: [n, *shape]} in the surface's
+    coordinates, and {input: [K, *shape]} in random directions, divided by the root of twice the
+    loss."""
 
     surface: Surface
     slopes: Mapping[str, np.ndarray]

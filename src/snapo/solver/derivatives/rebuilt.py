@@ -21,11 +21,11 @@ FEWEST = 512  # paths, for all that is measured next to the value
 
 
 def fewer(paths: int, horizon: int) -> int:
-    """The number of paths that together make no more steps than all paths with `LONG` steps each;
-    at least 512, if there are so many.
+    """The number of paths that together have no more steps than all paths would have with `LONG`
+    steps each; at least 512, if there are that many.
 
-    A path of a year by the hour has as many days as four of three months: a mean over days is as
-    accurate with a quarter of the paths.
+    A path of one year by the hour has as many days as four paths of three months, so that a mean
+    over days is as accurate with a quarter of the paths.
     """
     if horizon <= LONG:
         return paths
@@ -71,8 +71,9 @@ class _RebuiltOnce:
 def on_line(
     problem: Problem, other: Problem, values: Mapping[str, Any], share: float
 ) -> Problem | None:
-    """The problem at `values`, a share of the way to `other`, with all that depends on the inputs
-    on that line: x + share (y - x) for a number that is x in `problem` and y in `other`. None if
+    """The problem at `values`, a share of the way to `other`, with everything that depends on the
+    inputs interpolated linearly: x + share (y - x) for a number that is x in `problem` and y in
+    `other`. None if
     `other` has a different structure.
 
     Building a problem takes longer than a few paths. The line neglects curvature, whose effect on

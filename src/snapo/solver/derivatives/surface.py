@@ -148,11 +148,13 @@ STEP, ROUNDS = 1.3, 2  # radii that one step takes at most; surfaces, one at the
 class Surface(NamedTuple):
     """A quadratic surface around a policy, in radii from `centre` along the coordinates.
 
-    - `coordinates`, `centre` [n], `radius` [n]; `top`: [n] of the maximum.
+    - `coordinates`, `centre` [n], `radius` [n]: the coordinates, with their centre and radii;
+      `top`: [n] the position of the maximum.
     - `points`: [M, n] where the value was measured, in radii from `centre`.
-    - `inverse`: [n, n] of minus the curvature; `covariance`: [n, n] of the top.
-    - `target`: the loss at one radius; `gain`: that of the surface from its centre to its top.
-    - `source`, `paths`: on which the values were measured.
+    - `inverse`: [n, n] the inverse of minus the curvature; `covariance`: [n, n] the covariance of
+      the top.
+    - `target`: the loss at one radius; `gain`: the gain of the surface from its centre to its top.
+    - `source`, `paths`: scenarios and paths on which the values were measured.
     """
 
     coordinates: Coordinates

@@ -26,8 +26,9 @@ LEFT = (0, 1, 5, 6)  # columns of text
 class SensitivityRow(NamedTuple):
     """One line of a sensitivity table: derivatives per one `unit` of the input.
 
-    - `value`, `low`, `high`: the reported derivative and its 95 % interval; of the half-width
-      `sampling` is due to the finite number of paths and `policy` to the error of the policy;
+    - `value`, `low`, `high`: the reported derivative and its 95 % interval; `sampling` and
+      `policy`: the parts of the half-width due to the finite number of paths and to the error of
+      the policy;
       `source`: "held", "through the policy", "range" or "not known" (see
       `derivatives.interval.Reported`).
     - `held` and `smooth`, each with its standard error; `moved`: the change of `held` in the second
@@ -54,8 +55,8 @@ class SensitivityRow(NamedTuple):
 class Sensitivities(NamedTuple):
     """Derivatives of the objective with respect to every input, {input: Estimate}.
 
-    - `held`: exact simulator, with decisions held fixed.
-    - `smooth`: through the policy's reaction, or None if not requested.
+    - `held`: those of the exact simulator, with decisions held fixed.
+    - `smooth`: those through the policy's reaction, or None if not requested.
     - `moved`: the change of `held` since an earlier policy, or None.
     - `policy_gradient`: norm of the policy's gradient with the noise subtracted, and the norm of
       the noise.
@@ -64,7 +65,7 @@ class Sensitivities(NamedTuple):
     - `reported`: the reported derivative, with its interval, {input: Reported}; if None, it is the
       held one with its sampling error.
     - `of_inputs`: the held derivatives with respect to the inputs of another problem that has the
-      same schedule; None if those with respect to the schedule are large.
+      same schedule; None if the derivatives with respect to the schedule are large.
     """
 
     inputs: dict[str, Input]
@@ -89,7 +90,7 @@ class Sensitivities(NamedTuple):
         if name not in self.inputs:
             near = get_close_matches(name, self.inputs, 1)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            raise KeyError(f"no input {name!r}; {hint}The inputs are {list(self.inputs)}.")
+            raise KeyError(f"there is no input {name!r}; {hint}The inputs are {list(self.inputs)}.")
         if self.reported is not None:
             return self.reported[name]
         return plain(self.held[name], one_percent(self.inputs[name]))

@@ -56,8 +56,9 @@ def verdicts(
 ) -> dict[str, Verdict]:
     """{input: verdict}.
 
-    - `reacting`: the policy does not observe the whole state, so that held derivatives are wrong in
-      principle: inputs to which decisions react are reported with the policy's reaction.
+    - `reacting`: whether the policy does not observe the whole state. Held derivatives are then
+      wrong in principle, and inputs to which decisions react are reported with the policy's
+      reaction.
     - `lost`: inputs whose derivative the adjoint misses, since it is lost in a rounding
       (`Problem.lost`): the bump is reported.
     """

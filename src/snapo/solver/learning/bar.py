@@ -51,10 +51,9 @@ def _duration(seconds: float) -> str:
 
 @contextmanager
 def shown(wanted: bool | None) -> Iterator[ProgressLine]:
-    """The line during the work of the block.
-
-    `wanted`: True and False show and hide it; None shows it in a terminal and in a notebook, unless
-    the environment has SNAPO_BAR=0, for notebooks that run unattended.
+    """Shows the line during the work of the block. `wanted`: True shows it, False hides it. None
+    shows it in a terminal and in a notebook, unless SNAPO_BAR=0 is set in the environment, as for
+    notebooks that run unattended.
     """
     hidden = wanted is False or (wanted is None and os.environ.get(VARIABLE) == "0")
     bar = ProgressLine(None if hidden else _notebook() or _terminal(wanted is True))

@@ -95,9 +95,9 @@ def grows(norms: np.ndarray) -> bool:
 
 def share_kept(norms: np.ndarray) -> float:
     """The share of an adjoint that is passed on at each backward step (`Clip.keep`), from norms [T,
-    N]: a third is left after the steps in which they grow a hundredfold; 1 if they do not.
-
-    A third, not 0.01: a cart that swings its pole up ends at -63 to -66 with a third and at
+    N]: a third is left after the number of steps in which norms grow a hundredfold; it is 1 if
+    they do not. The reason for a third instead of 0.01: a cart that swings its pole up ends at -63
+    to -66 with a third and at
     -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and -39.7 (-37.7).
     """
     back = np.sqrt(np.mean(_finite(norms) ** 2, axis=1))[::-1]
@@ -140,7 +140,8 @@ def has_leapt(norms: Sequence[float], since: int) -> bool:
 
 def is_held_down(norms: Sequence[float], since: int, forget: float) -> bool:
     """Whether Adam's mean square of all gradients after `since`, with the decay `forget` per step,
-    is far above the usual size of the last ones: its steps are then too short by that factor."""
+    is far above the usual size of the last gradients; the steps of Adam are then too short by that
+    factor."""
     local = np.asarray(norms[since:])
     if len(local) < 2 * EARLY:
         return False
@@ -186,8 +187,8 @@ TAME = 100.0  # times: less growth than this needs no word
 class Growth(NamedTuple):
     """Norms of the adjoint before every step, on a few paths of training, for one policy.
 
-    - `step`: the step of training, at which they were measured.
-    - `usual`, `largest`: [T] the median over the paths, and the largest of them.
+    - `step`: the step of training at which they were measured.
+    - `usual`, `largest`: [T] the median and the maximum over the paths.
     - `leaves`: {name: [T]} the root mean square over the paths, by part of the state.
     """
 
@@ -203,8 +204,9 @@ class Growth(NamedTuple):
 
     @property
     def large(self) -> bool:
-        """Whether the growth must be reported: it is a hundredfold, at which training looks for
-        windows or a bound. Adjoints that only add one payment per step grow by a factor equal to
+        """Whether the growth must be reported: whether it is at least a hundredfold, from which on
+        training considers windows or a bound. Adjoints that only add one payment per step grow by
+        a factor equal to
         the number of steps."""
         return self.times > TAME
 
@@ -213,15 +215,16 @@ class Growth(NamedTuple):
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
         if not self.large:
-            return f"Backward in time adjoints grow {rounded(times, 3)}-fold: no more than usual."
+            return f"Backward in time adjoints grow {rounded(times, 3)}-fold, which is usual."
         half = _explodes(largest, position)
         state = max(self.leaves, key=lambda name: self.leaves[name][position], default="state")
         apart = largest[position] / max(self.usual[position], np.finfo(float).tiny)
         return (
-            f"Backward in time adjoints grow {rounded(times, 2)}-fold, from the last step to step "
-            f"{position} of {largest.size}, a hundredfold before step {half}, mainly in the state "
-            f"{state!r}. There the largest adjoint of a path is {rounded(apart, 2)} times the "
-            "typical one."
+            f"Backward in time adjoints grow {rounded(times, 2)}-fold from the last step to step "
+            f"{position} of {largest.size} (a hundredfold before step {half}), mainly in the "
+            f"state {state!r}. At that step the largest adjoint of a path is {rounded(apart, 2)} "
+            f"times "
+            f"the typical one."
         )
 
     def table(self) -> list[tuple]:

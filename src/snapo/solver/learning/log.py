@@ -85,7 +85,10 @@ def went_back(progress: Progress) -> str:
             f"{progress.keep:.3g} of it (Training(keep=1.0) keeps all)"
         )
     if not ways:
-        return "Training did not respond to this; Training(clip=…) or Training(keep=…) bounds them."
+        return (
+            "Training did not respond to this; Training(clip=…) or Training(keep=…) bounds "
+            "adjoints."
+        )
     summary = "; ".join(ways)
     return f"{summary[0].upper()}{summary[1:]}."
 

@@ -35,9 +35,10 @@ class Wide(Around):
 
 
 class Exploring(Around):
-    """A simulator that draws a share of every decision; its noise ends with the normals for it.
+    """A simulator that draws a share of every decision at random; the last normals of its noise are
+    used for this.
 
-    - `share`: at the temperature `hot`; it is 0 at `cold`, and in the exact simulator.
+    - `share`: the share at the temperature `hot`; it is 0 at `cold`, and in the exact simulator.
     """
 
     share: float = eqx.field(static=True)
@@ -94,13 +95,13 @@ def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
     if training.spread != 1 and not simulator.initial_noise_size:
         return "spread", (
             "the simulator starts every path in the same state. Set initial_noise_size to the "
-            "number of normals that `initial` takes, and spread the state by them: "
+            "number of normals that `initial` takes, and let the initial state depend on them: "
             'initial(self, constants, noise) gives {"x": constants["x"] + 0.1 * noise[0]}'
         )
     if training.exploration and not simulator.action.exploration_size:
         return "exploration", (
-            f"{type(simulator.action).__name__} explores by itself, at a temperature: set "
-            "temperature_start"
+            f"a {type(simulator.action).__name__} explores by its temperature: set "
+            f"temperature_start"
         )
     return None
 

@@ -42,8 +42,8 @@ class Record(NamedTuple):
 
     `window`: the length of the windows for backpropagation; 0: the whole horizon.
     `exact_error`: the standard error of `exact`, in the line of its validation; 0 elsewhere.
-    `clip`, `keep`: the bound on each path's adjoint in the step (0: none), and the share of it that
-    is passed on at every backward step.
+    `clip`, `keep`: the bound on each path's adjoint in the step (0: none), and the share of the
+    adjoint that is passed on at every backward step.
     """
 
     step: int
@@ -61,9 +61,8 @@ class Record(NamedTuple):
 
 
 class Round(NamedTuple):
-    """A comparison of several starts at one step: the exact value of each start that was left.
-
-    `values`: (number of the start from 0, value), the best one first.
+    """A comparison of several starts at one step: the exact value of each start that is still
+    trained. `values`: pairs (number of the start from 0, value), the best one first.
     """
 
     step: int
@@ -80,11 +79,12 @@ class Round(NamedTuple):
 class Progress:
     """The complete state of the training loop, from which a stopped run can continue.
 
-    `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
-    steps / 2, steps: so that, whenever a run stops, the first is from its second quarter or its
-    middle. `window`, `critic`: the length and the critic of training on windows, specified or
+    `halfway` and `recent` are averaged policies at the last two steps of the series …, steps / 4,
+    steps / 2, steps that have been reached. Whenever a run stops, the first of them is therefore
+    from its second quarter or its middle. `window`, `critic`: the length and the critic of
+    training on windows, specified or
     chosen. `clip` is the current bound, if any, and `keep` the share; `since` the step at which the
-    optimiser began, or restarted after exploding gradients. `growth`: the adjoints, where they were
+    optimiser began, or restarted after exploding gradients. `growth`: the adjoints, if they were
     measured. `dual`: the prices of the problem's limits. `raced`: the rounds in which starts were
     dropped, if there were several. `slowed`: the steps that failed, after each of which the rate is
     lower (see `train`). `redrawn`: the steps at which it restarted from other initial weights (see
@@ -171,7 +171,7 @@ def initial_progress(
     window, critic = None, None
     if isinstance(training.window, int):
         if problem is None:
-            raise ValueError("begin: pass the problem too if training has a window.")
+            raise ValueError("begin: if training has a window, pass the problem too.")
         if problem.constraints:
             raise ValueError("begin: windows do not support constraints; use window=None.")
         if training.window < problem.simulator.horizon:

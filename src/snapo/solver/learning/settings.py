@@ -56,12 +56,13 @@ EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a tr
 class Training:
     """How a policy is trained; "auto" is chosen from the problem.
 
-    - `steps`, `paths`: updates, and antithetic fresh paths for each. "auto": chosen from the
+    - `steps`, `paths`: the number of updates, and of fresh antithetic paths for each update.
+      "auto": chosen from the
       horizon and the size of the policy.
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
-    - `decay`: the decay of weights, per step, times the learning rate (AdamW). "auto": 0, or if the
-      steps are "auto" too, above 0 for more than eight decisions in one step.
+    - `decay`: the decay of weights, per step, times the learning rate (AdamW). "auto": 0; if the
+      steps are "auto" too, above 0 if more than eight numbers are decided in one step.
     - `temperature_start`, `temperature_end`: the temperature of the smooth constraints falls
       geometrically from one to the other.
     - `average`: the policy is averaged over about this share of the steps.
@@ -75,7 +76,8 @@ class Training:
     - `keep`: the share of a path's adjoint that is passed from one step to the one before it (see
       `engine.Clip`): an outcome k steps after a decision counts keep^k in its gradient. "auto": 1
       unless adjoints grow and gradients jump (`learning.conditioning`); 1.0: always 1.
-    - `spread`: factor on the normals of `initial`, in training only: wider initial states.
+    - `spread`: factor on the normals of `initial`, in training only, which gives wider initial
+      states.
     - `exploration`: the share of a decision that is drawn at random in training; it falls to 0 with
       the temperature. 0: none. "auto": chosen as `decay` is, if the decisions have bounds.
     - `starts`: the number of initial weights of the policy's networks from which training begins;
@@ -159,9 +161,9 @@ class TrainingPlan(Training):
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any], fitted: bool = False) -> "TrainingPlan":
-        """The plan of a case's settings; a missing one or None has its default.
-
-        `fitted`: whether the policy begins from a rule fitted to the best mean of all risks.
+        """The training for the settings of a case; a setting that is missing or None has its
+        default. `fitted`: whether the policy begins from a rule that was fitted to the best mean,
+        with all risks of the prices.
         """
         numbers: dict[str, Any] = {k: value for k, value in settings.items() if value is not None}
         if "steps" not in numbers:

@@ -132,8 +132,8 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
     """
     if count > 1 and not any(_is_network(node) for node in _nodes(policy)):
         raise ValueError(
-            f"Training: starts is {count}, and {type(policy).__name__} has no network whose first "
-            "weights could vary; it must be 1."
+            f"Training: starts is {count}, and {type(policy).__name__} has no network whose "
+            f"initial weights could vary; it must be 1."
         )
     rng = [np.random.default_rng((seed, number)) for number in range(count)]
     return [policy, *(_redrawn(policy, item) for item in rng[1:])]
@@ -142,7 +142,7 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
 def race(
     started: list[Progress], steps: int, run: Callable[[Progress, int], Progress]
 ) -> tuple[Progress, tuple[Round, ...]]:
-    """The start that is left, and the rounds in which the others were dropped.
+    """The start that remains, and the rounds in which the others were dropped.
 
     - `started`: the starts before their first step.
     - `steps`: the steps of a whole run; `run(progress, until)` trains up to step `until` and
@@ -175,7 +175,7 @@ def describe(rounds: tuple[Round, ...]) -> str:
         others = [value - mine for number, value in values if number != winner]
         size = abs(mine)
         if not np.isfinite([size, *others]).all() or not size:
-            summary.append(f"at step {step} not all of them had a value to compare with")
+            summary.append(f"at step {step} some of them had no value for a comparison")
             continue
         endpoints = [100 * item / size for item in (min(others), max(others))]
         furthest = max(furthest, *map(abs, endpoints))
@@ -189,8 +189,8 @@ def describe(rounds: tuple[Round, ...]) -> str:
         else ""
     )
     return (
-        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} remained: "
-        f"{metadata}.{more}"
+        f"Of {count} starts, of which the worse half was dropped every {rounds[0].step} steps, "
+        f"number {winner + 1} remained: {metadata}.{more}"
     )
 
 

@@ -298,8 +298,8 @@ def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
     measures = problem.objective, *(limit.measure for limit in problem.constraints)
     return [
-        f"Few paths in the tail: the {item.describe()} uses {item.tail * paths:.0f} of {paths:,} "
-        f"paths, and its error is inaccurate with fewer than {TAIL}; take "
+        f"There are few paths in the tail: the {item.describe()} uses {item.tail * paths:.0f} "
+        f"of {paths:,} paths, and its error is inaccurate with fewer than {TAIL}; use "
         f"{int(np.ceil(round(TAIL / item.tail, 6))):,} paths."
         for item in measures
         if item.tail < 1 and item.tail * paths < TAIL
@@ -311,13 +311,14 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
     if table is None or run.problem.simulator.horizon <= LONG:
         return []
     notes = [
-        f"Paths have more than {LONG:,} steps: derivatives were measured on {run.held_paths:,} of "
-        f"them, with as many steps in total as the requested paths would have with {LONG:,} each."
+        f"Paths have more than {LONG:,} steps, so derivatives were measured on only "
+        f"{run.held_paths:,} of them. Their total number of steps is that of the requested "
+        f"number of paths with {LONG:,} steps each."
     ]
     if run.evaluation.judge_paths:
         notes.append(
             "The part of the intervals of derivatives that is due to the policy was measured on "
-            f"{run.effort.fewest} paths (with shorter paths on {FEWEST})."
+            f"{run.effort.fewest} paths (if paths are shorter, {FEWEST} are used)."
         )
         if rebuilt_once(run.problem):
             notes.append(
@@ -334,7 +335,8 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
     ]
     if ruin:
         notes.append(
-            f"{ruin} {'path ends' if ruin == 1 else 'paths end'} in ruin: utility minus infinity."
+            f"{ruin} {'path ends' if ruin == 1 else 'paths end'} in ruin, with a utility of "
+            f"minus infinity."
         )
     if any(dropped.values()):
         counts = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)

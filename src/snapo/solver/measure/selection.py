@@ -41,12 +41,13 @@ class Evaluation:
     """The settings for the evaluation of a policy. With zero paths a result is omitted.
 
     - `paths`: fresh scenarios for the value.
-    - `sensitivity_paths`: for the derivatives with decisions held fixed; `smooth_paths`: for those
-      through the smooth policy; 0 also omits the change of held derivatives during training.
-    - `judge_paths`: maximum for bumps of every input, which test the held derivatives.
-    - `search_paths`: maximum for the value around the policy, from which the part of every interval
-      due to the policy is computed.
-    - `selection_paths`: maximum for the final choice between the policies of a training and its
+    - `sensitivity_paths`: paths for the derivatives with decisions held fixed; `smooth_paths`:
+      paths for the derivatives through the smooth policy; 0 also omits the change of held
+      derivatives during training.
+    - `judge_paths`: the maximum for bumps of every input, which test the held derivatives.
+    - `search_paths`: the maximum for values around the policy, from which the policy's part of
+      every interval is computed.
+    - `selection_paths`: the maximum for the final choice between the policies of a training and its
       initial rule; never more than `paths`.
     - `scenarios`: "pseudo-random" (antithetic) or "sobol".
     """
@@ -89,11 +90,12 @@ class Effort(NamedTuple):
     The unit is one path that is valued. A training has valued and differentiated `steps * paths` of
     them; the surface around the policy, its margin and the bumps each value a third as many paths,
     and more if a path is short. The numbers are chosen from the problem and the settings only,
-    never from a clock, so that a repeated run has the same bits.
+    never from a clock, so that a repeated run has bit-identical results.
 
-    - `work`: the paths that may be valued for one purpose; `maximum`: paths on which it is done.
-    - `fewest`: paths on which it is done in any case. If a path has more than three months by the
-      hour, they are fewer: it has as many days as several shorter paths.
+    - `work`: the number of paths that may be valued for one purpose; `maximum`: the largest number
+      of paths of one measurement.
+    - `fewest`: the smallest number of paths of one measurement. It is smaller if a path has more
+      than three months by the hour, since such a path has as many days as several shorter paths.
     """
 
     work: float
@@ -130,9 +132,9 @@ class Selection(NamedTuple):
 
     - `kind`: "start", "newest" (the average at the end of training), "highest" (of the validation)
       or "top of the surface" (see `derivatives.surface`); `policy`: the policy itself.
-    - `gain`, `error`: of the best candidate over the starting rule, paired; NaN if they were not
-      compared.
-    - `search`: gain of the top of the surface over the newest policy, and its standard error.
+    - `gain`, `error`: the gain of the best candidate over the starting rule, paired, and its error;
+      NaN if they were not compared.
+    - `search`: the gain of the top of the surface over the newest policy, and its standard error.
     """
 
     kind: str
@@ -164,15 +166,14 @@ def select(
     top: Callable[[], Policy | None] = lambda: None,
     search: bool = False,
 ) -> Selection:
-    """The start, unless the best of the candidates is above it by two errors.
+    """Chooses the start, unless the best candidate is above it by two standard errors. A few of the
+    paths are sufficient if the choice is clear. A candidate that is clearly below another on these
+    paths is dropped. If no candidate has a finite value, the first one is kept without a
+    comparison.
 
-    A few of the paths are sufficient if the choice is clear. A candidate that is clearly below
-    another on these is dropped. Without a candidate of a finite value the first one is kept,
-    uncompared.
-
-    - `paths`: the maximum.
+    - `paths`: the maximum number of paths.
     - `top`: a further candidate, `TOP`, if the others may be above the start.
-    - `search`: whether its gain over the newest one is needed in any case.
+    - `search`: whether the gain of the top over the newest policy is needed in any case.
     """
     source = fresh(problem.sources.validation)
     paths = source.available(paths)

@@ -31,12 +31,12 @@ FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every ste
 FITTING = 258  # stream of the paths of the regression
 SHIFTS = 259  # seed of the shifts of nested draws
 TOGETHER = 32  # paths whose nested draws are in memory at once
-NOT_DRAWN = "its scenarios are supplied, so that nothing can be drawn from a state"
+NOT_DRAWN = "its scenarios are supplied, so that no nested paths can be drawn from a state"
 
 
 class StopRelaxation:
-    """See `snapo.Relaxation`. `paths` are those of the regression, `inner` the
-    nested draws of every path and step.
+    """See `snapo.Relaxation`. `paths` is the number of paths of the regression, `inner` the number
+    of nested draws at every step of a path.
 
     **Raises:** `NotStopping` if the problem has no such bound, with the reason.
     """
@@ -160,7 +160,7 @@ class Relaxation(Protocol):
         """[N] an upper bound on the contribution of each path, with penalties subtracted.
 
         `rollout` has the policy's states ("state": leaves [T, N, …]) and final states on the same
-        paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
+        paths, whose exogenous part is the same for every policy; `scale` [terms] multiplies the
         penalty's parts (zeros: perfect foresight).
         """
         ...
@@ -177,7 +177,9 @@ class Relaxable(Protocol):
     def relaxation(self, problem: Problem) -> Relaxation: ...
 
 
-UNKNOWN = "its simulator has no method `relaxation` and is not a stopping problem: docs/bounds.md"
+UNKNOWN = (
+    "its simulator has no method `relaxation` and is not a stopping problem (see docs/bounds.md)"
+)
 
 
 def bounded(problem: Problem) -> bool:

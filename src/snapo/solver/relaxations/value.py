@@ -37,7 +37,7 @@ class NotStopping(ValueError):
 class Decisions(NamedTuple):
     """A stopping problem: its parts, and the position of the rights in the state.
 
-    - `rights`: the number of rights; `right`: the number of their leaf in the flattened state.
+    - `rights`: the number of rights; `right`: the position of their leaf in the flattened state.
     - `values`: {output: its weight in the objective}.
     """
 
@@ -106,7 +106,7 @@ def decisions(problem: Problem) -> Decisions:
     simulator, objective = problem.simulator, problem.objective
     if not isinstance(simulator.action, Stop):
         kind = type(simulator.action).__name__
-        raise NotStopping(f"its action is a {kind}; only a `Stop` is bounded without a relaxation")
+        raise NotStopping(f"its action is a {kind}; only a `Stop` has a bound without a relaxation")
     totals = simulator.totals()
     if not objective.linear or any(totals.get(n, "sum") != "sum" for n in objective.outputs):
         raise NotStopping("its objective is not a mean of outputs that are summed over the path")
@@ -136,7 +136,7 @@ def _right(problem: Problem, action: Stop) -> int:
             raise NotStopping(f"its decisions change the state {name or 'itself'}, not only rights")
     if len(moved) != 1:
         message = "more than one part of the state" if moved else "no state that `Stop.use` moves"
-        raise NotStopping(f"it holds the rights in {message}")
+        raise NotStopping(f"it keeps the rights in {message}")
     return moved[0]
 
 

@@ -86,10 +86,11 @@ LONG = 6  # numbers that are listed at most
 
 
 class ConstantDecision(NamedTuple):
-    """A decision, one of those of a step, that is the same on all paths at all times.
+    """One of the decisions of a step that is the same on all paths at all times.
 
-    - `number`: from 1, as `Actions.together` counts; `name`: in a `Product`, else empty.
-    - `value`: its numbers; `limit`: whether each lies at a limit.
+    - `number`: its number from 1, as `Actions.together` counts; `name`: its name in a `Product`,
+      else empty.
+    - `value`: its numbers; `limit`: whether each number is at a limit.
     """
 
     number: int

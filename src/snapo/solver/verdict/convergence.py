@@ -99,13 +99,14 @@ def ending(
     """How training ended, by the exact simulator on paths of the evaluation; a training that was
     aborted has notes but no keyword.
 
-    A rule that violates a limit of the problem more than the trained one is not a baseline.
+    A rule that violates a limit of the problem by more than the trained policy is not a baseline.
 
-    - `progress`: its `best` is the reported policy; `training`: with "auto" settings resolved.
+    - `progress`: its `best` is the reported policy; `training`: the settings, with "auto" resolved.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
     - `held_paths`: the paths of the held derivatives; 0 leaves out the checks that need decisions.
-    - `decisions` [T, held_paths, A] of that policy on these paths, where they were recorded before.
-    - `gradient`: the norm of the policy's gradient and that of its noise, if known.
+    - `decisions` [T, held_paths, A]: the decisions of that policy on these paths, if they were
+      recorded before.
+    - `gradient`: the norm of the policy's gradient and the norm of its noise, if known.
     """
     if not np.isfinite(value_of(problem.objective, exact)):
         return Ending("")
@@ -123,7 +124,7 @@ def ending(
         if len(still) < of and not over_constant.is_significant:
             notes.append(_as_well(problem, constant, over_constant))
         if unused := never_taken(problem.action, taken.actions):
-            notes.append(f"{unused}. If one of them should be, {TRY_OTHERS}.")
+            notes.append(f"{unused}. If one of these options should be taken, {TRY_OTHERS}.")
     if progress.status == "diverged":
         return Ending("", tuple(notes))
     all_still = len(still) == of
@@ -196,8 +197,9 @@ def _further(
 def _improving(progress: Progress, training: TrainingPlan, more: Further) -> str:
     return (
         f"{STILL}the steps after {compared_step(progress, training)} of "
-        f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many more would gain "
-        f"about {statistics.rounded(more.more, 2)}; try steps={2 * progress.step}."
+        f"{progress.step} gained {Gain(more.late, more.late_error)}, and the same number of "
+        f"further steps would gain about {statistics.rounded(more.more, 2)}; try "
+        f"steps={2 * progress.step}."
     )
 
 
@@ -209,7 +211,7 @@ def _short(
 ) -> str:
     """The reason why it is unknown whether a training has converged; empty if it has."""
     if too_short(training, progress.step):
-        return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
+        return f"{min(training.warmup, progress.step)} of its {progress.step} steps are the warm-up"
     if not more.is_small:
         return (
             f"the steps after {compared_step(progress, training)} gained "
@@ -226,7 +228,7 @@ def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
     """The sentence on a constant decision that is as good as the trained rule, or better."""
     attempt = TRY_OTHERS
     if ends_for_good(problem):
-        attempt = f"write a decision when to stop as a snapo.Stop, or {attempt}"
+        attempt = f"write a decision on when to stop as a snapo.Stop, or {attempt}"
     if gain.surely_below:
         return (
             f"A constant decision ({numbers_text(constant)}) does better, by "
@@ -234,7 +236,7 @@ def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
         )
     return (
         f"A constant decision ({numbers_text(constant)}) does as well (the trained rule gains "
-        f"{gain}): the observation does not help the policy. If it should, {attempt}."
+        f"{gain}), so the policy gains nothing from the observation. If it should, {attempt}."
     )
 
 

@@ -88,8 +88,9 @@ MATTERS = 0.001  # of the size: the gain of a gradient step of the length of the
 class Further(NamedTuple):
     """The expected gain of as many further steps.
 
-    - `late`, `late_error`: the gain of the last part of the training, on the same paths.
-    - `times`: its multiplier; `size`: the scale of the gains.
+    - `late`, `late_error`: the gain of the last part of the training on the same paths, and its
+      error.
+    - `times`: the factor from this gain to the expected one; `size`: the scale of the gains.
     """
 
     late: float
@@ -125,7 +126,8 @@ def compared_step(progress: Progress, training: TrainingPlan) -> int:
 def times_of(progress: Progress, training: TrainingPlan) -> float:
     """The factor on the gain since `compared_step`; at least 1.
 
-    With a shortfall of c / way, that gain is c / half - c / way, and twice the way gains c / 2 way.
+    If the shortfall is c / way, that gain is c / half - c / way, and training for twice the way
+    gains c / (2 way).
     """
     half = _way(training, compared_step(progress, training))
     path = _way(training, progress.step)
@@ -176,7 +178,7 @@ def room(
 ) -> Room | None:
     """The known bounds of a value; None if there are none, or none tighter than `USEFUL`.
 
-    - `bounds`: as `Bound.row` has it; `exact`: the exact value, which no policy exceeds.
+    - `bounds`: in the form of `Bound.row`; `exact`: the exact value, which no policy exceeds.
     """
     results = [_below_exact(value, error, exact), _below_bound(bounds)]
     available = [item for item in results if item is not None and item.share <= USEFUL]

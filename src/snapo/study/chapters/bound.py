@@ -80,7 +80,7 @@ def value_bounds(run: RunFiles) -> Section:
     section = BOUND(run)
     if BOUND.name in run.parts or BOUND.of(run) is not None:
         return section
-    text = "The value of this run was not bounded from above: `snapo certify` does this."
+    text = "This run has no upper bound of the value; `snapo certify` computes it."
     return replace(section, blocks=[Text(text)])
 
 
@@ -97,7 +97,11 @@ def optimum(run: RunFiles, cost: bool = False) -> str:
     text = run.value_text(-top if cost else top, None, max(0, digits))
     name = "Lowest possible cost: at least" if cost else "Optimum: at most"
     low = finite(result.lower.value)
-    share = f", {percent(result.gap.high / abs(low), 2)} from this policy" if low else ""
+    share = (
+        f", {percent(result.gap.high / abs(low), 2)} away from the value of this policy"
+        if low
+        else ""
+    )
     return f"{name} {text} (95 %){share}."
 
 
@@ -166,8 +170,8 @@ def _chart(
     svg = draw("bounds", f"Two points with 95 % intervals. {texts}.", paint, 120)
     caption = (
         "The upper bound is the value plus the gap. The gap is the mean over fresh paths of the"
-        " earnings of the best decisions with perfect foresight, minus those of the policy."
-        f" For policies without foresight the penalty on it has mean zero ({result.words})."
+        " earnings of the best decisions with perfect foresight, minus those of the policy. For "
+        f"policies without foresight the penalty for foresight has mean zero ({result.words})."
     )
     return Chart(svg, caption)
 

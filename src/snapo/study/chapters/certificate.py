@@ -27,8 +27,9 @@ class BumpRow:
     """The adjoint against central differences of a family of inputs, per unit of the input.
 
     - `inputs`: a description of the direction, or how many inputs were bumped.
-    - `worst_error`, `allowed`: of the adjoint, in the unit of the value.
-    - `passed`: None if most paths are at a kink; `crossing`: the share of paths at one.
+    - `worst_error`, `allowed`: the largest and the allowed error of the adjoint, in the unit of the
+      value.
+    - `passed`: None if most paths are at a kink; `crossing`: the share of paths at a kink.
     """
 
     family: str = ""
@@ -159,9 +160,9 @@ def bump_table(
     ]
     head = [("Family of inputs", ""), ("Bumped", ""), ("", ""), ("Worst error", unit),
             ("Allowed", unit), ("At a kink", "of paths")]  # fmt: skip
-    caption = "Adjoint against central differences, per unit of the input, on the same paths"
+    caption = "Adjoint compared with central differences, per unit of the input, on the same paths"
     verdicts = [row.passed for row in rows if row.passed is not None]
-    folded = f"Adjoint against bumps: {sum(verdicts)} of {len(verdicts)} hold"
+    folded = f"Adjoint compared with bumps: {sum(verdicts)} of {len(verdicts)} agree"
     if (worst := _nearest(rows)) is not None:
         error, allowed = quantity_of(worst.worst_error, unit), power(worst.allowed)
         folded += f"; the largest error is {error} of {allowed} allowed ({name_of(worst.family)})"
@@ -205,10 +206,13 @@ def limit_table(
     ]
     head = [("Limit", ""), ("", ""), ("Smallest slack", unit), ("Path", ""), (step, "")]
     caption = (
-        f"Limits over all paths and {step.lower()}s, exact simulator (slack: distance to a limit)"
+        f"Limits over all paths and {step.lower()}s in the exact simulator (slack is the "
+        f"distance to a limit)"
     )
     verdicts = [row.passed for row in result.feasibility if row.passed is not None]
-    folded = f"Limits over all paths and {step.lower()}s: {sum(verdicts)} of {len(verdicts)} hold"
+    folded = (
+        f"Limits over all paths and {step.lower()}s: {sum(verdicts)} of {len(verdicts)} are met"
+    )
     return Table(head, body, caption, 2, folded=folded)
 
 

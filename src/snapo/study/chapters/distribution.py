@@ -35,7 +35,8 @@ COLUMNS = (
 class OutputTotal:
     """The total of an output over a path: moments, quantiles and a histogram, in its `unit`.
 
-    - `paths`: those with a finite total; the other numbers are NaN or empty if there is none.
+    - `paths`: the number of paths with a finite total; the other numbers are NaN or empty if there
+      is none.
     - `tail_mean`: the mean of the smallest 5 % of the totals.
     - `quantiles`, `quantile_errors`: {"p05": number}; errors are standard errors.
     - `edges` [B + 1], `counts` [B]: the outermost bins have the paths outside of the edges too.
@@ -129,8 +130,8 @@ def show(run: RunFiles, result: OutputTotals) -> list[Block]:
 
 CLOSE = 0.1  # of the value: further apart, the total is another quantity, such as a sum over weeks
 PLAIN = (
-    "The means here are plain means over the paths. The value on the first screen is of the same "
-    "paths, minus control variates, which remove a part of the noise."
+    "The means here are plain means over the paths. The value on the first screen is from the "
+    "same paths, but with control variates, which remove a part of the noise."
 )
 
 

@@ -46,8 +46,8 @@ def headline(run: RunFiles) -> Section:
 
 
 def common_paths(run: RunFiles) -> list[Text]:
-    """How the trained policy compares with its starting rule on the same paths, as their values in
-    a table come from different ones; nothing if they were not compared."""
+    """A text that compares the trained policy with its starting rule on the same paths, since
+    their values in a table come from different paths; empty if they were not compared."""
     gain, error = (finite(run.get(f"solution.{name}")) for name in ("gain", "gain_error"))
     if run.get("solution.selected") == "start":
         text = "The policy of this run is its starting rule, which training did not improve on"

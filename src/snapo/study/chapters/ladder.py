@@ -52,10 +52,10 @@ class MethodRow:
     """The value by one method.
 
     - `standard_error`: the standard error of sampling, or the last move of a grid; None for an
-      exact one.
-    - `seconds`: its duration. `share`: the share of the extrinsic value, from the intrinsic value
-      by day (0) to the lattice, or without one to the policy (1).
-    - `difference`: to the trained policy, on the same paths.
+      exact value.
+    - `seconds`: how long the method took. `share`: the share of the extrinsic value, from the
+      intrinsic value by day (0) to the lattice, or without one to the policy (1).
+    - `difference`: the difference from the trained policy, on the same paths.
     """
 
     method: str
@@ -204,7 +204,7 @@ def _wrong_order(values: ByMethod, groups: np.ndarray):
             excess = _difference(values[low], values[high], groups)
             if excess.value > ERRORS * (excess.error or 0.0) + ROUNDING * size:
                 more = statistics.with_error(excess.value, excess.error or 0.0)
-                yield f"{low} is above {high.lower()} by {more}, and should not be"
+                yield f"{low} is above {high.lower()} by {more}, although it should be below"
 
 
 def show(run: RunFiles, result: MethodLadder) -> Sequence[Block]:

@@ -89,8 +89,9 @@ def profile(
     """The chapter "profile".
 
     - `without`: names of states that are left out.
-    - `together`: steps of a period: its first state and its sums of outputs are shown.
-    - `factor`: by which the numbers of a series are multiplied in the report.
+    - `together`: the number of steps in a period, for which the first state and the sums of outputs
+      are shown.
+    - `factor`: the factor by which the numbers of a series are multiplied in the report.
     """
     return Chapter(
         "profile",

@@ -35,8 +35,8 @@ SHARE = 0.01  # of every number of an input that does not specify its `move`
 LONGEST = 15  # bars of the tornado
 ROWS = 400  # derivatives in the table; sensitivities.csv has all of them
 CAVEAT = (
-    "These derivatives of the value of the best policy are to first order. Held: from the exact "
-    "simulator with the "
+    "These derivatives are those of the value of the best policy. Held: from the exact simulator "
+    "with the "
     "decisions held fixed; this is correct if decisions are optimal, depend on the full state and "
     "cause no jump. Through the policy: from a bump of the exact simulator by one percent, or by "
     "the step of the input, with the policy reacting; it is reported if it contradicts the "
@@ -44,8 +44,8 @@ CAVEAT = (
     "a kink, between the "
     "derivatives for a decrease and for an increase of the input. The 95 % interval adds the "
     "sampling error of finitely many paths (± sampling) and the error of the policy, which is near "
-    "the best one (± policy). Late change: that of the derivative with decisions held fixed in the "
-    "second half of training."
+    "the best one (± policy). Late change: the change of the derivative with decisions held "
+    "fixed in the second half of training."
 )
 
 
@@ -65,16 +65,16 @@ class ReportedInterval:
 class InputMove(ReportedInterval):
     """The effect on the value when all numbers of an input move together; None if unknown.
 
-    - `words`, `group`: those of the input; `numbers`: its number of entries.
-    - `amount`, `unit`: by how much every number moves, in the unit of the trade; `amount` is None
-      if each moves by `share` of itself.
+    - `words`, `group`: meaning and group of the input; `numbers`: its number of entries.
+    - `amount`, `unit`: by how much every number moves, in the display unit; `amount` is None if
+      each moves by `share` of itself.
     - `effect`, `low`, `high`: the effect to first order, with the reported derivative and its 95 %
       interval, `sampling` and `policy`: the parts of the half-width due to the finite number of
       paths and to the policy's error; `source`: see `solver.derivatives.interval.Reported`.
-    - `held`, `held_error`: with the decisions held fixed; `smooth`, `smooth_error`: through the
-      policy's reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to
-      the size of this move, where it is along the same direction; `more`, `less`: of the move and
-      of its opposite separately, where they differ.
+    - `held`, `held_error`: the effect with the decisions held fixed, and its error; `smooth`,
+      `smooth_error`: the effect through the policy's reaction; `bump`, `bump_error`: the change of
+      the exact value at a bump, scaled to the size of this move, if it is along the same direction;
+      `more`, `less`: the effects of the move and of its opposite separately, if they differ.
     """
 
     input: str
@@ -226,8 +226,8 @@ def _tornado(run: RunFiles, moves: Sequence[InputMove]) -> Chart:
     height = 32 + 26 * len(swings)
     svg = draw("tornado", alt, lambda axes: tornado(axes, swings, ""), height)
     caption = (
-        "Change of the value when all numbers of an input move up by the amount at the left, with "
-        "the reported derivative; whiskers are 95 % intervals."
+        "Change of the value when all numbers of an input rise by the amount at the left, "
+        "computed with the reported derivative; whiskers are 95 % intervals."
     )
     return Chart(svg, caption)
 

@@ -66,8 +66,8 @@ class ChangedCase(NamedTuple):
 class InputPositions:
     """The positions of a case's inputs.
 
-    - `of`: returns the inputs of a case by name, if the domain defines it; else they are found
-      among its records.
+    - `of`: returns the inputs of a case by name, if the domain defines such a function; otherwise
+      they are collected from the records.
     - `case`: the records, if they were read already.
     """
 
@@ -114,8 +114,8 @@ class InputPositions:
         }
 
     def case_at(self, values: Mapping[str, np.ndarray], files: Files | None = None) -> ChangedCase:
-        """The case in which the inputs named have these values; `files`: another case to put them
-        into.
+        """The case in which inputs have these values, {name: value}; `files`: another case into
+        which they are written.
 
         **Raises:** `CaseError` if the case's own reader refuses them, or an input has no place
         in its files.

@@ -115,7 +115,8 @@ def _sheet(folder: Path, name: str) -> Sheet:
 def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
     """The files of a case with other numbers in the positions of an input.
 
-    Days that share the line of their month stay there while they are equal; else each has a line.
+    Days that share the line of their month keep sharing it as long as their numbers are equal;
+    otherwise each day gets a line.
 
     **Raises:** `CaseError` for a number that no file has, or whose file is not a CSV.
     """

@@ -17,14 +17,14 @@ from ..run_folder import Difference, differences
 from .store import adopt, case_folder, folders, is_busy, is_good, only_one, set_link
 
 SHOWN = 3  # differences of a run that a person sees; all of them are in the table
-RUNNING, STOPPED = "running", "stopped, solve with --resume continues it"
+RUNNING, STOPPED = "running", "stopped; snapo solve --resume continues it"
 
 
 class RunRow(NamedTuple):
     """One run of a case.
 
     - `run`: its name; `folder`; `latest`: whether `run` points to it; `began`: the date and time.
-    - `value`, `low`, `high`: with its 95 % interval, None if there is none.
+    - `value`, `low`, `high`: the value and its 95 % interval, None if there is none.
     - `status`: the status of result.json; or "running", or the reason why there is none.
     - `changes`: the settings that differ from the run before.
     """
@@ -120,7 +120,10 @@ def described(rows: Sequence[RunRow]) -> Iterator[str]:
         yield f"{row.run + ' *' * row.latest:<24}{cells}  {row.status}"
         for text in _changes(row.changes):
             yield f"    {text}"
-    yield f"* `{LATEST}` points to it; below a run: what differs from the one before"
+    yield (
+        f"* * `{LATEST}` points to this run; below each run are the settings that differ from "
+        f"the previous one"
+    )
 
 
 def _cell(number: float | None, form: str) -> str:

@@ -15,9 +15,11 @@ from .store import adopt, folders, home_of, new_folder, working_in
 def reserved(home: Path, out: Path | None, same: Callable[[Path], bool] | None) -> Iterator[Path]:
     """The folder of a run of the case in `home`, into which no other process writes.
 
-    - `out`: as the command names it; None, or `run` in `home`: a new one in `runs`.
-    - `same`: None for a new run; to resume one, whether a folder has the run that the command
-      describes, or `CaseError` with the difference. The latest such run is resumed.
+    - `out`: the folder that the command names; None, or `run` in `home`, means a new folder in
+      `runs`.
+    - `same`: None for a new run; to resume a run, a function that returns whether a folder has the
+      run that the command describes, or raises `CaseError` with the difference. The latest such run
+      is resumed.
 
     A folder into which nothing was written is removed again.
 

@@ -31,7 +31,7 @@ BUSY = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
 @contextmanager
 def locked(file: Path, seconds: float = 0.2) -> Iterator[None]:
-    """Holds the lock of `file`, which is made for it and removed after it.
+    """Holds a lock while the block runs, by a `file` that is created for it and removed after it.
 
     **Raises:** `BlockingIOError` if another process holds it for longer than these seconds.
     """
@@ -116,7 +116,7 @@ def home_of(folder: Path) -> Path | None:
 
 
 def folders(home: Path) -> list[Path]:
-    """The runs of the case in `home`, the oldest first; one that has written nothing is left out.
+    """The runs of the case in `home`, the oldest first; a run that has written nothing is left out.
 
     A run of an earlier version of snapo, in a plain folder `run`, is the oldest.
     """
@@ -194,7 +194,8 @@ def only_one(home: Path) -> Iterator[None]:
 
 
 def adopt(home: Path) -> None:
-    """Moves a run of an earlier version, in a plain folder `run`, to the others, and points to it.
+    """Moves a run of an earlier version, in a plain folder `run`, to the other runs, and lets
+    `run` point to it.
 
     **Raises:** `CaseError` if `run` is something else, which must stay as it is.
     """

@@ -234,7 +234,7 @@ def test_a_run_of_another_kind(tmp_path, monkeypatch):
 def test_a_run_without_a_value(tmp_path, monkeypatch):
     record = {"kind": "gas-storage", "parts": {}, "decides": {}}
     monkeypatch.setattr(runs.run_folder, "read", lambda folder: record)
-    with pytest.raises(CaseError, match="has no value with an error: solve its case again"):
+    with pytest.raises(CaseError, match="has no value with a standard error: solve its case again"):
         ValuedRun.read(tmp_path)
 
 

@@ -142,7 +142,7 @@ def test_prices_without_a_curve_on_paths_have_no_hedge():
     case = read("D1")
     setup = SimpleNamespace(problem=bare_problem(case), case=case)
     result = hedge.measure(cast(StudyRun, SimpleNamespace(setup=setup)))
-    assert not result.hedges and "no path has a forward curve" in result.reason
+    assert not result.hedges and "paths have no forward curve" in result.reason
     (block,) = hedge.show(cast(StorageRun, None), result)
     assert isinstance(block, Text) and result.reason in block.text
 

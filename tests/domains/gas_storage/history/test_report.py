@@ -75,7 +75,7 @@ def whole() -> str:
 def test_the_first_screen_has_the_result_and_its_expectation(whole):
     result = whole.partition("Cash flow over time")[0]
     assert "Realised EUR 390.000" in result
-    assert "−10.000 ± 3.920 against the expectation; ± is half of a 95 % interval" in result
+    assert "−10.000 ± 3.920 compared with the expectation; ± is half of a 95 % interval" in result
     assert "40 % of simulated histories earn less" in result
     assert "✓ within the range of 95 % of simulated histories" in result
     assert "Expected EUR 400.000 ± 3.920; standard deviation of one history 30" in result

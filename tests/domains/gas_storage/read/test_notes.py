@@ -26,7 +26,7 @@ NOTES = {
     "two quotes": (
         "2025-01-01,27.03",
         "2025-01,20\n2025-01-01,27.03",
-        ["curve.csv 2025-01-01 and 29 more days have a quote", "the first is used"],
+        ["curve.csv 2025-01-01 and 29 more days have a quote", "that of the day is used"],
     ),
     "paid late": (
         MARKET,
@@ -36,9 +36,13 @@ NOTES = {
     "an injection that pays": (
         COST,
         "injection_cost = -40.0",
-        ["On 2025-01-01 an injection is paid: injection_cost is -40, and gas costs 27.03"],
+        ["On 2025-01-01 an injection earns money: injection_cost is -40, and gas costs 27.03"],
     ),
-    "a round trip that pays": (COST, "injection_cost = -0.2", ["pays by itself", "sum to -0.15"]),
+    "a round trip that pays": (
+        COST,
+        "injection_cost = -0.2",
+        ["earns money at any prices", "sum to -0.15"],
+    ),
 }
 
 

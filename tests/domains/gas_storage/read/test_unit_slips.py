@@ -62,7 +62,7 @@ SLIPS = {
     ),
     "cost of a year": (
         "case.toml", "# inventory_cost = 0.0 ", "inventory_cost = 5.0 ",
-        "contract.inventory_cost: inventory_cost is 5 EUR/MWh/day", "EUR/MWh a day",
+        "contract.inventory_cost: inventory_cost is 5 EUR/MWh/day", "EUR/MWh per day",
     ),
     "rates in GWh": (
         "ratchets.csv", "132", "0.132", "ratchets.csv, line ", "ratchet_injection 2021-04-01 at ",

@@ -47,11 +47,11 @@ MISTAKES = {
     ),
     "one number for two factors": (
         "case.toml", 'kind = "hull-white"', 'kind = "g2++"',
-        ["rates.volatility", "g2++", "2 of them"],
+        ["rates.volatility", "g2++", "one number for each factor: 2"],
     ),
     "no number for a factor": (
         "case.toml", "mean_reversion = 0.03", "mean_reversion = []",
-        ["rates.mean_reversion", "hull-white", "1 of them"],
+        ["rates.mean_reversion", "hull-white", "one number for each factor: 1"],
     ),
     "missing rate of the basis": (
         "case.toml", "rate = 0.002", "# ",
@@ -219,7 +219,7 @@ MISTAKES = {
     ),
     "coupon bond without a coupon": (
         "assets.csv", "Bonds 10y,bond", "Bonds 10y,coupon-bond",
-        ["assets.csv", "coupon", "a rate per year or \"par\" is needed"],
+        ["assets.csv", "coupon", "it must be a rate per year or \"par\""],
     ),
     "kind of a swap": (
         "overlay.csv", None, "tenor,kind,notional,low,high\n10,par,0,0,0.2\n",

@@ -59,7 +59,7 @@ def test_what_cannot_be_decided_over_time_is_refused(of, low, high, words):
 
 def test_what_is_held_cannot_be_decided():
     wash = {"of": "filter.area", "low": "100 cm^2", "high": "300 cm^2"}
-    with pytest.raises(CaseError, match=r"control.manipulated\[0\].*among those `held`"):
+    with pytest.raises(CaseError, match=r"control.manipulated\[0\].*in the list `held`"):
         control(held=["filter.area"], manipulated=[wash])
 
 
@@ -159,7 +159,7 @@ def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
         assert each["policy_gain_error"] >= 0 and each["times"][0] > 0
     assert "Rules on the same batches, paired" in page
     reason = found["engine"]["reason"]
-    assert "asked for" not in reason and "more than the native engine takes" in reason
+    assert "asked for" not in reason and "larger than the native engine supports" in reason
     assert loop["goal"].startswith("mean of product") and loop["goal"] in page
     assert result["references"]["goal"] == loop["objective"]
     for name in ("policy.npz", "history.csv", "sensitivities.csv"):

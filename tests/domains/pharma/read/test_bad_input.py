@@ -67,17 +67,15 @@ MISTAKES = {
     ),
     "wrong dimension": (
         'duration = "7200 s"', 'duration = "7200 m"',
-        "units.crystalliser.duration: got '7200 m'; m is [length], and this is [time], s.",
+        "units.crystalliser.duration: got '7200 m'; m is [length], but the quantity is [time], s.",
     ),
     "prefactor of another order": (
         'prefactor = "5.3e2 L/mol/s"', 'prefactor = "5.3e2 1/s"',
-        "reactions[1].prefactor: got '5.3e2 1/s'; 1/s is 1 / [time], and this is "
-        "[length] ** 3 / [substance] / [time], m3/kmol/s.",
+        "reactions[1].prefactor: got '5.3e2 1/s'; 1/s is 1 / [time], but the quantity is [length] ** 3 / [substance] / [time], m3/kmol/s.",
     ),
     "coulomb for Celsius": (
         'temperature = "323.15 K"\nrate', 'temperature = "50 C"\nrate',
-        "units.dryer.temperature: got '50 C'; C is [current] * [time], and this is "
-        "[temperature], K.",
+        "units.dryer.temperature: got '50 C'; C is [current] * [time], but the quantity is [temperature], K.",
     ),
     "negative concentration": (
         '{ A = "0.33 mol/L", B', '{ A = "-0.33 mol/L", B',
@@ -106,7 +104,7 @@ MISTAKES = {
         'from = "mix.product"\nto = "split.feed"\n[[connections]]\nfrom = "split.back"\n'
         'to = "mix.back"\n[[connections]]\nfrom = "split.on"\nto = "reactor.feed"',
         "connections: a batch reaches the loop mix -> split, which is solved at its steady state: "
-        "every feed of it needs a duration, and its units take flows.",
+        "every feed of the loop needs a duration, because its units take only flows.",
     ),
     "unconnected port": (
         LAST, "",
@@ -139,11 +137,11 @@ MISTAKES = {
     ),
     "limits the wrong way round": (
         'low = "70 um"', 'low = "120 um"',
-        "attributes[1].high: got '100 um'; the lower limit, 120 um, must lie below it.",
+        "attributes[1].high: got '100 um'; it must be above the lower limit, 120 um.",
     ),
     "limit in another dimension": (
         'low = "70 um"', 'low = "80 s"',
-        "attributes[1].low: got '80 s'; s is [time], and this is [length], m.",
+        "attributes[1].low: got '80 s'; s is [time], but the quantity is [length], m.",
     ),
     "limit without a citation": (
         'citation = "own limit, constructed for this example"\n\n[[attributes]]\nname = "mean',
@@ -187,8 +185,7 @@ MISTAKES = {
     ),
     "ramp that is a temperature": (
         'ramp = "0.6 K/min" }', 'ramp = "0.6 K" }',
-        "units.crystalliser.temperature.ramp: got '0.6 K'; K is [temperature], and this is "
-        "[temperature] / [time], K/s.",
+        "units.crystalliser.temperature.ramp: got '0.6 K'; K is [temperature], but the quantity is [temperature] / [time], K/s.",
     ),
     "porosity": (
         "porosity = 0.4", "porosity = 1.0",
@@ -220,8 +217,7 @@ MISTAKES = {
         'of = "crystalliser.kinetics.growth"\ndistribution = { kind = "lognormal", spread = 0.1 }',
         'of = "crystalliser.kinetics.growth"\n'
         'distribution = { kind = "lognormal", spread = "1 um/s" }',
-        "uncertainty[1].distribution.spread: got '1 um/s'; um/s is [length] / [time], and this is "
-        "a pure number.",
+        "uncertainty[1].distribution.spread: got '1 um/s'; um/s is [length] / [time], but the quantity is a pure number.",
     ),
     "varied twice": (
         'of = "crystalliser.kinetics.growth"\n', 'of = "dryer.temperature"\n',
@@ -270,7 +266,7 @@ MISTAKES = {
 # Mistakes of which the message need only name these words.
 NAMED = {
     "filter without crystals": ["connections[2].from", "charge2", "no such port"],
-    "two parameters of one number": ["parameters[5].of", "parameter W is this number too"],
+    "two parameters of one number": ["parameters[5].of", "parameter W has the same number"],
     "varied twice": ["dryer.temperature[0]", "[[parameters]] as well"],
     "unknown type": ["units.dryer.type", "'drier'", "the nearest known type is dryer"],
     "goal without its attribute": ["goal.attribute", "no such attribute"],

@@ -41,10 +41,18 @@ def test_a_yield_by_weight():
 @pytest.mark.parametrize(
     ("measure", "unit", "words"),
     [
-        ("filter.impurity.D", "% v/v", "% v/v is volume per volume, and this is mass per mass"),
+        (
+            "filter.impurity.D",
+            "% v/v",
+            "% v/v is by volume per volume, but this number is by mass per mass",
+        ),
         ("filter.impurity.D", "% a/a", "response factor"),
-        ("dryer.solvent", "% n/n", "write it by mass per mass, as in % w/w"),
-        ("crystalliser.supersaturation", "% w/w", "has no basis: write it without w/w"),
+        ("dryer.solvent", "% n/n", "write it as in % w/w"),
+        (
+            "crystalliser.supersaturation",
+            "% w/w",
+            "is not a share with a basis: write it without w/w",
+        ),
     ],
 )
 def test_what_has_no_meaning_here_is_refused_with_the_remedy(measure, unit, words):
@@ -54,7 +62,9 @@ def test_what_has_no_meaning_here_is_refused_with_the_remedy(measure, unit, word
 
 
 def test_a_limit_is_read_on_the_basis_of_its_attribute():
-    with pytest.raises(CaseError, match="% w/w is mass per mass, and this is moles per mole"):
+    with pytest.raises(
+        CaseError, match="% w/w is by mass per mass, but this number is by moles per mole"
+    ):
         with_attribute("filter.impurity.D", "% n/n", "0.12 % w/w")
 
 
@@ -69,7 +79,7 @@ def test_a_porosity_is_by_volume(text, good):
     if good:
         assert template(units=units).units[2].porosity.values[0] == pytest.approx(0.4)
         return
-    with pytest.raises(CaseError, match="and this is volume per volume"):
+    with pytest.raises(CaseError, match="but this number is by volume per volume"):
         template(units=units)
 
 

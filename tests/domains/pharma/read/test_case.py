@@ -107,5 +107,5 @@ def test_a_rate_constant_of_every_order_has_its_own_unit(order, spelling, digits
 
 def test_another_order_is_another_unit():
     for order, unit in ((1.5, "L/mol/s"), (1.3, "L^0.31/mol^0.31/s"), (2.3, "L^1.3/mol^1.2/s")):
-        with pytest.raises(UnitError, match="and this is"):
+        with pytest.raises(UnitError, match="but the quantity is"):
             conversion(unit, prefactor_unit(order))

@@ -67,10 +67,9 @@ def test_what_cannot_be_is_refused(mistake):
 
 ODD = {
     "hot": ('temperature = "323.15 K"\nrate', 'temperature = "323.15 degC"\nrate',
-            "units.dryer.temperature: dryer.temperature is 596.3 K, outside 200 to 500 K: processes "
-            "in liquids mostly run from 200 to 500 K."),
-    "porous": ("porosity = 0.4", "porosity = 0.9", "units.filter.porosity: filter.porosity is 0.9, outside 0.25 to 0.75: cakes mostly have"),
-    "light": ('density = "1200 kg/m^3"', 'density = "500 kg/m^3"', "crystals mostly have 800"),
+            "units.dryer.temperature: dryer.temperature is 596.3 K, outside 200 to 500 K: processes in liquids usually run from 200 to 500 K."),
+    "porous": ("porosity = 0.4", "porosity = 0.9", "units.filter.porosity: filter.porosity is 0.9, outside 0.25 to 0.75: the porosity of a cake is usually"),
+    "light": ('density = "1200 kg/m^3"', 'density = "500 kg/m^3"', "the density of crystals is usually 800"),
     "minutes for hours": (
         'duration = "10800 s"', 'duration = "10800 min"',
         "units.dryer.duration: dryer.duration is 10,800 min (648000), outside 0.0166667 to 10,080 min"),

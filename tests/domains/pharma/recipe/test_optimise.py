@@ -64,8 +64,11 @@ def rosenbrock(x):
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
-        ({"evaluations": 5}, "it stopped after 5 evaluations short of the tolerance 1e-06"),
-        ({"seconds": 0.0}, "it stopped after 0 s short of the tolerance 1e-06: stationarity"),
+        ({"evaluations": 5}, "it stopped after 5 evaluations before the tolerance 1e-06"),
+        (
+            {"seconds": 0.0},
+            "it stopped after 0 s before the tolerance 1e-06 was reached: stationarity",
+        ),
     ],
 )
 def test_an_optimisation_stops_at_its_limit_and_says_so(limits, words):
@@ -151,7 +154,7 @@ def test_deviations_of_the_batches_stay_within_the_limit():
         (
             "decisions",
             [{"of": "reactor.duration", "low": "2 h", "high": "3 h"}],
-            "the number in the case, 1 h, must be within the bounds",
+            "the number in the case, 1 h, is the start, and must be within the bounds",
         ),
         (
             "decisions",

@@ -172,8 +172,7 @@ REFUSED = {
     "a flow that is a shape": (
         DOSED + parameter_text("q", "reactor.dosing", ["0.4 L/h", "0.6 L/h"],
                                ["0.45 L/h", "0.55 L/h"]), (),
-        "parameters.q: got 'reactor.dosing'; a flow of one value is set by the volume of its feed "
-        "and the duration of reactor, which may vary instead"),
+        "parameters.q: got 'reactor.dosing'; a constant flow follows from the volume of its feed and the duration of reactor; vary one of these instead"),
 }  # fmt: skip
 
 

@@ -151,13 +151,12 @@ MISTAKES = {
     ),
     "vapour pressure that falls": (
         lambda: with_dryer({**LIQUID, "antoine": [9.0, -1200.0, -40.0]}),
-        "units.dryer.liquid.antoine: got [9, -1200, -40]; it must be B above 0: vapour "
+        "units.dryer.liquid.antoine: got [9, -1200, -40]; its second number, B, must be above 0: vapour "
         "pressure rises with temperature.",
     ),
     "vapour pressure in kilograms": (
         lambda: with_dryer({**LIQUID, "unit": "kg"}),
-        "units.dryer.liquid.unit: got 'kg'; kg is [mass], and this is "
-        "[mass] / [length] / [time] ** 2, Pa.",
+        "units.dryer.liquid.unit: got 'kg'; kg is [mass], but the quantity is [mass] / [length] / [time] ** 2, Pa.",
     ),
 }
 

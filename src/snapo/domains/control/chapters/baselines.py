@@ -104,7 +104,7 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     if (real := GYMNASIUM.of(run)) is not None:
         mean, error = number(real.mean, 2), plus_minus(real.standard_error, 2)
         reward = f"In Gymnasium's own {real.name} it earns {mean} {error}"
-        starts = f"over {number(real.starts, 0)} starts (reset with the seeds 0, 1, …)."
+        starts = f"over {number(real.starts, 0)} initial states (reset with the seeds 0, 1, …)."
         blocks.append(Text(f"{reward} {starts}"))
     regulator = (
         "The linear regulator solves the Riccati equation of the plant around its target; its "
@@ -158,7 +158,10 @@ def _check_same(plant: Plant, values: Any) -> None:
     for group in ("plant", "cost"):
         for name, value in values[group].items():
             if not np.array_equal(value, usual[group][name]):
-                allowed = f"{plant.twin} has {usual[group][name]:g}; leave --reference out"
+                allowed = (
+                    f"it must be {usual[group][name]:g}, as in {plant.twin}; or leave out "
+                    f"--reference"
+                )
                 raise CaseError("--reference", f"{group}.{name}", float(value), allowed)
     if values["noise"] or values["measurement"] or plant.time_feature:
         allowed = f"{plant.twin} has no disturbances, no noise and no observed time; "

@@ -36,7 +36,8 @@ EMPTY = np.zeros(0)
 class Plane:
     """The plane of two states; all fields are empty for a plant with one number.
 
-    - `states`, `units`, `turn`: of [across, up]; `turn`: whether it is an angle.
+    - `states`, `units`, `turn`: names, units, and whether it is an angle, for the state drawn
+      across and the state drawn up.
     - `across`, `up` [CELLS]: the points of the map.
     - `action` [CELLS, CELLS]: the decision of the first step at (up, across), if the plant has no
       other states, otherwise empty.

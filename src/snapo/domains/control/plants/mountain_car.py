@@ -14,7 +14,7 @@ WIDTH = 10.0  # of the smooth goal: times the temperature, as a share of the ene
 
 
 class MountainCar(MountainCarKind, Plant):
-    """A car in a valley; at the goal the episode ends with a prize (Gymnasium 1.4).
+    """A car in a valley; at the goal the episode ends with a reward (Gymnasium 1.4).
 
     speed' = clip(speed + power a - gravity cos(3 position)), position' = clip(position + speed'),
     speed' = 0 if it runs into the left wall. A step costs 0.1 a^2 until the car arrives.
@@ -22,8 +22,8 @@ class MountainCar(MountainCarKind, Plant):
     The exact reward gives no hint of the goal. In training, energy decides whether the goal is
     reached: each step ends the episode with a probability that is 1/2 where the energy, v^2 / 2 +
     gravity sin(3 x) / 3, slightly exceeds the energy needed for the hill, and decreases below it
-    over a width set by the temperature; `alive` is the probability of not having arrived. With this
-    energy the next swing reaches the goal.
+    over a width set by the temperature; `alive` is the probability of not having arrived. With the
+    energy needed for the hill, the next swing reaches the goal.
     """
 
     def initial(self, constants, noise):

@@ -29,10 +29,11 @@ class Plant(PlantKind, Simulator):
 
     **Attributes:**
 
-    - `horizon`: steps; `time_feature`: whether the policy sees the share of the horizon that is
-      left.
-    - `starts`: ((state, keys of its distribution), …) of all states.
-    - `disturbed_parts`: the states with a disturbance; `sizes`: {state: numbers in it} as pairs.
+    - `horizon`: number of steps; `time_feature`: whether the policy sees the share of the horizon
+      that is left.
+    - `starts`: ((state, keys of its distribution), …) for all states.
+    - `disturbed_parts`: the states with a disturbance; `sizes`: pairs (state, how many numbers it
+      has).
     - `measured`: the states that are observed with measurement noise, the others exactly.
     """
 

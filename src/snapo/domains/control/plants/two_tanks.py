@@ -16,7 +16,8 @@ class TwoTanks(TwoTanksKind, Plant):
 
     area h1' = flow - c1 sqrt(2 g h1), area h2' = c1 sqrt(2 g h1) - c2 sqrt(2 g h2); Runge-Kutta of
     order 4, then levels between 0 and `height`: the excess spills. The cost of a step is the
-    squared distance of the lower level from its target, plus the pump's squared share.
+    squared distance of the lower level from its target, plus the square of the pump's share of its
+    largest flow.
     """
 
     def drive(self, p, action):

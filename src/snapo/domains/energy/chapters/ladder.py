@@ -48,7 +48,7 @@ def no_flat_volumes(layout: ContractLayout) -> str:
 
 
 class FlatVolumes:
-    """See `FlatContract`; of a schedule with NumPy leaves.
+    """See `FlatContract`; for a schedule with NumPy leaves.
 
     A volume above zero belongs to the flow that raises the level, or to the only flow; a volume
     below zero to the other flow.
@@ -185,7 +185,7 @@ class EnergyMethods(ContractMethods):
     def desk(self) -> DeskMethods:
         setup = self.run.setup
         if self.intraday:
-            raise ValueError("this method does not trade differences from a schedule")
+            raise ValueError("this method cannot trade differences from a schedule")
         case, schedule = case_of(setup), setup.problem.schedule
         contract, (spots, states) = FlatVolumes(self.layout, schedule), self.on_paths
         return DeskMethods(
@@ -250,7 +250,7 @@ class EnergyMethods(ContractMethods):
 
     def lattice(self) -> Estimated:
         if self.intraday:
-            raise ValueError("a lattice cannot hold a schedule in addition to the levels")
+            raise ValueError("a lattice cannot have a schedule in addition to the levels")
         return super().lattice()
 
     def reference(self) -> ReferenceValue:

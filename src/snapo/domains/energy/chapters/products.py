@@ -50,7 +50,7 @@ def check_gamma(case: EnergyCase) -> None:
     curves = sorted({x.name for x in case.numbers() if x.group == FORWARD.group})
     if len(curves) > 1:
         message = f"{case.file.name} has {len(curves)} curves, {', '.join(curves)}"
-        raise CaseError("--gamma", "", None, f"it is for contracts on one commodity; {message}")
+        raise CaseError("--gamma", "", None, f"this is for contracts on one commodity; {message}")
 
 
 def measure_gamma(run: StudyRun) -> ProductGammas:

@@ -47,8 +47,9 @@ def measure(run: StudyRun) -> ExactValue:
 
 
 def around(problem: Problem) -> tuple[float, float] | None:
-    """The exact values below and above that of a contract with schedules and trades: with schedules
-    that are always kept, and without auctions; None for other contracts."""
+    """The exact values that are below and above the value of a contract with schedules and trades:
+    that with schedules which are always kept, and that without auctions. None for other
+    contracts."""
     if not isinstance(problem.simulator, IntradaySimulator):
         return None
     layout = problem.simulator.layout

@@ -59,8 +59,8 @@ def measure(run: StudyRun) -> MethodValues:
         rows.append(MethodValue("Dynamic programming", reference.dynamic_programming, None, note))
     if reference is not None and (values := around(setup.problem)) is not None:
         notes = (
-            "lattice without intraday trades: a bound from below",
-            "lattice without a schedule to keep: a bound from above",
+            "lattice without intraday trades: a lower bound",
+            "lattice without schedules: an upper bound",
         )
         names = "Auctions only", "Without auctions"
         rows += [MethodValue(*x[:2], None, x[2]) for x in zip(names, values, notes)]

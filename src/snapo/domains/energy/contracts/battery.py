@@ -76,7 +76,7 @@ class CyclesTable(CaseTable):
 
 class IntradayTable(CaseTable):
     """{ half_spread = 2.0 }: differences from the schedule are traded at the spot price of the
-    hour, plus the half spread where they are bought, and less it where they are sold."""
+    hour, plus the half spread if they are bought, and minus the half spread if they are sold."""
 
     half_spread: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
         "price of each MWh that differs from the schedule"
@@ -109,11 +109,11 @@ class BatteryTable(HourlyContractTable):
         "a table like { half_spread = 2.0 }",
     )
     reserve: dict | None = doc(
-        "capacity sold as reserve by the hour or block", None,
+        "capacity sold as reserve by the hour or by the block", None,
         "a table like { price = 10.0, stock = [1.0, 3.0] }",
     )  # fmt: skip
     fade: dict | None = doc(
-        "fall of the largest energy in store with the energy taken",
+        "how the largest energy in store falls with the energy taken",
         None,
         "a table like { every = 30.0, by = 0.5 }",
     )
@@ -202,7 +202,8 @@ class BatteryContract(EnergyContract):
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
         if mode == MODES[IN_RESERVE]:
             raise ValueError(
-                "the valuation date lies within a block in reserve, and a case cannot begin there"
+                "the valuation date lies within a block in reserve, but a case cannot begin "
+                "within such a block"
             )
         keys = {"stored": levels["energy"]}
         if self.fade is not None:
@@ -232,8 +233,8 @@ def bumps(
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
     """The smallest moves of energy and cycles, at least 1 %, after which all volumes are still
-    multiples of their common measure with `others`, also halfway: nodes are such multiples. None if
-    they exceed `WIDEST`."""
+    multiples of their common measure with `others`, because nodes are such multiples; half of a
+    move has this property too. None if the moves exceed `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
     limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]
     measure = common_measure(

@@ -26,7 +26,7 @@ class FadeTable(CaseTable):
         "energy taken after which the store can hold less, in MWh"
     )
     by: CaseInput = Quantity("MWh", NOT_NEGATIVE, "contract", move=0.1, name=FADE)(
-        "usable energy lost whenever `every` is taken"
+        "usable energy that is lost each time the energy `every` has been taken"
     )
     taken: Annotated[float, Range(0.0, note=": MWh taken before the start")] = doc(
         "energy taken since the store was new, in MWh", 0.0
@@ -42,8 +42,8 @@ class StoreFade(TreeRecord):
 
     def reach(self, count: int, stored: Array, charge: Array, discharge: Array) -> Array:
         """An upper limit on the energy taken in `count` steps, each of which stores at most
-        `charge` or takes at most `discharge`: a number of whole steps, so that it has the common
-        divisor of the volumes."""
+        `charge` or takes at most `discharge`. It is computed for a whole number of steps, so that
+        it is a multiple of the common divisor of the volumes."""
         steps = (stored / charge + count) * charge / (charge + discharge)
         return discharge * xp.minimum(xp.ceil(steps), count)
 

@@ -79,7 +79,7 @@ class ParkAndLoanTable(CaseTable):
         "a table like { first = 2026-12-01, last = 2026-12-31 }",
     )
     balance: CaseInput = Quantity(UNIT, ANY, GROUP, move=1.0)(
-        "balance at the start: parked, or below zero on loan", 0.0
+        "balance at the start: above zero if gas is parked, below zero if gas is on loan", 0.0
     )
     park_fee: CaseInput = BALANCE_FEE("fee for each unit parked at the end of a day", 0.0)
     loan_fee: CaseInput = BALANCE_FEE("fee for each unit on loan at the end of a day", 0.0)
@@ -95,8 +95,8 @@ class ParkAndLoanContract(EnergyContract):
 
     - `limits`: largest park and largest loan; `rates`: largest delivery and withdrawal; `fees`: the
       fees of a unit parked and of one on loan, by day; each index [T].
-    - `turn`: initial and completion fee; `cash_out`: of a unit parked and on loan, None: no such
-      balance is left; index [].
+    - `turn`: initial and completion fee; `cash_out`: the prices of a unit parked and on loan at
+      the end, None if no such balance may be left; index [].
     - `open` [T, 2]: whether gas may be delivered, and taken, on a day.
     """
 
@@ -163,7 +163,7 @@ def read_park_and_loan(
     )
     park, loan = (float(x.used().max()) for x in limits)
     if park <= 0 and loan <= 0:
-        raise where.error("max_park", park, "it must be more than 0, of max_park or of max_loan")
+        raise where.error("max_park", park, "max_park or max_loan must be more than 0")
     balance = float(table.balance.values[0])
     if not -loan <= balance <= park:
         message = f"it must be from -max_loan to max_park, {-loan:g} to {park:g}"

@@ -57,14 +57,16 @@ class EmissionTable(CaseTable):
     )
     market: Literal["co2"] | None = doc(
         "market of the certificates, instead of a price", None,
-        '"co2", where the price moves: [market.co2] and [model.co2]',
+        '"co2", if the price moves as in [market.co2] and [model.co2]',
     )  # fmt: skip
 
 
 class StartTable(CaseTable):
     """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
 
-    off: int = doc("smallest number of hours off before the start", allowed=HOURS, ge=1, le=LONGEST)
+    off: int = doc(
+        "smallest number of hours off before a start of this class", allowed=HOURS, ge=1, le=LONGEST
+    )
     money: CaseInput = MONEY("money paid for a start", 0.0, name="start_money")
     fuel: CaseInput = FUEL("fuel for a start", 0.0, name="start_fuel")
 
@@ -96,7 +98,9 @@ class PowerPlantTable(HourlyContractTable):
         "a table like { per_fuel = 0.2, price = 70.0 }",
     )
     other_cost: CaseInput = BY_MWH("other costs for each MWh of power", 0.0)
-    starts: list[Any] = doc("classes of starts by hours off; without them free", [], STARTS)
+    starts: list[Any] = doc(
+        "classes of starts by hours off; without classes starts are free", [], STARTS
+    )
     min_up: int = doc("smallest number of hours on after a start", 1, HOURS, ge=1, le=LONGEST)
     min_down: int = doc("smallest number of hours off after a stop", 1, HOURS, ge=1, le=LONGEST)
     most_starts: int | None = doc(
@@ -163,7 +167,7 @@ def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) ->
     """The powers of a plant with a ramp; None without a ramp."""
     before_power = None if before.power is None else float(before.power.values[0])
     if before_power is not None and (power.ramp is None or before.on is None):
-        message = "it must have a power only if the plant is on and has a ramp"
+        message = "it may have a power only if the plant is on and has a ramp"
         raise where.error("before.power", before_power, message)
     if power.ramp is None:
         return None
@@ -182,8 +186,10 @@ def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) ->
 def _too_many(where: TableContext, power: PowerTable) -> CaseError:
     """The error of a plant with too many modes on."""
     ramp = None if power.ramp is None else float(power.ramp.values[0])
-    message = f"the plant has more than {MODES} running states, by hours and power; a larger "
-    return where.error("power.ramp", ramp, f"{message}ramp, or a smaller min_up, has fewer")
+    message = (
+        f"the plant has more than {MODES} states in which it runs, by hours and power; a larger "
+    )
+    return where.error("power.ramp", ramp, f"{message}ramp, or a smaller min_up, gives fewer")
 
 
 def _by_class(
@@ -210,6 +216,6 @@ def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
             )
             raise where.error("starts.1.off", start.off, message)
         if i and start.off <= starts[i - 1].off:
-            message = f"it must be more than that of the class before, {starts[i - 1].off}"
+            message = f"it must be more than in the class before, {starts[i - 1].off}"
             raise where.error(f"starts.{i + 1}.off", start.off, message)
     return starts

@@ -38,9 +38,9 @@ class PowerStep(NamedTuple):
 
 
 class PowerSteps(NamedTuple):
-    """All steps of a plant.
+    """All steps of the power of a plant.
 
-    - `steps`; `of_before`: the step before the first hour, -1 if the plant is off.
+    - `steps`: the steps; `of_before`: the step before the first hour, -1 if the plant is off.
     - `at_ends` [steps]: whether a plant may start at it and stop from it.
     - `next` [steps]: the steps that can follow each.
     - `conditions`: rows whose products with (min, max, ramp, before) are at least zero as long as

@@ -33,7 +33,8 @@ STOCK = "two numbers of MWh, [1.0, 3.0]: 0 or more, the second not below the fir
 PRICE = HourlyQuantity(
     "{currency}/MW/h", NOT_NEGATIVE, "reserve", move=1.0, by="time", column="price",
     name="reserve_price", meaning="price of each MW sold as reserve for an hour",
-    plausible=Plausible(0.01, 1000.0, "it is money for a MW and an hour, not for a block of hours"),
+    plausible=Plausible(0.01, 1000.0, "it is the price of one MW for one hour, not for a block "
+        "of hours"),
 )  # fmt: skip
 
 
@@ -47,7 +48,8 @@ def _stock(raw: Any, key: KeyContext) -> np.ndarray:
 
 class ReserveTable(CaseTable):
     """{ price = "reserve.csv", stock = [1.0, 3.0] }: an hour in which capacity is sold as reserve
-    earns this for each MW. There is no flow in it, and the energy in store is within `stock`."""
+    earns this price for each MW. There is no flow in such an hour, and the energy in store is
+    within `stock`."""
 
     price: CaseInput | str = PRICE(PRICE.meaning)
     stock: np.ndarray = custom(
@@ -125,7 +127,7 @@ def read_reserve(
 ) -> SoldReserve:
     """The table `reserve` of a store of `energy` MWh; blocks are those of the auctions, or hours.
 
-    **Raises:** `CaseError` if the store cannot hold the minimum energy, or a price is missing.
+    **Raises:** `CaseError` if the minimum energy does not fit in the store, or a price is missing.
     """
     table = where.nested(ReserveTable, raw, RESERVE)
     low, high = (float(x) for x in table.stock)

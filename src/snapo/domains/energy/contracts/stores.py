@@ -49,8 +49,9 @@ class Store(TreeRecord):
 
     - `inventory`: index []; `limits`: minimum and maximum in store, index [T + 1]; `end`: the
       inventory owed at the end, index [], None if any inventory is allowed and worthless.
-    - `rates`: largest injection and withdrawal, before `factors` [T, 2]; `costs`, `fuel`: those of
-      both; `holding`: the cost of a unit in store, None if it is free; each index [T].
+    - `rates`: largest injection and withdrawal, before `factors` [T, 2]; `costs`, `fuel`: costs
+      and fuel of both; `holding`: the cost of a unit in store, None if it is free; each has an
+      index [T].
     """
 
     inventory: CaseInput

@@ -26,7 +26,7 @@ ONLY: dict[str, Any] = {
     "injection_cost_settlement": "flow", "withdrawal_cost_settlement": "flow",
     "first_decision": "valuation-date", "nomination": None,
 }  # fmt: skip
-NOTHING = "it must be 0 in a store of several"
+NOTHING = "it must be 0 if there are several stores"
 ZERO = "min_injection", "min_withdrawal", "inventory_loss"
 
 
@@ -41,7 +41,7 @@ class StoresTable(CaseTable):
     net_withdrawal: CaseInput | None = JOINT("largest joint flow out of the stores", None)
     transfers: bool = doc("whether one store may inject gas that the other withdraws", True)
     inventory: list[float] | None = doc(
-        "gas in store today in one store after the other, in volume_unit", None,
+        "gas in store today, a number for each store, in volume_unit", None,
         "a list like [2000.0, 8000.0]; by default as in their files",
     )  # fmt: skip
 
@@ -74,7 +74,9 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
     """The tables of the stores, from their files; `market`: the table of the case."""
     if len(table.stores) != STORES:
         message = (
-            f"there must be {STORES} stores: the methods count their inventories and the joint flow"
+            f"there must be {STORES} stores: the state that the methods use has their two "
+            f"inventories "
+            f"and the joint flow"
         )
         raise where.error("stores", ", ".join(table.stores), message)
     opened = [_open(where, name, market) for name in table.stores]
@@ -84,7 +86,7 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
     for key in ("start", "end", "volume_unit", "currency"):
         value = getattr(first, key)
         if getattr(second, key) != value:
-            message = f"it must be that of {table.stores[0]}, {value}"
+            message = f"it must be the same as in {table.stores[0]}, {value}"
             raise opened[1].where.error(key, getattr(second, key), message)
     today = table.inventory or [None] * STORES
     if len(today) != STORES:
@@ -110,13 +112,15 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
         raise where.error("stores", name, "there is no such file next to the case")
     data = load(path)[1]
     if list(data) != ["contract"]:
-        message = "it must be only the table [contract]; market and prices are those of the case"
+        message = (
+            "this file may have only the table [contract]; market and prices are those of the case"
+        )
         raise CaseError(str(path), ", ".join(data), None, message)
     inner = TableContext(path, "contract", where.notes)
     table = parse(ContractTable, data["contract"], str(path), "contract", where.notes)
     for key, only in ONLY.items():
         if (value := getattr(table, key)) != only:
-            allowed = "no such key in a store of several" if only is None else f'"{only}"'
+            allowed = "left out if there are several stores" if only is None else f'"{only}"'
             raise inner.error(key, str(value), f"it must be {allowed}")
     for key in ZERO:
         if np.any(getattr(table, key).values):
@@ -174,7 +178,9 @@ def _bumped_by_lots(
         if not low.values.any():
             low = replace(low, judge_bump=lot)
             if lot and store.inventory.used() < lot:
-                meaning = f"{low.meaning}, which cannot be raised: the store begins with less"
+                meaning = (
+                    f"{low.meaning}, which cannot be raised, since the store begins with less gas"
+                )
                 low = replace(low, meaning=meaning)
         end = store.end
         if end is not None and not end.values.any():

@@ -43,16 +43,18 @@ class SwingContract(EnergyContract):
     """The terms of a swing contract.
 
     - `max_daily`, `min_daily`, `strike`: index [T]; `annual_min`, `annual_max`, `taken`: [].
-    - `factor`, `add`, `fixing`: of an indexed strike, index []; `strike` is None then.
-    - `shortfall`: money for each unit, index []; None: the minimum is firm, or paid at the strike.
+    - `factor`, `add`, `fixing`: the numbers of an indexed strike, index []; `strike` is then None.
+      - `shortfall`: the price of each unit, index []; None if the minimum is firm, or paid at the
+      strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
-    - `make_up_price`, `made_up`: paid for a unit made up, and units to be made up from last year;
-      `older`: from the year before, None if units are lost after one year; `carry_max`, `carried`:
-      the maximum that is carried forward, and the amount by which this year's minimum is lower.
-      None without that clause.
+    - `make_up_price`, `made_up`: the price of a unit made up, and the units of last year that may
+      be made up; `older`: those of the year before, None if units are lost after one year;
+      `carry_max`, `carried`: the maximum that is carried forward, and the amount by which this
+      year's minimum is lower. All are None without the clause.
     - `sign`: 1 if the volume is bought at the strike, -1 if it is sold.
     - `at_strike`: whether the shortfall is paid at the strike of the last day.
-    - `firm`: whether the minimum is met on every path; `most_rights`: 0 without rights.
+    - `firm`: whether the minimum is met on every path; `most_rights`: the number of rights, 0
+      without rights.
     """
 
     max_daily: CaseInput
@@ -206,7 +208,7 @@ class SwingContract(EnergyContract):
         if not self.layout.indexed:
             return prices
         if prices.calendar:
-            message = "with an indexed strike flows are fixed on their own day; leave it out"
+            message = "with an indexed strike flows are fixed on their own day; leave out this key"
             raise where.error("nomination", None, message)
         if prices.kind not in ONE_FACTOR:
             allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
@@ -217,7 +219,7 @@ class SwingContract(EnergyContract):
             message = "with an indexed strike it must be the first day of a month"
             raise where.error("end", delivery.end, message)
         if self.fixing is None and first != month:
-            message = f"the index of {first:%Y-%m} was fixed before today: give it as `fixing`"
+            message = f"the index of {first:%Y-%m} was fixed before today: specify it as `fixing`"
             raise where.error("strike.fixing", None, message)
         if self.fixing is not None and delivery.valuation < month - datetime.timedelta(1):
             message = f"the index of {first:%Y-%m} is fixed on the last day before that month"

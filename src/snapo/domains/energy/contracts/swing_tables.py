@@ -28,7 +28,7 @@ TAKEN = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0)
 PAID = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1)
 SHORT = Quantity(PRICE, NOT_NEGATIVE, "strike", move=0.1, name="shortfall",
                  meaning="price paid for each unit short of the annual minimum")  # fmt: skip
-SHORTFALL = '"firm", "strike", or money for each unit such as 6.0'
+SHORTFALL = '"firm", "strike", or a price of each unit such as 6.0'
 
 
 class AnnualTable(CaseTable):
@@ -46,7 +46,11 @@ class RightsTable(CaseTable):
         allowed="a whole number of days, 1 or more", ge=1, le=100_000,
     )  # fmt: skip
     rest: int = doc(
-        "days of rest after one with a volume", 0, "a whole number of days, 0 to 365", ge=0, le=365
+        "days of rest after a day with a volume",
+        0,
+        "a whole number of days, 0 to 365",
+        ge=0,
+        le=365,
     )
 
 
@@ -55,20 +59,28 @@ class MakeUpTable(CaseTable):
     number of years."""
 
     years: int = doc(
-        "contract years in which units short may be made up", 1,
-        "1 or 2, because at most three volumes can be counted", ge=1, le=2,
+        "number of contract years in which missing units may be made up", 1,
+        "1 or 2, because the methods allow at most three volumes in the state", ge=1, le=2,
     )  # fmt: skip
     price: CaseInput = PAID("price of a unit that is made up", 0.0, name="make_up_price")
-    units: CaseInput = TAKEN("units short in the last contract year", 0.0, name="make_up_units")
+    units: CaseInput = TAKEN(
+        "units short of the minimum in the last contract year", 0.0, name="make_up_units"
+    )
     older_units: CaseInput | None = TAKEN(
-        "units short in the year before, still to be made up", None, name="make_up_older_units"
+        "units short in the year before that, still to be made up", None, name="make_up_older_units"
     )
 
 
 class CarryTable(CaseTable):
     """{ years = 1, max = 8.0 }: units above the minimum lower that of the next year."""
 
-    years: int = doc("contract years in which units carried forward count", 1, "1", ge=1, le=1)
+    years: int = doc(
+        "number of contract years in which units carried forward count",
+        1,
+        "1",
+        ge=1,
+        le=1,
+    )
     max: CaseInput = TAKEN("largest volume carried forward", name="carry_forward_max")
     units: CaseInput = TAKEN(
         "units carried forward into this contract year", 0.0, name="carry_forward_units"
@@ -149,7 +161,7 @@ class SwingTable(CaseTable):
     )
     taken: CaseInput = TAKEN("volume of this contract year before the first decision", 0.0)
     rights: dict | None = doc(
-        "days on which a volume may be taken, and days of rest",
+        "number of days on which a volume may be taken, and days of rest",
         None,
         "a table like { most = 100, rest = 5 }",
     )
@@ -159,7 +171,7 @@ class SwingTable(CaseTable):
         "a table like { years = 1, price = 0.0 }",
     )
     carry_forward: dict | None = doc(
-        "units above the minimum that lower that of the next year",
+        "units above the minimum that lower the minimum of the next year",
         None,
         "a table like { years = 1, max = 8.0 }",
     )
@@ -181,7 +193,7 @@ def read_swing(where: TableContext, table: SwingTable, days) -> SwingContract:
             message = "with an indexed strike it must be the first day of a month"
             raise where.error("start", table.start, message)
         if table.shortfall == "strike":
-            message = 'with an indexed strike it must be "firm", or money such as 6.0'
+            message = 'with an indexed strike it must be "firm", or a price such as 6.0'
             raise where.error("shortfall", "strike", message)
     else:
         strike = strike.on(days, notes)
@@ -239,15 +251,15 @@ def _check_promise(
 ) -> None:
     """A firm minimum with rights is of one contract year, at one volume a day, and can be met."""
     if np.sum(last_days) > 1:
-        message = "with rights a minimum of several contract years is not firm; use "
-        raise where.error("shortfall", "firm", f'{message}"strike" or an amount of money')
+        message = "with rights the minimum cannot be firm in several contract years; use "
+        raise where.error("shortfall", "firm", f'{message}"strike" or a price of each unit')
     if np.ptp(daily_max) > 0:
         message = "with rights and a firm minimum it must be one number for all days"
         raise where.error("max_daily", float(daily_max.max()), message)
     uses = min(rights.most, -(-len(last_days) // (rights.rest + 1)))
     highest = float(table.taken.values[0]) + uses * float(daily_max[0])
     if minimum > highest * (1 + 1e-12):
-        message = f"it must be at most {highest:g}, from {uses} uses of {daily_max[0]:g}"
+        message = f"it must be at most {highest:g}, the volume of {uses} uses of {daily_max[0]:g}"
         raise where.error("annual.min", minimum, message)
 
 
@@ -272,13 +284,13 @@ def _check_bank(
     made_up, carried = clauses
     key = "carry_forward" if made_up is None else "make_up"
     if limits[0] is None:
-        raise where.error(key, None, "it needs a minimum, annual = { min = 200.0 }")
+        raise where.error(key, None, "this clause needs a minimum, annual = { min = 200.0 }")
     if table.rights is not None:
-        raise where.error(key, None, "it cannot be combined with rights")
+        raise where.error(key, None, "this clause cannot be combined with rights")
     minimum, units = float(limits[0].values[0]), [0.0, 0.0]
     if made_up is not None:
         if table.shortfall != "strike":
-            message = 'with make_up it must be "strike": units short are paid, and made up'
+            message = 'with make_up it must be "strike": missing units are paid, and made up later'
             raise where.error("shortfall", table.shortfall, message)
         if table.side == "put":
             raise where.error("side", "put", 'with make_up it must be "call"')

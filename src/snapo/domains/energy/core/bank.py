@@ -26,8 +26,9 @@ from snapo.problem.record.arrays import Array, Float
 class Bank(NamedTuple):
     """The numbers of every step; balances are in the order of their age, the newest first.
 
-    - `minimum`: m; `share`: the share of the units short that may be made up, 1 or 0.
-    - `limit`: the limit of the units carried forward; `refund`: money for each unit made up.
+    - `minimum`: m; `share`: the share of the missing units that may be made up, 1 or 0.
+    - `limit`: the maximum of the units carried forward; `refund`: the amount earned for each unit
+      made up.
     """
 
     minimum: Float[Array, " T"]

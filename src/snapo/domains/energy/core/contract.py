@@ -52,9 +52,9 @@ class EnergyFlow(NamedTuple):
 class ContractMove(NamedTuple):
     """A passage through one step.
 
-    - `name`: in reports; `before`, `after`: modes.
-    - `flows`: indices of those that may flow; a method that compares volumes uses at most one in a
-      step. The others are zero.
+    - `name`: its name in reports; `before`, `after`: the modes.
+    - `flows`: indices of the flows that may be above zero; a method that compares volumes uses at
+      most one of them in a step.
     - `changes`: the changes of each level, for all flows.
     """
 
@@ -69,8 +69,8 @@ class ContractLayout(NamedTuple):
     """The fixed properties of a contract, on which compiled code depends.
 
     - `indexed`: whether its cash depends on an index as well as on the spot price.
-    - `banks`: how many of its last levels are balances of a bank of the first one, by age, see
-      `bank.py`.
+    - `banks`: how many of its last levels are balances of the first level between contract years,
+      by age; see `bank.py`.
     - `reported`: names of the moves that a path counts.
     - `sums`: the weights of the levels in joint limits, see `Promises`.
     - `fixed_volumes`: whether each move fixes the volume of its flow (`StepTerms.fixed_volume`),
@@ -110,8 +110,8 @@ class ContractLayout(NamedTuple):
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """(move, flow) of every volume that a policy decides; a flow without effect on the levels
-        has the same volume in all moves, and is listed with the first move."""
+        """The pair (move, flow) of every volume that a policy decides. A flow without effect on
+        the levels has the same volume in all moves, and is listed with the first move only."""
         result: list[tuple[int, int]] = []
         for m, move in enumerate(self.every_move):
             decided = [flow for _, flow in result if not any(self.flows[flow].effects)]
@@ -179,11 +179,10 @@ class Promises(NamedTuple):
     After each step, in each mode, `weights` times the levels is at least `minimum`. A flow with an
     effect on the sum raises it.
 
-    Their purpose is a minimum, `owed` when a level restarts, which every path meets. Methods
-    that compare values charge a missed unit more than any unit costs.
-
-    With `missed` the sums of the layout are joint limits: they limit the flows that lower them, and
-    methods charge each unit missed after a step, `missed` times more than any cost.
+    Their purpose is a minimum `owed` when a level restarts, which every path meets. Methods that
+    compare values charge a missed unit more than any unit costs. With `missed` the sums of the
+    layout are joint limits: they limit the flows that lower the sums. Methods then charge each
+    unit missed after a step `missed` times more than any cost.
     """
 
     weights: Float[Array, "T promises levels"]
@@ -192,11 +191,11 @@ class Promises(NamedTuple):
 
 
 class LevelMoney(NamedTuple):
-    """Money of the levels: a step earns `after` of those after its move, minus `before` of those at
-    its start. The last axis has money for each unit below zero, and for each unit above it.
-
-    Equal numbers in both are money for a change: of each unit by which a level moves away from
-    zero in the step, and the opposite of each unit by which it returns.
+    """Money that the levels earn: a step earns `after` for the levels after its move, minus
+    `before` for the levels at its start. The last axis has the amount for each unit below zero,
+    and for each unit above zero. If `after` and `before` are equal, they are the amount for a
+    change: a unit by which a level moves away from zero earns it, and a unit by which it returns
+    costs it.
     """
 
     before: Float[Array, "T levels 2"]
@@ -213,11 +212,12 @@ def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
 
 
 class MoveLimits(NamedTuple):
-    """Limits of the levels after each move, those of the step or within them. A move whose `low` is
+    """Limits of the levels after each move, which are equal to those of the step or narrower. A
+    move whose `low` is
     above its `high` is not allowed in the step.
 
-    They make the value jump between levels, so that methods need nodes on them and compare all
-    volumes from node to node.
+    The limits make the value jump between levels, so that methods need nodes on the limits, and
+    compare all volumes from node to node.
     """
 
     low: Float[Array, "T moves levels"]
@@ -225,10 +225,9 @@ class MoveLimits(NamedTuple):
 
 
 class FallingLimit(NamedTuple):
-    """The limit of the first level falls as the last one rises, by `by` when the last one gets
-    beyond a multiple of `every`.
-
-    It limits flows that raise the first level, at any level. The value jumps at multiples.
+    """The limit of the first level falls as the last one rises, by `by` when the last one passes a
+    multiple of `every`. It limits only flows that raise the first level. The value jumps at
+    multiples.
     """
 
     every: Float[Array, " T"]
@@ -243,7 +242,8 @@ class FallingLimit(NamedTuple):
 class Intraday(NamedTuple):
     """Trades of differences from a schedule, see `intraday.py`; in units of a market.
 
-    - `half_spread`: money for each unit of the difference; `discount`: its discount factor.
+    - `half_spread`: the cost of each unit of the difference; `discount`: the discount factor of
+      this cost.
     - `sold`: units sold for each unit of a flow, negative if they are bought.
     """
 
@@ -255,14 +255,16 @@ class Intraday(NamedTuple):
 class StepTerms(NamedTuple):
     """The numbers of every step: leaves [T, flows] or [T, levels].
 
-    - `least`, `most`: the interval of a flow. `price`, `index`, `money`: a unit of it earns
-      price x spot + index x the index + money; `index` is None without one.
+    - `least`, `most`: the interval of a flow. `price`, `index`, `money`: a unit of the flow earns
+      price x spot + index x the index + money; `index` is None if the contract has no index.
     - `low`, `high`: limits of the levels after the step.
-    - `owed`, `short`: where a level restarts, `short` is lost for each unit below `owed`.
+    - `owed`, `short`: when a level restarts, `short` is lost for each unit below `owed`.
     - `restarts`: whether the level is set to zero after the step.
-    - `fixed`: [T, moves] money of a move, and `fixed_index`: its multiple of the index, None for
-      none. `fixed_volume`: the volume of the flow of a move, None if policies decide the volumes.
-    - `promises`, `bank`, `of_levels`, `intraday`, `of_moves`, `falling`: None without any.
+    - `fixed`: [T, moves] the amount that a move earns, and `fixed_index`: its multiple of the
+      index, None if there is none. `fixed_volume`: the volume of the flow of a move, None if
+      policies decide the volumes.
+    - `promises`, `bank`, `of_levels`, `intraday`, `of_moves`, `falling`: None if the contract has
+      none.
     """
 
     least: Float[Array, "T flows"]
@@ -334,13 +336,14 @@ class EnergyContract(TreeRecord):
 
     @abc.abstractmethod
     def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
-        """The numbers; `at`: those of an input where they are used. `paid` [T]: discount factors
-        of the commodity; `settled` [T]: those of money that is paid a day after the step.
+        """The numbers of every step; `at`: gives the numbers of an input where they are used.
+        `paid` [T]: discount factors of payments for the commodity; `settled` [T]: those of amounts
+        that are paid a day after the step.
         """
 
     @abc.abstractmethod
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
-        """{key of `[contract]`: value} of a case that begins with these levels, by name, in this
+        """{key of `[contract]`: value} for a case that begins with these levels, by name, in this
         mode; "a.b" is a key of a table. `index`: the index of the first step, where it was fixed
         before.
 
@@ -354,8 +357,9 @@ class EnergyContract(TreeRecord):
         return None
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
-        """The prices that its cash depends on, from those of the case; by default the same.
+        """The prices on which the cash flow depends, made from the prices of the case; by default
+        the same. `where`: the table `[contract]`.
 
-        **Raises:** `CaseError` if these prices are not supported; `where`: the table `[contract]`.
+        **Raises:** `CaseError` if these prices are not supported.
         """
         return prices

@@ -78,7 +78,7 @@ def charged(steps: StepTerms, forward: Array) -> StepTerms:
 class FeasibleVolumes(NamedTuple):
     """Volumes of the flows of a move: the forced and the maximum volume of each.
 
-    `up_to`: the volumes at which a falling limit falls, between both; None without one.
+    `up_to`: the volume between both at which a falling limit falls; None without such a limit.
     """
 
     forced: Array
@@ -86,10 +86,9 @@ class FeasibleVolumes(NamedTuple):
     up_to: Array | None = None
 
     def at(self, k: int, share: Array) -> Array:
-        """The volume of flow k: this share of its feasible volume, added to the forced one.
-
-        A share on one side of the volume at which a limit falls remains there, so that a decision
-        held fixed does not pass it; its derivatives are those on that side.
+        """The volume of flow k: this share of its feasible volume, added to the forced volume. A
+        share on one side of the volume at which a limit falls remains on that side, so that a
+        decision held fixed does not pass the fall; the derivatives are those on that side.
         """
         forced, free = self.forced[k], self.most[k] - self.forced[k]
         if self.up_to is None:
@@ -228,7 +227,8 @@ def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None
 def check_limits(case: Any, schedule: Any) -> None:
     """Refuses a contract that cannot be met; `schedule`: with NumPy leaves.
 
-    **Raises:** `CaseError` with the first step and level that no decisions can keep.
+    **Raises:** `CaseError` with the first step and level at which no decisions can meet the
+    limits.
     """
     layout = case.contract.layout
     fault = first_fault(layout, schedule)
@@ -237,4 +237,4 @@ def check_limits(case: Any, schedule: Any) -> None:
         day = case.days[max(step, 0)]
         name = layout.levels[level].name
         raise CaseError(str(case.file), f"contract: {name}", None,
-                        f"its limits cannot be met from {day} on, whatever is decided")  # fmt: skip
+                        f"no decisions can meet its limits from {day} on")  # fmt: skip

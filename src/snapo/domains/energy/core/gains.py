@@ -23,8 +23,9 @@ SEGMENTS = 4  # of a volume; the gain of a unit is linear within each
 
 
 class VolumeGains(NamedTuple):
-    """The gains of a free volume: `units` [SEGMENTS] of the units at both ends of each segment, and
-    the `positions` [SEGMENTS - 1] between segments, as shares of the volume."""
+    """The gains of a free volume: `units` [SEGMENTS] has the gains of the units at both ends of
+    each segment, and `positions` [SEGMENTS - 1] the limits between segments, as shares of the
+    volume."""
 
     units: list[tuple[Array, Array]]
     positions: list[Array]
@@ -39,7 +40,8 @@ class VolumeGains(NamedTuple):
 class FlowRows(NamedTuple):
     """The rows along a flow from levels `start`, in the table of a step.
 
-    `pair`: of a move and the flow, whose `effects` on the levels are not all zero; `banks`: the
+    `pair`: the pair of a move and the flow, whose `effects` on the levels are not all zero;
+    `banks`: the
     number of last levels that are balances, between whose rows values are linear; `signs`: the
     signs of the layout.
     """

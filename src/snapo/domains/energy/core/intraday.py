@@ -55,8 +55,9 @@ class IntradaySimulator(EnergySimulator):
     """A contract with one move, its schedules and its trades.
 
     The first third of the observation depends only on the levels and prices at the last auction. A
-    policy must take the shares of the schedule from that third, as `IntradayPolicy` does: one that
-    uses later prices earns too much, and the mean of the output `GAIN` is not zero.
+    policy must take the shares of the schedule from that third, as `IntradayPolicy` does: a policy
+    that uses later prices for them earns too much, and the mean of the output `GAIN` is then not
+    zero.
 
     **Arguments:** those of `EnergySimulator`, and
 
@@ -208,7 +209,7 @@ def simulator_kind(case: Any) -> type[EnergySimulator]:
 def without_trades(problem: Problem, scheduled: bool) -> Problem:
     """The contract without auctions, or (`scheduled`) one that always keeps its schedules.
 
-    Their exact values are above and below that with auctions and trades.
+    The exact values of these two contracts are above and below the value with auctions and trades.
     """
     simulator = problem.simulator
     assert isinstance(simulator, IntradaySimulator)

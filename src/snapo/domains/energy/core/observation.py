@@ -18,13 +18,13 @@ OF_PAIR = 3 * SEGMENTS  # numbers: gains at both ends, positions between segment
 
 
 class Head(NamedTuple):
-    """Numbers of the decision rule, at the start of the observation; prices over their scale.
+    """Numbers of the decision rule, at the start of the observation; prices divided by their scale.
 
     - `units` [pairs, SEGMENTS, 2]: gains of units of each feasible volume, see `VolumeGains`.
-    - `positions` [pairs, SEGMENTS - 1]: between segments, as shares of the free volume.
+    - `positions` [pairs, SEGMENTS - 1]: the limits between segments, as shares of the free volume.
     - `room` [pairs]: the free volume, over the largest volume of a step.
-    - `base` [choices]: gain of each move without its free volume, over price and volume scale; very
-      low for moves that are not allowed. Empty if there is no choice.
+    - `base` [choices]: gain of each move without its free volume, divided by the scales of price
+      and volume; very low for moves that are not allowed. Empty if there is no choice.
     """
 
     units: Array

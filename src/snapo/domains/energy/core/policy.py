@@ -119,8 +119,8 @@ class UnitValuePolicy(Policy):
 
 
 def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolicy:
-    """The same policy of a contract that begins in another mode: `layout` has the modes in another
-    order.
+    """The same policy for a contract that begins in another mode: `layout` has the modes in
+    another order.
 
     **Raises:** `ValueError` if anything else differs.
     """

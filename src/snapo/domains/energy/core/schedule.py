@@ -14,9 +14,9 @@ class Step(NamedTuple):
     - `time`: years from the valuation date; `forward`: the forward price of the commodity.
     - `price`: the row of the price process; `ahead`: the shape of the curve.
     - `unit_values`, `surprise`: tables of the fitted value, if there is one.
-    - `auction`, `begins`, `scheduled_values`: if flows are scheduled at auctions and the
-      differences are traded, the row of the prices of the auction, whether it is on this step, and
-      the table of the fitted value of schedules that are always kept.
+    - `auction`, `begins`, `scheduled_values`: only if flows are scheduled at auctions and the
+      differences are traded. They are the row of the prices of the auction, whether the auction is
+      at this step, and the table of the fitted value of schedules that are always kept.
     """
 
     time: Array
@@ -48,8 +48,8 @@ class Constants(NamedTuple):
 class State(NamedTuple):
     """Levels at the start of a step, the weight of each mode (one of them 1), and the prices.
 
-    If flows are scheduled at auctions, `scheduled`: the levels at the start of the step as they
-    were scheduled, and `auction_price`: the state of the prices at the last auction.
+    If flows are scheduled at auctions, `scheduled` are the levels at the start of the step as they
+    were scheduled, and `auction_price` is the state of the prices at the last auction.
     """
 
     levels: Float[Array, " levels"]

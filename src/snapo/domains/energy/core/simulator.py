@@ -53,11 +53,12 @@ class EnergySimulator(PricedSimulator):
 
     **Arguments:**
 
-    - `contract`, `process`: of the case, `formed`; `curve`, `rate`: where its prices and rates are
-      used.
-    - `paid`, `settled`: discount factors of the commodity, and of money on the day, of every step.
+    - `contract`, `process`: those of the case, after `formed`; `curve`, `rate`: the inputs of its
+      prices and rates, and where they are used.
+    - `paid`, `settled`: discount factors of every step, of payments for the commodity, and of
+      amounts paid on the day.
     - `time` [T]: years from the valuation date; `first`: the first step in the calendar.
-    - `unit_values`: the fitted value that the policy starts from; `surprises`: its control variate.
+    - `unit_values`: the fitted value that the policy starts from; `surprises`: the control variate.
     - `price_scale`, `volume_scale`: mean size of the forward price, and largest volume of a step.
     """
 

@@ -27,14 +27,14 @@ class UnitValues(NamedTuple):
     """One step: the value of one more unit of each volume after the step, and of each move.
 
     - `slopes` [pairs, rows …, n]: the slopes of one more unit along the flow from a row.
-    - `moves` [moves, rows …, n]: for the mode and the levels to which a move leads, relative to the
-      first move of its mode; None if there is no choice.
-    - `units` [pairs, searches]: the volume of a row along each flow; the last row that gains is
-      found in that number of searches. None if no volume spans more than one row.
-    - `between`: the same for levels between rows: the number of searches for the last piece between
-      two rows of any level that gains. Then `units` is None.
-    - `every` [pairs, rows]: the volume of a row, if the value jumps between levels: all of these
-      rows are compared. Then both others are None.
+    - `moves` [moves, rows …, n]: the value of the mode and the levels in which a move ends,
+      relative to the first move of its mode; None if there is no choice.
+    - `units` [pairs, searches]: the volume of a row along each flow. The last profitable row is
+      determined in that number of searches. None if no volume spans more than one row.
+    - `between`: the same for levels between rows: the number of searches for the last profitable
+      piece between two rows of any level. `units` is then None.
+    - `every` [pairs, rows]: the volume of a row, if the value jumps between levels; all of these
+      rows are then compared, and `units` and `between` are None.
     """
 
     rows: LevelRows

@@ -192,7 +192,7 @@ class _ContractChain(ChangeChain):
         cash, notes = planned.cash, ()
         if self.cash is not None:
             if not count:
-                message = "no decision lies between the two valuation dates"
+                message = "there is no decision between the two valuation dates"
                 raise CaseError("--cash", "", self.cash, message)
             cash = self.cash
         differs = not _same_state(planned, actual)
@@ -214,7 +214,10 @@ class _ContractChain(ChangeChain):
         new = curves_of(self.second.case)
         old = curves_of(case)
         if list(old) != list(new):
-            message = f"{self.first.folder} has other curves: both runs need the same ones"
+            message = (
+                f"{self.first.folder} has other curves: both runs must have curves of the "
+                f"same markets"
+            )
             raise CaseError(str(self.second.file), "market", ", ".join(new), message)
         changes = [
             CurveChange(
@@ -310,7 +313,7 @@ def _policy(run: ValuedRun, setup: Setup) -> Policy:
     try:
         return load_policy(run.folder / POLICY_FILE, Policy, like)
     except (PolicyFileError, OSError) as error:
-        message = "this is not a policy of a case of these levels and decisions"
+        message = "this policy is for a case with other levels or decisions"
         file = str(run.folder / POLICY_FILE)
         raise CaseError(file, "", None, f"{message} ({error})") from None
 

@@ -6,10 +6,11 @@ import numpy as np
 
 
 def corners(nodes, levels: np.ndarray, signs: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of nodes [corners, points] around levels [points, levels], and their weights.
+    """The numbers of the nodes [corners, points] around levels [points, levels], and the weights
+    of these nodes.
 
     Cells are cut into simplices along the flows, so that a function between nodes is linear along
-    every flow, and the best volumes lead to nodes.
+    every flow, and the best volumes lead to levels on nodes.
     """
     ahead, count, sizes = np.array(signs), len(levels), [len(x) for x in nodes]
     if not sizes:

@@ -27,10 +27,10 @@ from .grid import ContractGrid, arrived, best
 
 @dataclass(frozen=True, eq=False)
 class FittedContract:
-    """The value at the start of each of T steps, and after the last.
+    """The value at the start of each of T steps, and after the last one.
 
-    - `coefficients`: T + 1 arrays [modes, nodes, K] of the functions of `basis`.
-    - `value`: today's; an approximation.
+    - `coefficients`: T + 1 arrays [modes, nodes, K], the coefficients of the functions of `basis`.
+    - `value`: today's value, an approximation.
     """
 
     basis: AnyBasis
@@ -47,8 +47,8 @@ class FittedContract:
 def backwards(
     layout: ContractLayout, schedule: Any, factors: GaussianFactors, grid: ContractGrid
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """The fitted value of a schedule (NumPy leaves, at least one step): the number of each step,
-    from the last to the first, with the coefficients [modes, nodes, K] at its start."""
+    """The fitted value of a schedule (NumPy leaves, at least one step). Yields the number of each
+    step, from the last to the first, with the coefficients [modes, nodes, K] at its start."""
     terms, horizon = schedule.steps.terms, len(grid.steps)
     basis = basis_of(factors, priced=False)
     available, size = regression_of(basis), basis.size

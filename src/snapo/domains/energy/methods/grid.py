@@ -33,8 +33,11 @@ NEAR = 1e-9  # of the largest volume: nearer levels are one
 
 
 class StepGrid(NamedTuple):
-    """One step: the passages of each move; nodes `before` and `after` it, an array by level.
-    - `end`: its settling; `ways`: its passages for machine code, None for none.
+    """One step: the passages of each move, and the nodes `before` and `after` the step, an array
+    for each level.
+
+    - `end`: the changes at the end of the step; `ways`: the passages in the form for machine code,
+      or None.
     """
 
     passages: Passages
@@ -69,9 +72,9 @@ class ContractGrid:
 def grid_of(
     layout: ContractLayout, schedule: Any, parts: int = 1, apart: np.ndarray | None = None
 ) -> ContractGrid:
-    """The grid of a schedule with NumPy leaves; `parts`: the parts of the measure, for a finer one.
-
-    `apart` [levels]: a coarse grid is sufficient, with nodes at least this far apart.
+    """The grid of a schedule with NumPy leaves. `parts`: into how many parts the measure is
+    divided, for a finer grid. `apart` [levels]: a coarse grid is sufficient, with nodes at least
+    this far apart.
     """
     terms, found = schedule.steps.terms, schedule.steps.intervals
     start = np.asarray(schedule.constants.start, float)
@@ -113,8 +116,8 @@ def check_nodes(case: Any, schedule: Any) -> None:
     divisor = "there is none" if measure is None else f"it is {measure:.6g} {case.volume_unit}"
     count = int(_combinations(len(case.days)))
     message = (
-        f"{_VOLUMES[limited]} need a larger common divisor: {divisor}, and at most about {count:,} "
-        f"combinations of levels {_LEVELS[limited]}, in multiples of it, are possible"
+        f"{_VOLUMES[limited]} need a larger common divisor: {divisor}, and the methods allow at "
+        f"most about {count:,} combinations of levels {_LEVELS[limited]} that are multiples of it"
     )
     raise CaseError(str(case.file), "contract", None, message)
 
@@ -131,10 +134,10 @@ _LEVELS = {False: "of both stores and of the joint flow", True: "between which t
 def best(
     step: StepGrid, layout: ContractLayout, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """[modes, nodes, columns] the value of the best move and volume from each node.
-
-    `cash` [flows, columns]: earnings of a unit; `fixed` [moves] or [moves, columns];
-    `after` [modes, nodes after, columns]. Columns are nodes of price factors, or paths.
+    """[modes, nodes, columns] the value of the best move and volume from each node. `cash` [flows,
+    columns]: earnings of a unit; `fixed` [moves] or [moves, columns]: amounts of the moves;
+    `after` [modes, nodes after, columns]: the value after the step. Columns are nodes of price
+    factors, or paths.
     """
     shape, goal_shape = ([len(x) for x in nodes] for nodes in (step.before, step.after))
     columns = after.shape[2]

@@ -32,9 +32,9 @@ TODAY = 15  # Gauss-Hermite nodes of g on the first date
 
 
 class IndexTransition(NamedTuple):
-    """The transition from the nodes of a date to those of the next: `fast` [from, to] weights of f;
-    `read` [from, to] those of g' = f, where g is renewed; `nodes`: the number of nodes of g
-    before."""
+    """The transition from the nodes of a date to those of the next date. `fast` [from, to]:
+    weights of f; `read` [from, to]: weights of g' = f, where g is renewed; `nodes`: the number of
+    nodes of g on the first date."""
 
     fast: np.ndarray
     read: np.ndarray | None
@@ -139,8 +139,7 @@ class PairTransition(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class PairGrid:
     """Nodes of two correlated factors, that of the spot price and that of a second commodity.
-
-    Columns run over the nodes of the second x the nodes of the spot price.
+    Columns are all pairs of a node of the second commodity and a node of the spot price.
     """
 
     of: GaussianFactors
@@ -200,9 +199,9 @@ def lattice(
     slow: int = SLOW,
     grid: ContractGrid | None = None,
 ) -> Lattice:
-    """The value of a schedule with NumPy leaves; without `factors`, at forward prices.
-
-    `parts` of the measure of the levels; `finer`, `slow`: nodes of the price factors.
+    """The value of a schedule with NumPy leaves; without `factors`, the value at forward prices.
+    `parts`: into how many parts the measure of the levels is divided; `finer`, `slow`: how many
+    nodes the price factors have.
     """
     grid = grid_of(layout, schedule, parts) if grid is None else grid
     terms, horizon = schedule.steps.terms, len(schedule.steps.forward)
@@ -255,7 +254,9 @@ def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | No
     of_levels = partial(lattice, layout, schedule, factors, slow=slow)
     first = of_levels()
     if len(layout.levels) > 2 and not first.grid.exact:
-        raise ValueError("a lattice of three levels needs a practical common divisor")
+        raise ValueError(
+            "a lattice of three levels needs a common divisor of the volumes with few enough nodes"
+        )
     of_prices = partial(of_levels, grid=first.grid)
     finer: list[Callable[[int], Lattice]] = []
     if not first.grid.exact:

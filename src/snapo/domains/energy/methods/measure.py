@@ -55,9 +55,10 @@ def joined_levels(layout: ContractLayout) -> list[set[int]]:
 
 
 def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
-    """The spacing of at most so many even nodes: a multiple of the common measure, if there is one.
-    Levels that share flows have the same width, so that a flow goes from node to node in all of
-    them; between nodes the value would be interpolated. `apart`: the smallest spacing of each
+    """The spacing with which there are at most so many evenly spaced nodes; a multiple of the
+    common measure, if there is one. Levels that share flows have the same spacing, so that a flow
+    goes from node to node in all of them; between nodes the value would be interpolated. `apart`:
+    the smallest spacing of each
     level."""
     widths = [1.0] * len(widest)
     for group in joined_levels(layout):
@@ -78,8 +79,9 @@ def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -
 def banked_widths(visited, measures, apart, nodes: float) -> list[float]:
     """The spacing of a counted level and its balances, if they have too many nodes together.
 
-    Flows move only the counted level, so that its nodes are multiples of the measure if there are
-    few enough. Balances change once a period, and have as many nodes as `nodes` of all steps allow.
+    Flows move only the counted level, so its nodes are multiples of the measure if there are few
+    enough of them. Balances change once a period, and have as many nodes as `nodes` of all steps
+    allow.
     `visited`: the minimum and maximum of all levels at all steps.
     """
     unit = measures[0] or 0.0

@@ -12,10 +12,12 @@ from .corners import corners
 class Passage(NamedTuple):
     """A volume along a flow, from some nodes of a step to nodes after it.
 
-    - `flow`: its index, -1 for none; `volume`: its volume.
-    - `rows`, `goals`: from a block of nodes to one of the same shape, a slice of each level.
-    - `weights` [corners, rows, 1]: the weights of the nodes around its end, if that is not a node.
-      `rows` are then numbers of nodes, and `goals` [corners, rows] those around each end.
+    - `flow`: the index of the flow, -1 for none; `volume`: its volume.
+    - `rows`, `goals`: the nodes where it begins and ends, two blocks of the same shape, each a
+      slice of every level.
+    - `weights` [corners, rows, 1]: the weights of the nodes around the end, if the end is not a
+      node. `rows` are then numbers of nodes, and `goals` [corners, rows] the numbers of the nodes
+      around each end.
     """
 
     flow: int

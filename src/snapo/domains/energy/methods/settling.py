@@ -16,11 +16,11 @@ positive = partial(np.maximum, 0.0)
 class Settling(NamedTuple):
     """The end of one step.
 
-    - `arrive`: the number of the node of the next step for each node after; `lost`: the money lost
-      there.
+    - `arrive`: for each node after the step, the number of its node of the next step; `lost`: the
+      amount lost at the node.
     - `corners`: the nodes and their weights, if balances lie between nodes.
-    - `held`: the money of the levels, and of the units made up so far, at the nodes before and
-      after a step; the step earns the change. None if there is no such money.
+    - `held`: the amounts that the levels, and the units made up so far, have earned at the nodes
+      before and after a step; the step earns the change. None if the levels earn nothing.
     - `missed` [modes, nodes after]: the charge for violated joint limits; None without limits.
     """
 
@@ -112,8 +112,8 @@ def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarr
 def ranges_of_balances(terms: StepTerms, start: np.ndarray, low: np.ndarray, high: np.ndarray):
     """For each balance, the lowest and the highest number at the start of each step, [T + 1].
 
-    `start` [balances]; `low`, `high` [T + 1]: of the counted level, at the start and after each
-    step.
+    `start` [balances]: the balances at the start; `low`, `high` [T + 1]: the range of the counted
+    level, at the start and after each step.
     """
     assert terms.bank is not None
     lowest, highest = (np.tile(start, (len(low), 1)) for _ in range(2))

@@ -39,11 +39,11 @@ def value_tables(
     grid: ContractGrid,
     like: UnitValues | None = None,
 ) -> ValueTables:
-    """The tables of the fitted value of a schedule with NumPy leaves, which has a step.
+    """The tables of the fitted value of a schedule with NumPy leaves and at least one step.
 
     If the best volumes lie on rows, a policy searches for the last profitable row, otherwise for
-    the last piece between rows; if the value jumps, it compares all rows. `like`: a table whose
-    search is used, whatever the grid.
+    the last piece between rows; if the value jumps, it compares all rows. `like`: a table; the
+    policy searches in the same way as with it, whatever the grid.
     """
     terms, search = schedule.steps.terms, "units" if grid.exact else "between"
     if terms.jumps:

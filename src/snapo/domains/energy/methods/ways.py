@@ -22,10 +22,12 @@ NOTHING = "0xFFF0000000000000"  # minus infinity
 
 
 class Ways(NamedTuple):
-    """All ways of one step, in the order of the nodes where they begin, of all modes.
+    """All ways through one step in all modes, in the order of the nodes where they begin.
 
-    - `first` [nodes + 1], `corner` [ways + 1]: the first way of a node, the first corner of a way.
-    - `move`, `flow` [ways], `volume` [ways]; `node`, `weight` [corners]: where they end.
+    - `first` [nodes + 1], `corner` [ways + 1]: the first way of each node, and the first corner of
+      each way.
+    - `move`, `flow`, `volume` [ways]: the move, flow and volume of each way; `node`, `weight`
+      [corners]: the nodes where it ends, and their weights.
     """
 
     first: np.ndarray

@@ -14,13 +14,12 @@ AUCTION = 'a table like { at = "00:00", step = "4h" }'
 
 
 class AuctionTable(CaseTable):
-    """{ at = "00:00", step = "4h" }: auctions at this hour of every day and every step from there.
-
-    Each fixes the flows of the hours up to the next auction, by the local clock.
+    """{ at = "00:00", step = "4h" }: auctions at this hour of every day, and every `step` after
+    it. Each auction fixes the flows of the hours up to the next auction, by the local clock.
     """
 
     at: str = doc(
-        "hour of the local clock with an auction on every day",
+        "hour of the local clock at which there is an auction every day",
         "00:00",
         'a full hour of local time such as "00:00"',
     )
@@ -35,7 +34,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
     """
     if table.auction is None:
         if table.intraday is not None:
-            message = "it trades differences from a schedule; give `auction` too"
+            message = "it trades differences from a schedule; specify `auction` too"
             raise where.error("intraday", None, message)
         return hours
     auction = where.nested(AuctionTable, table.auction, "auction")
@@ -44,8 +43,8 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
         raise where.error("auction.at", auction.at, message)
     if table.intraday is None:
         where.notes.append(
-            "contract.auction: flows are fixed at the auctions. Prices and money on paths are as "
-            "of that time, and vary less than the spot prices of the hours."
+            "contract.auction: flows are fixed at the auctions. Prices and cash flows of paths "
+            "are those at the auctions, and vary less than the spot prices of the hours."
         )
     zone, step = ZoneInfo(table.time_zone), int(auction.step[:-1])
     instants = (*hours.instants, hours.instants[-1] + datetime.timedelta(hours=1))
@@ -55,7 +54,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
         before = int((instant - fixed).total_seconds()) // 3600
         notice.append(min(before, ahead))  # an auction before the valuation date is on it
     if table.intraday is not None and notice[0] and hours.ahead[0]:
-        message = "with `intraday` it must be a start at an auction, or on the valuation date"
+        message = "with `intraday` it must be the hour of an auction, or the valuation date"
         raise where.error("start", hours.local[0], message)
     return replace(
         hours,
@@ -67,7 +66,7 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
 def auction_of(instant: datetime.datetime, zone: ZoneInfo, at: int, step: int) -> datetime.datetime:
     """The last auction at or before the beginning of an hour, both in UTC.
 
-    `at`: the hour of one of the auctions of each day; `step`: hours between them by the local
+    `at`: the hour of one of the auctions of each day; `step`: hours between auctions by the local
     clock. If an hour that the clock shows twice has an auction, it has two; an auction in a skipped
     hour is in the next one.
     """

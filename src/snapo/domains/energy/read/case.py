@@ -95,13 +95,11 @@ class EnergyTable(CaseTable):
 
 
 class ContractKind(NamedTuple):
-    """The parts of a kind of contract: its table, its reader, tables within it, a title.
-
-    The reader takes its decision days, or its `Hours`.
-
-    `hourly`: whether its steps are hours of the local calendar, not days; `pair`: whether its cash
-    depends on two commodities; `steps`: the steps of a day, at one price; `opened`: its table with
-    the tables of other files that it names.
+    """The parts of a kind of contract: its table, its reader, the tables within it, and a title.
+    The reader takes the decision days of the contract, or its `Hours`. `hourly`: whether its steps
+    are hours of the local calendar, not days; `pair`: whether its cash flow depends on two
+    commodities; `steps`: the number of steps in a day, all at one price; `opened`: its table with
+    the tables of the files that it names.
     """
 
     table: type[CaseTable]
@@ -195,10 +193,11 @@ class EnergyCase:
 
     - `kind`: the kind of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
-      [T]: in years; `first_step`: steps from the valuation date to the first one.
+      [T]: the same in years; `first_step`: the number of steps from the valuation date to the
+      first step.
     - `products`: the traded products; None if the case names none.
-    - `scheduled`: the prices at auctions, of a contract that trades differences from its schedules
-      intraday; else None, and `model` is the prices of all decisions.
+    - `scheduled`: the model of prices at auctions, if the contract trades differences from its
+      schedules intraday; else None, and `model` is the model of prices for all decisions.
     - `sources`: numbers of the case from which inputs are made.
     """
 
@@ -277,10 +276,14 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     if others is None:
         if kind.steps > 1 and top.model.get("kind") not in BY_STEP:
             allowed = ", ".join(f'"{item}"' for item in BY_STEP)
-            raise section.error("kind", top.model.get("kind"), f"for stores it must be {allowed}")
+            raise section.error(
+                "kind", top.model.get("kind"), f"for stores the kind must be {allowed}"
+            )
         if kind.hourly and top.model.get("kind") not in BY_HOUR:
             allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
-            raise section.error("kind", top.model.get("kind"), f"by the hour it must be {allowed}")
+            raise section.error(
+                "kind", top.model.get("kind"), f"for prices by the hour the kind must be {allowed}"
+            )
         model = read_prices(section, top.model, delivery)
         check_curve(_curve_file(market_table), model, delivery)
         model = contract.priced(where, model, delivery)
@@ -288,7 +291,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
         table_of_both = parse(PairModelTable, top.model, name, "model", notes)
         model = read_pair_model(section, table_of_both, delivery, others, contract.third_share)
     if kind.hourly and top.products is not None:
-        message = "products trade by the day; an hourly contract has none"
+        message = "traded products are for daily contracts; a contract by the hour has none"
         raise CaseError(name, "products", None, message)
     products = products_of(file, top.products, notes, days[:: kind.steps], valuation)
     objective = read_objective(top.objective, name)

@@ -66,10 +66,11 @@ class HourlyMarketTable(CaseTable):
 class Hours:
     """The decision hours, and the delivery of a price process (see `Delivery`).
 
-    - `instants` [T]: in UTC; `days` [T]: the local date of each; `end`: that of the end.
+    - `instants` [T]: the hours in UTC; `days` [T]: the local date of each hour; `end`: the date of
+      the end.
     - `ahead` [T + 1]: hours from midnight of the valuation date, local time, to each hour, or to
-      the auction at which its flow is fixed; `notice`: hours from there to the hour, where there
-      are auctions.
+      the auction at which its flow is fixed; `notice`: hours from the auction to the hour, if
+      there are auctions.
     - `curve`: the forward price of each hour, once it is read.
     """
 
@@ -176,7 +177,7 @@ def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
     """[T] the row of each hour, by its local time; an hour that occurs twice has two rows.
 
     **Raises:** `CaseError` for an hour without a price, and for a row between the first and the
-    last hour that repeats an hour, or belongs to none.
+    last hour that repeats an hour, or whose hour does not exist.
     """
     rows, file = read_rows(reference, FIELDS), reference.name
     by_hour: dict[str, list[Row]] = {}

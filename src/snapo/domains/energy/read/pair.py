@@ -65,8 +65,8 @@ class PairModelTable(CaseTable):
 def read_pair_market(
     section: TableContext, table: PairMarketTable, hours: Hours, unit: str
 ) -> tuple[GasMarket, tuple[CaseInput, ...]]:
-    """The prices of power by the hour, with the rates; and the prices of gas and of certificates,
-    if they trade, in each hour (they have a price by the hour or day)."""
+    """The prices of power by the hour, with the rates; and for each hour the prices of gas and, if
+    they trade, of certificates, which may have one price for the whole day."""
     power = section.nested(PowerMarketTable, table.power, FIRST)
     inner = TableContext(section.file, f"{section.name}.{FIRST}", section.notes)
     curve = hourly_curve(inner, power.forward_curve, hours, unit, f"{FIRST}_curve")
@@ -84,7 +84,7 @@ def read_pair_market(
         files.append(file)
     for file, prices in zip(files, (curve, *others)):
         for t in np.flatnonzero(prices.values <= 0)[:1]:
-            message = "the model multiplies the forward price and needs it above 0"
+            message = "the model multiplies the forward price, which must therefore be above 0"
             raise CaseError(file, prices.labels[t], float(prices.values[t]), message)
     return hourly_market(curve, table, hours), tuple(others)
 
@@ -96,8 +96,9 @@ def read_pair_model(
     others: tuple[CaseInput, ...],
     share: CaseInput | None,
 ) -> CommodityPair:
-    """The prices of all; `hours`: the delivery, with the curve of power; `others`: the curves of
-    gas and of certificates; `share`: how many of these a unit of gas needs, None without."""
+    """The model of the prices of all commodities. `hours`: the delivery hours, with the curve of
+    power; `others`: the curves of gas and of certificates; `share`: how many certificates a unit
+    of gas needs, None without certificates."""
     _check_third(section, table, others, share)
     tables = [(FIRST, table.power), (SECOND, table.gas)]
     tables += [] if share is None else [(THIRD, table.co2)]

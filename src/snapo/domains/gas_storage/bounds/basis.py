@@ -33,8 +33,9 @@ SAME = 13  # decimals of days that count as the same
 class PolynomialBasis:
     """K functions of the price factors on the T days and the end date.
 
-    - `of`: all factors; `selected`: indices of those in the polynomials, the fast one first.
-    - `common`: indices of the factors in the exponential; there may be none.
+    - `of`: all factors; `selected`: indices of the factors in the polynomials, the fast factor
+      first.
+    - `common`: indices of the factors in the exponential, of which there may be none.
     - `powers`: [n, kept] degrees of the polynomials; K = n, or n + 1 with the constant.
     """
 
@@ -108,11 +109,10 @@ class PolynomialBasis:
     def of_whitened(
         self, y: np.ndarray, days: np.ndarray, polynomials: np.ndarray | None = None
     ) -> np.ndarray:
-        """[days, n + hinges, paths] the part without g, from whitened factors [days, kept, paths],
-        or [1, kept, paths] for the same ones every day.
-
-        A factor that does not vary on a day counts as zero, and functions of it as nothing.
-        `polynomials`: those of y, if they are known.
+        """[days, n + hinges, paths] the part of the functions without g, from whitened factors
+        [days, kept, paths], or [1, kept, paths] if they are the same every day. A factor that does
+        not vary on a day counts as zero, and functions of it are left out. `polynomials`: the
+        polynomials of y, if they have been computed.
         """
         available = self.polynomials(y) if polynomials is None else polynomials
         plain = available * self._alive[days][:, :, None]
@@ -155,10 +155,9 @@ class PolynomialBasis:
         return whiten, common, self._level_variance / 2
 
     def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
-        """[T, levels, n] of the expectation a day before of polynomials [T, levels, n].
-
-        They are for the dates after the first, times the exponential; then comes the constant, if
-        any.
+        """[T, levels, n] the coefficients of the expectation, a day before, of polynomials with
+        coefficients [T, levels, n]. They are for the dates after the first, times the exponential;
+        the constant, if there is one, comes last.
         """
         size, moves = len(self.powers), self._moves[1:]
         plain = after[:, :, :size]

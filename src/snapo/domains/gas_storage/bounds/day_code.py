@@ -28,13 +28,13 @@ WIDTH = 16  # columns at once; the last ones of a number of columns may be compu
 class SideCode(NamedTuple):
     """One direction of flow; rows are those of the scratch memory.
 
-    - `sizes` [3]: numbers of rows, of maxima among them, and of bends.
+    - `sizes` [3]: the numbers of rows, of maxima among the rows, and of bends.
     - `maxima` [maxima, 2]: each is the larger of two rows.
     - `window` [n, 2]: the largest value at a node within reach is the larger of two rows.
     - `endpoints` [n, 4], `shares` [n, 2]: rows left and right of both limits of the reach, and the
       weight of the right one.
-    - `bends` [bends, 3]: cell, next node, and the node met; `bend_numbers` [bends, 2]: share of
-      the way to the right, and inventory without any flow.
+    - `bends` [bends, 3]: cell, next node, and the node where the full flow ends; `bend_numbers`
+      [bends, 2]: share of the way to the right, and inventory without any flow.
     """
 
     sizes: np.ndarray
@@ -53,7 +53,7 @@ TABLE = (*HEAD, *(f"{side}_{name}" for side in ("buy", "sell") for name in SIDE)
 
 @dataclass(frozen=True, eq=False)
 class DayFlows:
-    """Both directions of flow of a day between `rows` nodes and `size` nodes after it.
+    """Both directions of flow on a day, from `rows` nodes at its start to `size` nodes at its end.
 
     - `buy`, `sell`: the reach of each, with its bends if an upper value is computed.
     - `sides`: the same for machine code, made when it is first needed.

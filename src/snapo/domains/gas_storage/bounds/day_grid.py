@@ -40,8 +40,8 @@ NEAR = 0.02  # in spacings: nodes are not nearer to one another than this
 class DayGrid(NamedTuple):
     """A decision day between two grids.
 
-    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: the gas without
-      a flow, and the present value of keeping it.
+    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: the inventory at
+      the end without a flow, and the present value of the cost of holding it.
     - `flows`: the reach of buying and of selling.
     """
 
@@ -55,12 +55,11 @@ class DayGrid(NamedTuple):
 def day_grids(
     schedule, interpolation: Interpolation, inventories: int, bends: bool = True
 ) -> list[DayGrid]:
-    """All T days; the value of the best flow is linear between nodes if that is possible.
-
-    Without `bends` the grids are for values of the best flow, not for values above them.
-
-    Only inventories that can be reached from the present one. See `breakpoints` of the references
-    for contracts with constant rates. For other contracts there are `inventories` points from 0 to
+    """The grids of all T days; the value of the best flow is linear between nodes if that is
+    possible. Without `bends` the grids are for values of the best flow, not for upper bounds. They
+    contain only inventories that can be reached from the present one. See `breakpoints` of the
+    references for contracts with constant rates. For other contracts there are `inventories`
+    points from 0 to
     the largest inventory. Ratchet rows are nodes, and so are the inventories where the intrinsic
     value bends most: inventories that can just be emptied or filled in time have a bend at all
     prices, and a bend between nodes causes the largest error.
@@ -89,8 +88,8 @@ def largest_rate(schedule) -> float:
 
 
 def spacing_of(schedule, inventories: int, widest: float) -> float:
-    """The spacing of the regular nodes: if possible a divisor of the largest flow, which then ends
-    on a node.
+    """The spacing of the regular nodes: if possible a divisor of the largest flow, so that this
+    flow ends on a node.
 
     `widest`: the widest interval of inventories that can be reached from the present one.
     """
@@ -153,14 +152,16 @@ def _flows(
 
 
 def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool) -> np.ndarray:
-    """The value at the start of the day [n, columns] of the best flow, from that at its end.
+    """The value at the start of the day [n, columns] of the best flow, computed from the value at
+    its end.
 
     **Arguments:**
 
-    - `prices`: present values of a unit bought and sold, [columns] each.
-    - `after` [m, columns]: the value on the day's last nodes, linear between them.
-    - `above`: the result, linear between nodes, is never below the value of the best flow from
-      there; otherwise it equals that value at the nodes, and may be below it in between.
+    - `prices`: present values of a unit bought and of a unit sold, [columns] each.
+    - `after` [m, columns]: the value on the nodes at the end of the day, linear between them.
+    - `above`: whether the result, linear between nodes, is an upper bound of the value of the best
+      flow at every inventory; otherwise it equals that value at the nodes, and may be below it
+      between them.
     """
     if serves(after.shape[1]):
         return day_code.best_value(day.flows, day[1:4], prices, after, above)

@@ -12,11 +12,12 @@ GridRows = slice | np.ndarray  # numbers of rows: a slice where they follow one 
 
 
 class ReachableLevels(NamedTuple):
-    """The end-of-day inventories that one direction of flow reaches, by start-of-day node.
+    """The inventories at the end of the day that one direction of flow reaches from each node at
+    its start.
 
-    - `inside`: (k, rows, first, last) in groups: 2^k nodes from `first` and 2^k nodes up to `last`
+    - `inside`: groups (k, rows, first, last): 2^k nodes from `first` and 2^k nodes up to `last`
       cover all nodes within reach.
-    - `endpoints`: (rows, left, right, share): ends of the reach that lie between two nodes.
+    - `endpoints`: (rows, left, right, share): the ends of the reach that are between two nodes.
     """
 
     inside: list[tuple[int, GridRows, GridRows, GridRows]]
@@ -24,11 +25,11 @@ class ReachableLevels(NamedTuple):
 
 
 class Bends(NamedTuple):
-    """Inventories between nodes whose reach has a node as endpoint: the value may bend there.
-
-    Sorted by cell, which lies between nodes `left` and `right`; `share` of the way to the right,
-    `target` the node met, `keep` the inventory without any flow. `cells` are those with bends,
-    `starts` the first bend of each, None if each has one.
+    """Inventories between nodes whose reach has a node as endpoint: the value may bend there. They
+    are sorted by cell, which is between nodes `left` and `right`; `share` is the share of the way
+    to the right, `target` the node at the endpoint, and `keep` the inventory without any flow.
+    `cells` are the cells with bends, `starts` the first bend of each of them, None if each has
+    only one.
     """
 
     left: GridRows
@@ -74,8 +75,8 @@ def bends(
 ) -> tuple[Bends | None, Bends | None]:
     """The bends of buying and of selling; `reached`: see `flow_ends`.
 
-    The inventories from which a full flow ends exactly at a node, before limits apply; the
-    value is linear between nodes."""
+    The bends are the inventories from which a full flow ends exactly at a node, before limits
+    apply; the value is linear between nodes."""
     keep, down, up = reached
     meetings = [_meetings(item, after) for item in (down, up, keep)]
     cell, share, target = (np.concatenate(entry) for entry in zip(*meetings, strict=True))

@@ -32,10 +32,9 @@ T = TypeVar("T")
 
 
 class Recent(Generic[T]):
-    """The results of the last few different calls; safe between threads.
-
-    A page that moves a curve, or a table of sensitivities that moves one input after another, uses
-    the same ones repeatedly.
+    """The results of the last few different calls; safe between threads. A page that moves a
+    curve, or a table of sensitivities that moves one input after another, uses the same results
+    repeatedly.
     """
 
     def __init__(self, maximum: int):
@@ -72,10 +71,11 @@ LAST = 2  # factors: those of the case, and others that a sensitivity moves to
 class RegressionDay(NamedTuple):
     """One day, or the end date. K functions, n of which are not hinges, on Q nodes.
 
-    - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
+    - `fit` [K, Q]: the coefficients of values [m, Q] are values @ fit.T.
     - `ahead` [K, Q]: the expected functions of the next date (zero on the end date).
-    - `plain` [K, n]: coefficients of the best approximations without hinges of the functions.
-    - `drift` [K, n]: of `ahead`.
+    - `plain` [K, n]: coefficients of the best approximations of the functions by functions without
+      hinges.
+    - `drift` [K, n]: the same coefficients for `ahead`.
     """
 
     fit: np.ndarray

@@ -30,7 +30,7 @@ INVENTORIES = 141
 class Hindsight:
     """The penalised store of a schedule (NumPy leaves).
 
-    - `fitted_value`: the V of the penalty, None for none (perfect foresight).
+    - `fitted_value`: the V of the penalty, None for perfect foresight without a penalty.
     - `inventories`: points of the grid from 0 to the largest inventory. Between them the value is
       bounded from above (`best_value`): a coarse grid only gives a higher bound.
     """
@@ -51,10 +51,9 @@ class Hindsight:
             self.coefficients = [fitted_value.at(t, nodes) for t, nodes in enumerate(grids)]
 
     def best(self, spots: np.ndarray, states: np.ndarray, scale: PenaltyScale = 1.0) -> np.ndarray:
-        """[paths] the maximum penalised earnings of each path.
-
-        `spots` [T + 1, paths], `states` [T + 1, F, paths] of the price factors; `scale`: the scale
-        of the penalty, a number or one for each function of the basis.
+        """[paths] the maximum penalised earnings of each path. `spots` [T + 1, paths]: spot
+        prices; `states` [T + 1, F, paths]: price factors; `scale`: the scale of the penalty, one
+        number or a number for each function of the basis.
         """
         blocks = [slice(i, i + BLOCK) for i in range(0, spots.shape[1], BLOCK)]
 
@@ -69,7 +68,7 @@ class Hindsight:
     ) -> np.ndarray:
         """[paths] the penalties along these inventories [T + 1, paths]; their mean is zero.
 
-        This requires that each inventory was decided without foresight.
+        The mean is zero only if each inventory was decided without foresight.
         """
         if states.shape[2] > BLOCK:
             blocks = [slice(i, i + BLOCK) for i in range(0, states.shape[2], BLOCK)]

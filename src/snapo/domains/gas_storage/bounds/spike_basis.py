@@ -125,8 +125,9 @@ class SpikeBasis:
 
     @cached_property
     def regression(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """[n, nodes] coefficients of values at the nodes, [n, nodes] functions there as expected
-        for the day after, and [n, n] the best functions of these expectations."""
+        """Three arrays: [n, nodes] maps values at the nodes to coefficients, [n, nodes] are the
+        expected functions of the day after at the nodes, and [n, n] are the coefficients that fit
+        these expectations best."""
         nodes, weights = self.nodes
         functions = np.exp(self.exponents[:, None] * nodes)
         ahead = np.exp(self.spikes.decay * self.exponents[:, None] * nodes)

@@ -65,9 +65,10 @@ FEWEST, A_DAY = 51, 2  # in a value table: inventories, and nodes passed by a da
 class FittedValue:
     """The value of the contract at the start of each day and on the end date.
 
-    - `regression`: on `basis`, K functions of the price factors.
-    - `nodes`: T + 1 grids of inventories; `coefficients`: [n, K] on each, linear between nodes.
-    - `value`: on the valuation date, in present money, before fixed costs. An approximation.
+    - `regression`: the regression on `basis`, K functions of the price factors.
+    - `nodes`: T + 1 grids of inventories; `coefficients`: [n, K] on each grid, linear between
+      nodes.
+    - `value`: an approximation of the present value on the valuation date, before fixed costs.
     """
 
     regression: AnyRegression
@@ -93,7 +94,8 @@ def fit_value(
     """Backwards in time, the value of the best flow on quadrature nodes, regressed on the basis.
 
     The continuation is the basis' expectation, so that only the fit is an approximation:
-    Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12 (2001). There must be a day.
+    Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12 (2001). There must be at least
+    one decision day.
     """
     days = day_grids(schedule, interpolation, inventories, bends=False)
     return _fitted(schedule, factors, days)
@@ -105,7 +107,7 @@ def fit_value_table(
     """The grid with half as many nodes, none of them at bends, if slopes over many nodes are
     sufficient.
 
-    A policy that reads it loses almost nothing (for the flagship store less than 1e-5 of its
+    A policy that reads this grid loses almost nothing (for the flagship store less than 1e-5 of its
     value), but an upper bound would become wider: it uses `fit_value`.
     """
     rate = largest_rate(schedule)
@@ -149,11 +151,12 @@ def interpolated(nodes: np.ndarray, table: np.ndarray, points: np.ndarray) -> np
 class FittedMarginal(NamedTuple):
     """The value of one more unit of gas at the END of each day, as a present value.
 
-    - `low`, `high`: [T] of the table, see `SlopeTable`.
-    - `above`, `below`: [T, rows, n] on either side: of the polynomials of the basis times its
-      exponential and, if there is one, of the constant.
+    - `low`, `high`: [T] the range of the table, see `SlopeTable`.
+    - `above`, `below`: [T, rows, n] coefficients on either side of a row: of the polynomials of the
+      basis times its exponential and, if there is one, of the constant.
     - `whiten`: [T, kept, F], `common` [T, F], `shift` [T]: y = whiten f, ln g = common f - shift.
-    - `exponents`, `exponents_ahead`: of functions of spikes, if there are any, see `SpikeBasis`.
+    - `exponents`, `exponents_ahead`: the exponents of functions of spikes, if there are any, see
+      `SpikeBasis`.
     """
 
     low: np.ndarray
@@ -189,10 +192,12 @@ INNOVATION_LEVELS = 16
 class InnovationTable(NamedTuple):
     """The value on T days and on the end date, as functions of inventory and price factors.
 
-    - `low`, `high`: [T + 1] the interval of the levels, evenly spaced; constant beyond it.
+    - `low`, `high`: [T + 1] the interval of the evenly spaced levels; beyond it the value is
+      constant.
     - `now`: [T + 1, levels, n] coefficients of the functions of `FittedMarginal`; present values.
-    - `ahead`: [T, levels, n] of its expectation a day before, on the next date's levels.
-    - `first`: its expectation on the valuation date.
+    - `ahead`: [T, levels, n] coefficients of the expectation of the value a day before, on the
+      levels of the next date.
+    - `first`: the expectation of the first value on the valuation date.
     - `whiten`, `common`, `shift`, exponents: [T + 1, …], as in `FittedMarginal`.
     """
 

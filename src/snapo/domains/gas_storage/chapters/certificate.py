@@ -25,10 +25,9 @@ TRIES = 16  # at finding inputs nearby that still can be met
 
 
 def off_ties(problem: Problem) -> Problem:
-    """The problem at slightly moved inputs, if the contract can still be met.
-
-    With round numbers a store is filled or emptied exactly at the end of a day, and a full store
-    without losses stays exactly full: kinks on every path.
+    """The problem at slightly moved inputs, if the contract can still be met. With round numbers a
+    store is filled or emptied exactly at the end of a day, and a full store without losses stays
+    exactly full; the value then has a kink on every path.
     """
     for seed in range(TRIES):
         moved = nudged(problem, seed)
@@ -53,7 +52,7 @@ class StorageCertificate(Certificate):
     """The checks of a store.
 
     - `homogeneity`: None if the price or the contract is not proportional to the curve.
-    - `control_variate`: {"explained": share of the variance}.
+    - `control_variate`: {"explained": the share of the variance that it removes}.
     """
 
     homogeneity: Homogeneity | None = None
@@ -61,10 +60,9 @@ class StorageCertificate(Certificate):
 
 
 def homogeneity(setup: Setup, solution: Solution) -> Homogeneity | None:
-    """Sum of F x delta = value + present value of costs, with decisions held fixed, on the same
-    paths.
-
-    It holds path by path for any policy, if prices are the forward curve times noise and all
+    """The check that the sum of F x delta equals the value plus the present value of costs, with
+    decisions held fixed, on the same paths. This holds path by path for any policy, if prices are
+    the forward curve times noise and all
     of the value is paid in gas and proportional costs.
     """
     table, case = solution.sensitivities, case_of(setup)
@@ -151,7 +149,11 @@ def _volatility(run: StorageRun) -> tuple[str, str, str]:
     """The row on volatilities, of prices in money or of their logarithm."""
     unit = next((x.unit for x in run.inputs.values() if x.group == "volatility"), "")
     if unit in ("", VOLATILITY.unit):
-        return "Volatility", "per √year", "of the logarithm of the price; 1 point is 0.01"
+        return (
+            "Volatility",
+            "per √year",
+            "volatility of the logarithm of the price; 1 point is 0.01",
+        )
     return "Volatility", unit.replace("sqrt(year)", "√year"), "of the price itself"
 
 
@@ -163,8 +165,8 @@ def _glossary(run: StorageRun) -> Table:
         ("Volume", gas, "inventory, and volume per day for flows and rates"),
         ("Delta", gas, "change of value for a rise of 1 in one forward price, with decisions held"
          " fixed"),
-        ("Discounted delta", gas, "delta of the present value; divided by the discount factor of"
-         " the month's settlement it is the volume of futures"),
+        ("Discounted delta", gas, "delta of the present value; divided by the discount factor of "
+            "the month's settlement, it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
         ("Delta through the smooth rules", gas, "with the policy reacting; a diagnostic"),
         _volatility(run),

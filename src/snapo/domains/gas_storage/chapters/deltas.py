@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SIGN = (
-    "A positive delta is a month in which the storage is long (it will withdraw): the hedge sells"
-    " that volume of futures; a negative delta is bought."
+    "A positive delta is a month in which the storage is long (it will withdraw): the hedge "
+    "sells that volume of futures. For a negative delta the hedge buys the volume."
 )
 
 
@@ -34,9 +34,10 @@ SIGN = (
 class DailyDeltas:
     """Deltas [T] by decision day, in the unit of gas.
 
-    - `discounted`: of the present value, with `low` and `high` of its 95 % interval and the
-      `standard_error` of the held derivative; `undiscounted`: the volume of futures.
-    - `moved`: its change in the second half of training; `intrinsic`: of the intrinsic plan.
+    - `discounted`: the deltas of the present value, with `low` and `high` of their 95 % intervals
+      and the `standard_error` of the held derivative; `undiscounted`: the volumes of futures.
+    - `moved`: the change of the deltas in the second half of training; `intrinsic`: the deltas of
+      the intrinsic plan.
     """
 
     discounted: Floats = floats()
@@ -139,7 +140,8 @@ def futures_along(
     delta: Reported, weights: np.ndarray, discount: np.ndarray
 ) -> tuple[float, float, float]:
     """The derivative along `weights` of the numbers of a curve before discounting, and its 95 %
-    interval: the volume of futures that hedge it. `discount` [T] of the payments of the days."""
+    interval: the volume of futures that hedge it. `discount` [T]: discount factors of the payments
+    of the days."""
     rate = np.ones(delta.value.size)
     rate[: len(discount)] = discount
     futures = delta.along(weights / rate)

@@ -42,9 +42,10 @@ MAX_PRODUCTS = 16  # products in a map
 class GammaProduct:
     """A product, or a delivery month.
 
-    - `first`, `last`: days of delivery within the contract; `price`: mean forward price; `bump`.
-    - `gamma`, `standard_error`: on the diagonal. `scaled`: change of the delta if all prices rise
-      by 1 %, with `scaled_error`.
+    - `first`, `last`: days of delivery within the contract; `price`: mean forward price; `bump`:
+      the bump of the price.
+    - `gamma`, `standard_error`: the diagonal element and its error. `scaled`: change of the delta
+      if all prices rise by 1 %, with `scaled_error`.
     """
 
     product: str
@@ -62,7 +63,8 @@ class GammaProduct:
 class GammaPair:
     """The second derivative with respect to the prices of two products, discounted.
 
-    - `standard_error`: of sampling, with the bias of the bump; `policy`: half of the difference of
+    - `standard_error`: the sampling error, increased by the bias of the bump; `policy`: half of
+      the difference of
       both estimates beyond its sampling error, by which the policy may be wrong.
     """
 

@@ -31,22 +31,22 @@ TEXT = (
     "Cash flow of the contract and of its hedge, both decided without foresight, on the same "
     "simulated paths. Volumes are sold forward after the flow of a day; delivery settles at the "
     "spot price, and each unit traded costs half the bid-offer. The share not hedged is the "
-    "variance over that of the contract without a hedge."
+    "variance divided by that of the contract without a hedge."
 )
 BY_PRODUCT = (
-    "How much of the variance is left with the positions in one product only, and in all products "
-    "but this one."
+    "How much of the variance is left with the positions in one product only, and with the "
+    "positions in all other products."
 )
 
 
 @dataclass(frozen=True)
 class HedgeRow:
-    """The money of the contract with one hedge; every number with its standard error.
+    """The cash flow of the contract with one hedge; every number with its standard error.
 
-    - `value_at_risk`, `expected_shortfall`: the mean minus the 5 % quantile, and minus the mean of
-      the paths below it.
-    - `not_hedged`: variance over that of the contract without a hedge; `traded`: mean volume of all
-      trades; `cost`: the cost of the bid-offer, a present value.
+    - `value_at_risk`, `expected_shortfall`: the mean minus the 5 % quantile, and the mean minus the
+      mean of the paths below this quantile.
+    - `not_hedged`: the variance divided by that of the contract without a hedge; `traded`: mean
+      volume of all trades; `cost`: the present value of the bid-offer paid.
     """
 
     hedge: str
@@ -182,7 +182,7 @@ def _title(row: HedgeRow) -> str:
 def show(run: StorageRun, result: HedgeTables) -> Sequence[Block]:
     """Deviations as bars, and the tables of all hedges and of their products."""
     if not result.hedges:
-        reason = f"No hedge was simulated, for {result.reason}."
+        reason = f"No hedge was simulated: {result.reason}."
         return [Text(reason)] if result.reason else [why_missing(run, HEDGE.name)]
     bars = [
         Bar(_title(x), x.deviation, x.deviation_error, strong=x.hedge == UNHEDGED)

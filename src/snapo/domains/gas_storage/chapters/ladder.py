@@ -112,7 +112,7 @@ class ContractMethods(abc.ABC):
             ValuationMethod(ladder.BY_DAY, "all flows fixed today", self.by_day),
             ValuationMethod(
                 ladder.IN_PRODUCTS,
-                "the same, flat over each product, minus the spread",
+                "the same, with equal volumes on all days of a product, minus the spread",
                 lambda: Estimated(self.traded.intrinsic()),
             ),
             ValuationMethod(

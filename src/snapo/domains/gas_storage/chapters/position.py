@@ -210,8 +210,9 @@ def inventory(run: StorageRun) -> Section:
     )
     svg = draw("inventory-fan", alt, paint, height, rows)
     caption = (
-        "Grey: all inventories from which the contract can still be met; the policy cannot leave"
-        " it. Below, the mean flow of each day: withdrawals up, injections down."
+        "The grey area is all inventories from which the contract can still be met; the policy "
+        "cannot leave it. The lower chart is the mean flow of each day: withdrawals upwards, "
+        "injections downwards."
     )
     return Section("inventory", title, short, [Chart(svg, caption)])
 

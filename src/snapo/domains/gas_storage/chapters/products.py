@@ -18,9 +18,10 @@ from .deltas import futures_along
 
 TEXT = (
     "Change of the value if the price of one product rises by 1 on all its days. "
-    "Each day belongs to the shortest product that trades on the valuation date, so that these "
+    "Each day belongs to the shortest product that is traded on the valuation date, so that these "
     "deltas sum to those by day. Undiscounted, they are the volumes of futures that hedge the "
-    "position: a positive one is sold, and the volume a day is the same on each of them."
+    "position: a positive volume is sold, and the volume per day is the same on each day of the "
+    "product."
 )
 
 
@@ -29,7 +30,7 @@ class ProductDelta:
     """The derivative with respect to the price of a product, with its 95 % interval.
 
     - `days`: the days of delivery within the contract, from `first` to `last`.
-    - `undiscounted`: the volume of futures; `daily`: the same on a day.
+    - `undiscounted`: the volume of futures; `daily`: the same volume per day.
     """
 
     product: str

@@ -17,9 +17,10 @@ from .run import StorageRun
 
 TEXT = (
     "Change of the value if the price of one quoted product rises by 1 and all other quotes stay "
-    "the same. The daily curve is linear in the quotes, so these are the deltas by day, "
-    "with the curve's own weights. Undiscounted, they are the volumes of futures that hedge the "
-    "position: a positive one is sold."
+    "the same. The daily curve is linear in the quotes, so each of these deltas is a sum of the "
+    "deltas by day, with the weights of the curve. Undiscounted, they are the volumes of futures "
+    "that hedge the "
+    "position: a positive volume is sold."
 )
 
 

@@ -236,7 +236,10 @@ def sliders(run: StorageRun) -> Section:
     )
     results = [(name, item) for name, item in groups if item]
     if value is None or not results:
-        text = "Without a value and stored sensitivities there is no first-order change to show."
+        text = (
+            "This run has no value or no saved sensitivities, so no first-order change can be "
+            "shown."
+        )
         return Section("what-if", title, short, [Missing(text)])
     caveat = CAVEAT.format(bound=BOUND if run.get("objective", "mean") == "mean" else "")
     block = Sliders(value, run.currency, decimals([value]), results, caveat)

@@ -33,7 +33,8 @@ ENTRIES = TypeAdapter(dict[str, InputEntry])
 class ReportedInput:
     """The metadata of an input; see `snapo.problem.inputs.Input`.
 
-    `move` is in the input's unit, `trade_move` the same in the unit of the trade, `trade_unit`.
+    `move` is in the input's unit, and `trade_move` is the same move in the display unit,
+    `trade_unit`.
     """
 
     name: str

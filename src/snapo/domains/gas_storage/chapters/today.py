@@ -42,7 +42,8 @@ class LevelDecision:
 
 @dataclass(frozen=True)
 class FirstDecision(LevelDecision):
-    """The decision at the inventory in store, and in `ladder` at others over the reachable ones.
+    """The decision at the inventory in store, and in `ladder` at other inventories over the
+    reachable range.
 
     - `date`: the date of the first decision, ISO; `spot`: the price that it refers to.
     - `marginal_value`: the marginal value of one more unit in store, from the adjoint; NaN without
@@ -162,8 +163,8 @@ def _chart(run: StorageRun, now: FirstDecision) -> Chart:
         height=240,
     )
     caption = (
-        "Below the lower line the policy injects, above the upper line it withdraws, between them"
-        " costs and fuel exceed the gain of the trade."
+        "Below the lower line the policy injects, and above the upper line it withdraws. Between "
+        "them costs and fuel exceed the gain of a trade."
     )
     return Chart(svg, caption)
 

@@ -93,8 +93,8 @@ class CashFlow:
 class ContractValues:
     """The value ladder from the lowest to the highest value, and the spread of the earnings.
 
-    - `break_even_fee`: per unit of working volume, paid today, at which the contract has no
-      value; NaN without a working volume.
+    - `break_even_fee`: the fee per unit of working volume, paid today, with which the contract has
+      the value 0; NaN without a working volume.
     """
 
     break_even_fee: Number = np.nan
@@ -152,9 +152,12 @@ def _starting_value(setup: Setup, value: Value) -> ContractValue:
     """The value of the starting rule, before any training."""
     table = simulator_of(setup.problem).value_table
     if table is not None and isinstance(table.knots, FittedKnots):
-        name, note = "Fitted rule", "value iteration, before training, on other paths"
+        name, note = "Fitted rule", "fitted value iteration, before training, on other paths"
     else:
-        name, note = "One-factor rule", "dynamic program in the fastest factor, on other paths"
+        name, note = (
+            "One-factor rule",
+            "dynamic program in the fastest price factor, on other paths",
+        )
     return ContractValue(name, value.value, value.standard_error, note)
 
 
@@ -171,8 +174,8 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
         return [why_missing(run, VALUES.name)]
     digits, bars = decimals([x.value for x in values]), ladder_bars(run, values)
     caption = (
-        "Present values of the same contract on the same curve. The value of a policy that can be "
-        "followed is a lower bound of the optimum."
+        "Present values of the same contract on the same curve. The value of any policy without "
+        "foresight is a lower bound of the optimum."
     )
     rows = [
         (x.name, x.note, number(x.value, digits), plus_minus(x.standard_error, digits))

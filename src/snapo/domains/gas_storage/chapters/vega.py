@@ -33,8 +33,9 @@ GROUP = "volatility"  # of the inputs that are volatilities
 FILE = "vega.csv"
 TEXT = (
     "Change of the value if the volatility of all prices delivered in a month rises by one, in the "
-    "unit of the column, while the volatility of other months and the decisions stay the same. A "
-    "factor that moves all prices changes the prices of this month only. The sum over the months "
+    "unit of the column, while the volatility of other months and the decisions stay the same. "
+    "If a factor moves all prices, only its effect on the prices of this month changes. The sum "
+    "over the months "
     "is the derivative with respect to the volatility of all days. The interval contains the "
     "sampling error only; the table of sensitivities has the sum with an interval that also "
     "contains the error of the policy."
@@ -47,8 +48,10 @@ class MonthVega:
 
     - `parameter`: the input; `factor`: its number if there are several, else 0.
     - `month`: "2021-04", or "" for all months; `volatility`: the mean over its days.
-    - `vega`, `standard_error`: with the decisions held fixed, per `unit` of the volatility.
-    - `points`: volatility points, or other units of a report, in a `unit`; `point`: their name.
+    - `vega`, `standard_error`: the derivative with the decisions held fixed, per `unit` of the
+      volatility, and its error.
+    - `points`: how many volatility points, or other units of a report, are one `unit`; `point`: the
+      name of these units.
     """
 
     parameter: str
@@ -111,11 +114,9 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
 
 
 def by_date(problem: Problem, names: Sequence[str], count: int) -> Problem:
-    """The problem with these inputs only, each with a separate number of the same value for each of
-    `count` dates.
-
-    A number that is used on all dates, or on some of them, becomes one number for each date (for
-    each factor, if there are several).
+    """The problem with these inputs only, in which each has a separate number for each of `count`
+    dates. A number that is used on several dates becomes one number of the same value for each
+    date (and for each factor, if there are several).
     """
     values = {name: entry.value for name, entry in problem.inputs_by_name.items()}
     wide: dict[str, np.ndarray] = {}

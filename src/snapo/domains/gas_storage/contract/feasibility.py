@@ -70,7 +70,9 @@ def attainable(case: StorageCase) -> list[list[FlowInterval]]:
     """The inventories that can be in store at the start of each day and on the end date, [T + 1].
 
     They are computed forwards from the initial inventory; the rule for the end date applies only to
-    the last. **Raises:** `CaseError` if there are none.
+    the last ones.
+
+    **Raises:** `CaseError` if there are none.
     """
     sets = [_start(case)]
     tolerance = slack(case)

@@ -30,9 +30,9 @@ from ..prices.process import PriceProcess
 
 
 class EndTerms(NamedTuple):
-    """Value of the remaining inventory: linear between `levels`, plus `fraction` of its spot value.
-
-    `levels`, `values` [M] are zeros if no table is given; undiscounted, in currency.
+    """Value of the remaining inventory: linear between `levels`, plus `fraction` of its value at
+    the spot price. `levels`, `values` [M] are zeros without a table of values; undiscounted, in
+    currency.
     """
 
     levels: Float[Array | np.ndarray, " M"]
@@ -45,10 +45,9 @@ def _no_table() -> tuple[Any, Any]:
 
 
 class EndRule(TreeRecord):
-    """A rule for the end date; prices and money are those of the end date, undiscounted.
-
-    When read, it has the numbers of the case; in a simulator it has none: `owed`,
-    `needs_price` and `value_known` are for the reader and the study.
+    """A rule for the end date; prices and amounts are those of the end date, undiscounted. After
+    reading it has the numbers of the case; in a simulator it has no numbers. `owed`, `needs_price`
+    and `value_known` are for the reader and the study only.
     """
 
     @property
@@ -103,10 +102,8 @@ class LevelAtEnd(EndRule):
 
 
 class PriceAtEnd(EndRule):
-    """Gas left on the end date has a value of `fraction` of that day's spot price: one number,
-    index [].
-
-    It is paid on the end date. With a fraction of 0 the gas left is worthless, and the end date
+    """A unit of gas left on the end date is paid on that date at `fraction` of the spot price.
+    `fraction` is one number, index []. If it is 0 the gas left is worthless, and the end date
     needs no price.
     """
 
@@ -127,7 +124,7 @@ class PriceAtEnd(EndRule):
 
 
 class ValueAtEnd(EndRule):
-    """Worth of the inventory on the end date: linear between M points, paid on that date.
+    """The value of the inventory on the end date: linear between M points, paid on that date.
 
     - `inventory`: levels, strictly rising, index [M]; `value`: currency, index [M].
     """
@@ -150,11 +147,12 @@ class Ratchets(TreeRecord):
 
     Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
     "linear" the rates are interpolated between rows, with "step" those of the row at or below are
-    used. Plain `max_injection` and `max_withdrawal` are K = 1: one row, at inventory 0, for any
-    level.
+    used. Without ratchets, `max_injection` and `max_withdrawal` are one row (K = 1) at inventory 0
+    that applies to any level.
 
     - `inventory`: levels in volume, index [T, K].
-    - `withdrawal`, `injection`: most volume per day, not negative, index [T, K]; before outages.
+    - `withdrawal`, `injection`: the largest volume per day, not negative, before outages, index [T,
+      K].
     """
 
     inventory: CaseInput
@@ -166,19 +164,21 @@ class Ratchets(TreeRecord):
 class Contract(TreeRecord):
     """Rights, obligations and costs. All volumes are in `StorageCase.volume_unit`.
 
-    - `inventory`: in store at the start of the first decision day, index [].
-    - `min_inventory`, `max_inventory`: limits at the START of day t, and on the end date,
-      index [T + 1].
+    - `inventory`: gas in store at the start of the first decision day, index [].
+    - `min_inventory`, `max_inventory`: limits at the START of day t, and on the end date, index [T
+      + 1].
     - `ratchets`: rates before outages.
-    - `injection_factor`, `withdrawal_factor`: [T] share of the rates left by outages, 0 to 1.
+    - `injection_factor`, `withdrawal_factor`: [T] the share of the rates that is available in
+      outages, 0 to 1.
     - `min_injection`, `min_withdrawal`: forced flows per day, index [T]; never both on one day.
     - `injection_cost`, `withdrawal_cost`: currency per unit, index [T].
     - `injection_cost_day`, `withdrawal_cost_day`: [T] day on which that cost is paid.
-    - `injection_fuel`, `withdrawal_fuel`: fraction of the volume, at spot, index [T].
+    - `injection_fuel`, `withdrawal_fuel`: fraction of the volume, paid at the spot price, index
+      [T].
     - `inventory_loss`: fraction of the inventory per day, index [T].
     - `inventory_cost`: currency per unit and day, paid on the day, index [T].
-    - `fixed_costs`: amounts in currency, index [n] those not before the valuation date;
-      `fixed_cost_day`: [n] day on which each of them is paid.
+    - `fixed_costs`: amounts in currency, without those before the valuation date, index [n];
+      `fixed_cost_day`: [n] the day on which each is paid.
     """
 
     inventory: CaseInput
@@ -207,7 +207,8 @@ class GasMarket(TreeRecord):
 
     - `forward_curve`: one price per decision day, currency per unit, labelled by the day, index
       [T]; where `StorageCase.has_end_price`, one more for the end date, index [T + 1].
-    - `zero_rate`: continuous, Act/365, index [n] all nodes; linear in days, flat outside.
+    - `zero_rate`: continuous rates, Act/365, index [n] of all nodes; linear in days between nodes,
+      flat outside.
     - `zero_rate_day`: [n] integer days of the nodes, strictly rising (one 0 for a plain number).
     - `gas_day`: [T] day on which the gas of day t is paid.
 
@@ -226,11 +227,11 @@ class StorageCase:
 
     - `file`: the case file; `title`, `volume_unit`, `currency`: for reports.
     - `days`: [T] decision dates, from `start` (or the valuation date, or the day after it) to the
-      day before `end`; empty when the valuation leaves none.
-    - `day`: [T] the same as integer days since the valuation date; `end_day`: of the end date.
-    - `expired`: the valuation date lies after the end date; the value is zero.
+      day before `end`; empty if none is left after the valuation date.
+    - `day`: [T] the same as integer days since the valuation date; `end_day`: that of the end date.
+    - `expired`: whether the valuation date is after the end date; the value is then zero.
     - `notes`: remarks for the user of the case, one sentence each.
-    - `quotes`: those from which the forward curve is made; None for a curve by day and month.
+    - `quotes`: the quotes from which the forward curve is made; None for a curve by day or month.
     - `products`: the traded products; None if the case names none. `hedges`: the hedges of its
       [hedge].
     - `backtest`: the plan of its [backtest].

@@ -35,10 +35,11 @@ class FlowLimits(NamedTuple):
 
 
 class Discount(eqx.Module):
-    """Discount factors of n payments: continuous zero rates, linear in days, flat outside.
+    """Discount factors of n payments from continuous zero rates, which are linear in days between
+    nodes and flat outside.
 
-    - `day` [n]: of each payment since the valuation date, not negative.
-    - `weight` [n, nodes]: the weight of each node's rate in that of the payment.
+    - `day` [n]: the day of each payment since the valuation date, not negative.
+    - `weight` [n, nodes]: the weight of each node's rate in the rate of the payment.
     """
 
     day: Float[np.ndarray, " n"]

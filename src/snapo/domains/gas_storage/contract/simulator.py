@@ -41,16 +41,16 @@ class StorageSimulator(PricedSimulator):
 
     **Arguments:**
 
-    - `contract`, `process`: of the case, `formed`; `curve`, `rate`: where its prices and rates are
-      used; `discounts`: the discounts of its payments.
-    - `day` [T]: integer days since the valuation date; `end_day`: of the end date.
-    - `value_table`: the marginal values that the policy starts from (see `policy.value_table`).
+    - `contract`, `process`: those of the case, after `formed`; `curve`, `rate`: the inputs of its
+      prices and rates, and where they are used; `discounts`: the discounts of its payments.
+    - `day` [T]: integer days since the valuation date; `end_day`: that of the end date.
+    - `value_table`: the marginal values from which the policy starts (see `policy.value_table`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
     - `innovations`: the innovations of a fitted value of the store: the control variate
       `value_surprise` instead of that of a hedge; its total is also zero on average.
-    - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
-      rate.
+    - `price_scale`, `rate_scale`: the scales of the features, which are the mean forward price and
+      the largest daily rate.
     """
 
     contract: Contract

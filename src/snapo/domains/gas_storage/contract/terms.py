@@ -30,9 +30,9 @@ class Day(NamedTuple):
 
     Prices in currency per unit, volumes in units per day, discount factors to the valuation date.
     `low`, `high` bound the inventory at the start of the day, `next_low`, `next_high` at its end.
-    `price` is the row of the price process, `ahead` is the curve's shape for the network,
-    `value_table` holds the marginal value of gas that the policy starts from, `hedge` the forward
-    volume of the control variate, `innovation` the fitted value of the other one.
+    `price` is the row of the price process, `ahead` the curve's shape for the network,
+    `value_table` the marginal value of gas from which the policy starts, `hedge` the forward
+    volume of the control variate, and `innovation` the fitted value of the other control variate.
     """
 
     day: AnyArray
@@ -66,8 +66,9 @@ class Day(NamedTuple):
 class ContractTerms(NamedTuple):
     """Numbers of the whole contract: start, end and fixed costs.
 
-    `end_levels`, `end_values` [M]: currency for the gas left, on top of `end_fraction` of its
-    spot value; `fixed_costs` is a present value. `price` holds the constants of the price process,
+    `end_levels`, `end_values` [M]: the value of the gas left, in addition to `end_fraction` of its
+    value at the spot price; `fixed_costs` is a present value. `price` holds the constants of the
+    price process,
     `end_price` its row of the end date. `price_scale` is the mean forward price, `rate_scale` the
     largest daily rate, and `innovation` the control variate of the end.
     """
@@ -146,7 +147,8 @@ def fixed_costs_value(case: StorageCase) -> float:
 
 @with_numpy
 def known_schedule(case: StorageCase) -> KnownSchedule:
-    """The schedule of a case at its forward prices, in NumPy, without those of the price process.
+    """The schedule of a case at its forward prices, in NumPy, without the numbers of the price
+    process.
 
     It equals `StorageSimulator.prepare` of its inputs up to rounding, if a decision day is left.
     """
@@ -179,8 +181,9 @@ def known_schedule(case: StorageCase) -> KnownSchedule:
 def value_without_decisions(case: StorageCase) -> float:
     """The value, before fixed costs, of a case with no decision days.
 
-    Zero after the end date; else the value of the inventory on the end date, discounted from it:
-    its level is met (or the case would have been refused), and its price is the forward price.
+    It is zero after the end date, else the discounted value of the inventory on the end date at
+    the forward price. The required inventory is met, since otherwise the case would have been
+    refused.
     """
     if case.days:
         raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")

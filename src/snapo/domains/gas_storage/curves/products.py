@@ -46,7 +46,7 @@ PATTERNS: dict[str, Callable[..., tuple[datetime.date, datetime.date]]] = {
 
 
 def delivery(name: str) -> tuple[datetime.date, datetime.date]:
-    """The first and the last day of a product, both included; in any case of letters.
+    """The first and the last day of a product, both included; capital letters make no difference.
 
     **Raises:** `ValueError` if there is no such product, or no such day.
 

@@ -29,7 +29,7 @@ class QuotedCurveTable(CaseTable):
     smoother: Literal["daily", "spline"] = doc(
         "smoothness of the curve: of daily prices, or of a spline", "daily"
     )
-    end: Literal["flat", "free"] = doc("slope of a spline at its ends, zero or any", "flat")
+    end: Literal["flat", "free"] = doc("slope of a spline at its ends: zero, or not fixed", "flat")
     factors: dict[Weekday, Positive] = doc("prices by day of the week, relative to the curve", {})
 
 
@@ -37,10 +37,11 @@ class QuotedCurveTable(CaseTable):
 class QuotedCurve:
     """Quotes and the curve that is linear in them.
 
-    - `file`: their file; `products`, `prices` [n]: those of the file that determine the curve.
+    - `file`: the file of the quotes; `products`, `prices` [n]: the products and prices that
+      determine the curve.
     - `source`: these quotes with their positions in the file, and the quotes that they imply.
-    - `days`: those of the matrix; `matrix` [D, n]: the derivative of each day's price with respect
-      to each quote.
+    - `days`: the days of the matrix; `matrix` [D, n]: the derivative of each day's price with
+      respect to each quote.
     """
 
     file: str
@@ -103,7 +104,10 @@ def read_quotes(
     try:
         matrix = prices_of_means(periods, scale, table.smoother, table.end == "flat")
     except Undetermined:
-        message = "several curves are equally smooth; add a quote for other days"
+        message = (
+            "the quotes do not determine the curve: several curves are equally smooth; add "
+            "a quote for other days"
+        )
         raise CaseError(name, "", None, message) from None
     matrix = matrix[[(day - start).days for day in days]]
     quotes, implied = (_numbers(x, declaration) for x in (products, others))
@@ -145,7 +149,10 @@ def _cover(products: Sequence[_Product], name: str, days: Sequence[datetime.date
     """**Raises:** `CaseError` for the first day that is in no product, or for too many days."""
     first, last = min(x.first for x in products), max(products, key=lambda x: x.after)
     if (last.after - first).days > LONGEST:
-        message = f"the first quoted day is {first}; all quotes are of {LONGEST:,} days at most"
+        message = (
+            f"the first quoted day is {first}; all quotes together may span at most "
+            f"{LONGEST:,} days"
+        )
         raise last.row.error("product", message)
     for day in days:
         if not any(product.first <= day < product.after for product in products):

@@ -34,9 +34,10 @@ from .runs import ValuedRun, later_paths
 class Started(NamedTuple):
     """The market of the first run on the second date, with the second run's state.
 
-    - `start` [G]: shares of the value before the first part that is on common paths; empty if
-      that is the value of the first run.
-    - `cash`: the cash of the days between, and `flows` on them; `notes` for the reader.
+    - `start` [G]: shares of the value before the first part that is on common paths; empty if that
+      is the value of the first run.
+    - `cash`, `flows`: the cash flow of the days between, and the flows on them; `notes`: notes for
+      the reader.
     """
 
     start: np.ndarray
@@ -128,9 +129,10 @@ class ChangeChain(abc.ABC):
         )
 
     def time(self, setup: Setup, passed: int, cash: float) -> tuple[np.ndarray, Setup]:
-        """Adds the part of a later date: `setup` is the first run's contract on it, with the state
-        that was planned, and `cash` that of the plan on the steps that `passed`. Returns the shares
-        of the value then, and the setup on the paths of the parts."""
+        """Adds the part for the step to a later date. `setup` is the first run's contract on that
+        date, with the planned state, and `cash` is the planned cash flow of the steps that
+        `passed`. Returns the shares of the value on that date, and the setup on the paths of the
+        parts."""
         first, case = self.first, self.first.case
         same = (case.evaluation, case.training.seed) == (
             self.second.case.evaluation, self.second.case.training.seed,

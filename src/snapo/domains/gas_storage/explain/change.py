@@ -12,9 +12,9 @@ DIGITS = 2  # decimals: cents
 class ChangePart:
     """One part of the change of value, in the currency.
 
-    - `part`: the cause; `period`: the delivery period, of the curve only.
-    - `amount`: rounded, so that the parts add up to the change; `standard_error`: None for an
-      amount without sampling.
+    - `part`: the cause; `period`: the delivery period, only for parts of the curve.
+    - `amount`: the amount, rounded so that the parts add up to the change; `standard_error`: None
+      for an amount without sampling error.
     """
 
     part: str
@@ -41,11 +41,14 @@ class CurveMove:
 class ExplainedChange:
     """The change of value from the first run to the second one.
 
-    - `values`, `errors`: of the two runs; `dates`: their valuation dates.
-    - `cash`: the cash of the days between; profit and loss is the change of value and this cash.
-    - `parts`: add up to the change, the cash with a minus; `totals`: the same with all periods of
-      the curve together; `moves`: the moves of the curve; `flows`: the flows of the days between.
-    - `digits`: decimals of the amounts; `paths`: on which the parts are.
+    - `values`, `errors`: values of the two runs and their errors; `dates`: their valuation dates.
+    - `cash`: the cash flow of the days between; profit and loss is the change of value plus this
+      cash flow.
+    - `parts`: the parts, which add up to the change; the cash flow has a minus sign. `totals`: the
+      same with all periods of the curve together; `moves`: the moves of the curve; `flows`: the
+      flows of the days between.
+    - `digits`: decimals of the amounts; `paths`: the number of paths on which the parts are
+      computed.
     """
 
     runs: tuple[Path, Path]

@@ -44,9 +44,9 @@ def explain(
 
     - `flows`: for a gas store, a CSV file of the flows on the days between, with columns
       date,volume,price. `cash`: for other contracts, the actual cash flow of the days between.
-    - `out`: folder of the results, by default `explain` in that of the second run.
+    - `out`: folder of the results, by default `explain` in the folder of the second run.
 
-    **Raises:** `CaseError` if a run has no value, or the second one cannot follow the first;
+    **Raises:** `CaseError` if a run has no value, or the second run cannot follow the first;
     nothing is written.
     """
     use_every_core()
@@ -147,14 +147,14 @@ def _curve(
 
 
 CAPTION = (
-    "From the value of the first run at the top to that of the second one at the bottom. Each bar "
-    "begins where the one above ends; the numbers add up to the change. The scale does not begin "
-    "at zero."
+    "The chart goes from the value of the first run at the top to that of the second run at the "
+    "bottom. Each bar begins where the bar above it ends; the numbers add up to the change. The "
+    "scale does not begin at zero."
 )
 METHOD = (
     "Each part is a revaluation after those above it, on the same paths. Decisions are "
-    "those of the first run's policy, whose marginal values adapt to the new numbers; in the part "
-    "“policy” the second run's policy takes over. Whiskers and ± are 95 % intervals."
+    "those of the first run's policy, whose marginal values adapt to the new numbers; in the "
+    "part “policy” they are those of the second run's policy. Whiskers and ± are 95 % intervals."
 )
 ORDERS = (
     "First order is delta times move with the decisions of the old curve. Second order is half of "
@@ -258,7 +258,8 @@ def _flows(change: ExplainedChange) -> Section:
     ]
     text = (
         "Net volumes into the store on the days between the two valuation dates, and their cash "
-        f"flow discounted to the second one. The part “{CASH}” subtracts it from the value."
+        f"flow discounted to the second date. The part “{CASH}” subtracts this cash flow from the "
+        "value."
     )
     blocks = [table(change.flows, columns), Text(text)]
     return Section("flows", "Days between", "Days between", blocks)

@@ -48,7 +48,8 @@ class CurveEffect(NamedTuple):
     """The effects by period, and in total.
 
     - `before`, `after` [G]: shares of groups of paths in the values at both curves.
-    - `error`: the error of the part of their difference that is beyond the second order.
+    - `error`: the error of that part of the difference of the two values that is beyond the second
+      order.
     """
 
     periods: tuple[PeriodEffect, ...]
@@ -65,12 +66,13 @@ def curve_effect(
     periods: Sequence[DeliveryPeriod],
     curves: Sequence[str],
 ) -> CurveEffect:
-    """The effect of the curves of `after` against those of `before`, which are the same otherwise.
+    """The effect of the curves of `after` compared with those of `before`; otherwise the two are
+    the same.
 
     `curves`: the names of their inputs, one for each market. With the decisions held fixed the cash
     is a sum over markets, so the curves move one after the other. The periods of the first market
-    come first, then those of the next one. The last period has the value of the gas left on the end
-    date too.
+    come first, then those of the next one. The last period also contains the value of the gas left
+    on the end date.
     """
     problems = before.problem, after.problem
     chain = [before.problem, *_between(before, after, curves), after.problem]

@@ -27,8 +27,9 @@ class DayFlow(NamedTuple):
     - `price`: forward price on the first date; `spot`: the spot price of the flow, by default
       `price`.
     - `planned`, `taken`: net volume into the store.
-    - `planned_cash`: the cash of the plan at the forward price; `forward_cash`, `cash`: of the flow
-      taken at the forward price and at the spot price. All are net of costs, discounted to the
+    - `planned_cash`: the cash flow of the plan at the forward price; `forward_cash`, `cash`: the
+      cash flow of the flow taken, at the forward price and at the spot price. All are net of
+      costs, discounted to the
       second date.
     """
 
@@ -90,11 +91,12 @@ def passed_days(
 ) -> PassedDays:
     """The first `count` days of a case, after which `inventory` is in store.
 
-    The plan is the policy's decisions at the forward prices. Without `flows` the difference of the
-    inventory to the plan is spread evenly over the days; for a single day the flow taken is exact.
+    The plan is the policy's decisions at the forward prices. Without `flows` the difference
+    between the inventory and the plan is spread evenly over the days; for a single day the flow
+    taken is exact.
 
     - `elapsed`: days from the valuation date of the case to the second one.
-    - `flows`: the actual flows, on all of these days.
+    - `flows`: the actual flows, one for each of these days.
 
     **Raises:** `CaseError` if a day has no flow, or the flows do not lead to the inventory.
     """

@@ -33,7 +33,12 @@ def explained_change(
     **Raises:** `CaseError` if the second run cannot follow the first one.
     """
     if cash is not None:
-        raise CaseError("--cash", "", cash, "the cash of a gas store follows from --flows")
+        raise CaseError(
+            "--cash",
+            "",
+            cash,
+            "--cash is not for a gas store, whose cash flow follows from --flows",
+        )
     check_pair(first, second)
     return _StoreChain(first, second, progress, flows).result()
 
@@ -110,13 +115,13 @@ class _StoreChain(ChangeChain):
 def _notes(passed: PassedDays) -> Iterator[str]:
     if len(passed.flows) > 1 and any(x.taken != x.planned for x in passed.flows):
         yield (
-            f"{counted(len(passed.flows), 'day')} passed: flows other than planned are spread "
-            "evenly over "
-            "them, at the forward prices of the first run; --flows names them"
+            f"{counted(len(passed.flows), 'day')} passed: the difference from the planned flows "
+            f"is spread evenly over them, at the forward prices of the first run; --flows names "
+            f"a file with the actual flows"
         )
     elif len(passed.flows) > 1:
         count = len(passed.flows)
         yield (
             f"{counted(count, 'day')} passed: their flows are at the forward prices; --flows "
-            "names others"
+            f"names a file with other prices"
         )

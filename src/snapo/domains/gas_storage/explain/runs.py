@@ -62,7 +62,7 @@ class ValuedRun:
             raise CaseError(str(folder / run_folder.RESULT), "", None, message)
         result = RunResult.read(folder)
         if result.value is None or result.standard_error is None:
-            message = "this run has no value with an error: solve its case again"
+            message = "this run has no value with a standard error: solve its case again"
             raise CaseError(str(folder), "", None, message)
         file, data = case_of_run(folder, record)
         case = domain.read(file, data)

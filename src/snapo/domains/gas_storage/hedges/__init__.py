@@ -9,10 +9,10 @@ DELTAS, MIN_VARIANCE = "deltas", "least variance"
 
 
 class DailyHedge(NamedTuple):
-    """Rebalanced on each day, in the `families` of [products].
+    """A hedge that is adjusted on each day, in the `families` of [products].
 
-    - `rule`: DELTAS: each product its exposure; MIN_VARIANCE: the first product of each family, so
-      that the variance of the next day is smallest.
+    - `rule`: with DELTAS each product hedges its exposure; with MIN_VARIANCE the first product of
+      each family is traded, so that the variance of the next day is smallest.
     """
 
     rule: str

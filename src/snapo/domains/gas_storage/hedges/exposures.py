@@ -46,8 +46,8 @@ class StorePaths:
     - `factors`: the factors of its prices, exact and without spikes; `forward` [T + 1]: today's
       curve, the price of the end last; `discount` [T + 1]: the discount of the payment for the gas
       of each of these dates.
-    - `states` [T + 1, F, N] of the factors; `levels` [T + 1, N] at the start of each day and at the
-      end; `sold` [T + 1, N]: volume at the spot price, negative if bought.
+    - `states` [T + 1, F, N]: the factors; `levels` [T + 1, N]: levels at the start of each day and
+      at the end; `sold` [T + 1, N]: volume sold at the spot price, negative if bought.
     - `money` [N]: the present value of all payments.
     """
 
@@ -155,8 +155,9 @@ class StateFunctions:
 class FittedExposures:
     """The fit of each step of `products`.
 
-    - `volumes` [T + 1]: today's deltas by day; `products`: {step: those held from it on, as days}.
-    - `coefficients`: {step from 0 on: [K, products + F] of the functions}.
+    - `volumes` [T + 1]: today's deltas by day; `products`: {step: the products held from that step
+      on, as days}.
+    - `coefficients`: {step from 0 on: [K, products + F] the coefficients of the functions}.
     """
 
     functions: StateFunctions
@@ -186,10 +187,9 @@ class FittedExposures:
         return cls(functions, volumes, products, solved)
 
     def at(self, t: int, part: StorePaths, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Volumes a day [products, N] of other paths, sold forward after the flow of step t, and
-        the exposures [F, N] to the factors' shocks, discounted.
-
-        `moving` [T - t, N]: discounted prices of the dates after the step, as noise moves them.
+        """For other paths, the volumes per day [products, N] that are sold forward after the flow
+        of step t, and the discounted exposures [F, N] to the factors' shocks. `moving` [T - t, N]:
+        the part of the discounted prices of the later dates that noise moves.
         """
         blocks, fixed = self.products[t], moving * self.volumes[t + 1 :, None]
         fit = np.zeros((len(blocks) + len(part.factors.decay[0]), part.count))

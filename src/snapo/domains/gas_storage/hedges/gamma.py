@@ -52,7 +52,7 @@ class PriceRise(NamedTuple):
     """A rise by 1 of the price of a product.
 
     - `dates`: first and last day of its delivery; `steps`: the steps of the simulator.
-    - `numbers` [steps]: the position in the curve of the forward price of each of these steps.
+    - `numbers` [steps]: for each of these steps, the position of its forward price in the curve.
     - `along` [n]: the rise of the numbers of the curve; `price`: the mean forward price.
     """
 
@@ -73,8 +73,8 @@ def price_rises(
 ) -> list[PriceRise]:
     """One product for each period of these days of delivery.
 
-    `curve`: where the forward prices `values` [n] are used, on all steps of the simulator, of which
-    a day has `steps_a_day`.
+    `curve`: the forward prices `values` [n] and where they are used on all steps of the simulator.
+    A day has `steps_a_day` steps.
     """
     name, size, rises = curve.name, len(values), []
     index = curve.in_numpy({name: np.arange(size)})
@@ -90,9 +90,10 @@ def price_rises(
 
 
 class GammaMatrix(NamedTuple):
-    """The matrix [n, n] of n products, in units of volume per unit of price, present value.
+    """The matrix [n, n] of n products, in units of volume per unit of price; a present value.
 
-    - `both` [B, n, n]: delta i for a bump of product j at [:, j, i], by block of paths.
+    - `both` [B, n, n]: the change of delta i for a bump of product j at [:, j, i], by block of
+      paths.
     - `bumps` [n]: the bumps of the prices.
     """
 
@@ -119,7 +120,7 @@ class GammaMatrix(NamedTuple):
 
     def along(self, prices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """[n] the matrix times prices [n], and its standard error: zero without costs, if prices
-        move in proportion to a curve that is level within each product, since the value is then
+        move in proportion to a curve that is flat within each product, since the value is then
         homogeneous of degree one."""
         product = Estimate(self.symmetric.blocks @ prices)
         return product.value, np.hypot(1.0, BIAS) * product.standard_error
@@ -138,10 +139,11 @@ def gamma_matrix(
     """Gamma of the products, two passes for each.
 
     `curve`: the input of the forward prices; `prices`: the schedule of the price process. Forward
-    prices of steps whose spot price is known already, such as that of the valuation date, do not
-    move: the value is linear in them between kinks.
+    prices of steps whose spot price is known already, such as that of the valuation date, are not
+    moved: between kinks the value is linear in them.
 
-    **Raises:** `ValueError` if the prices of a product are not random: the value has kinks in them.
+    **Raises:** `ValueError` if the prices of a product are not random, since the value then has
+    kinks in them.
     """
     source = problem.sources.evaluation
     blocks = source.blocks(source.available(paths), BLOCKS)

@@ -50,7 +50,7 @@ class HeldVolume(NamedTuple):
 
 
 def static(paths: StorePaths, rows: HeldProducts, volumes: np.ndarray, first: int) -> HedgeGains:
-    """Volumes [T + 1] a day, sold today after step `first`, flat over each product.
+    """Volumes per day [T + 1], sold today after step `first`, equal on all days of a product.
 
     The exposure of a product is the mean of the volumes, weighted with today's discounted prices.
     """
@@ -102,7 +102,7 @@ class DailyHedges:
     ) -> list[list[HeldVolume]]:
         """The volumes that each hedge sells in its products `rows` after the flow of step t.
 
-        `moving` [T - t, N]: discounted prices of the dates after the step, as noise moves them.
+        `moving` [T - t, N]: the part of the discounted prices of the later dates that noise moves.
         """
         volumes, factors = exposures.at(t, part, moving)
         volume_of = dict(zip(exposures.products[t], volumes, strict=True))

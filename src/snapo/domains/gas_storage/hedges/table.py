@@ -24,12 +24,12 @@ class HedgeTable(CaseTable):
 
     deltas: list[list[str]] | None = doc("sets of products that hedge exposures", None, SETS)
     least_variance: list[list[str]] | None = doc(
-        "sets of products: in the first of every family, the variance of the next day is hedged",
+        "sets of products; the first product of every family hedges the variance of the next day",
         None,
         SETS,
     )
     paths: Annotated[int, Range(256, 1 << 20)] = doc(
-        "simulated paths; twice as many are used to fit the exposures", PATHS
+        "number of simulated paths; the exposures are fitted on twice this number", PATHS
     )
 
 
@@ -70,7 +70,9 @@ def _hedge(
     for name in entry:
         if name not in families:
             allowed = ", ".join(f'"{x}"' for x in families)
-            raise section.error(key, name, f"it must be keys of [products] that trade: {allowed}")
+            raise section.error(
+                key, name, f"it must be keys of [products] that are traded: {allowed}"
+            )
     if not entry:
         raise section.error(key, entry, "a hedge must have at least one product")
     return DailyHedge(rule, tuple(x for x in families if x in entry))

@@ -57,8 +57,9 @@ def backtest(
     """Operates the store of a case on the prices in a folder, and writes the results.
 
     - `history`: a folder with `spot.csv` and, if there are any, forward curves in `curves.csv`.
-    - `every`: days from one solution to the next, with the curve of its date; by default 30 or, if
-      the model is estimated again, only the dates of these estimates. Without curves there is one
+    - `every`: days from one solution to the next, with the curve of its date; by default 30; if
+      the model is estimated again, by default only the dates of these estimates. Without curves
+      there is one
       solution.
     - `calibrate`: when the model is estimated again, as in [backtest], whose other keys also apply.
     - `hedge`: trades the hedges of [hedge] on each day with a curve.
@@ -75,7 +76,7 @@ def backtest(
     notes: list[str] = []
     first = solved_on(file, data, None, None, None)
     if first.case.model.calendar:
-        message = "a back-test decides each flow on its own day; leave it out"
+        message = "a back-test decides each flow on its own day; leave out this key"
         raise CaseError(str(file), "contract.nomination", None, message)
     observed = read_observed(history, first.case.model.proportional, notes)
     if policy is not None:
@@ -104,10 +105,10 @@ def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
 
 
 class DrawnHistories(NamedTuple):
-    """The rule on histories that its model draws: `money` [N], `cash` [T, N] by day, discounted.
-
-    `controls`: arrays [N] of mean zero. `groups` [N]: equal for histories that depend on one
-    another; None if none do. `paths`: the paths of all price factors; None without a forward curve.
+    """The results of the rule on histories that its model draws: the total `money` [N] and the
+    `cash` [T, N] by day, discounted. `controls`: arrays [N] of mean zero. `groups` [N]: equal for
+    histories that depend on one another; None if all are independent. `paths`: the paths of all
+    price factors; None without a forward curve.
     """
 
     money: np.ndarray

@@ -181,7 +181,7 @@ def value_interval(result: HistoryFit, derivatives: Mapping[str, float]) -> dict
     """The standard error of a run's value that the errors of the parameters cause.
 
     With the derivatives d of the value and the covariance C of the estimates it is sqrt(d C d), to
-    first order (the delta method). `shares`: the same with the error of one parameter only.
+    first order (the delta method). `shares`: the same with the error of each parameter only.
     """
     names = result.estimate.names
     slope = np.array([derivatives.get(name, 0.0) for name in names])
@@ -203,7 +203,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
         f"{answer['first']} to {answer['last']}, log-likelihood {answer['log_likelihood']:,.4f}"
     )
     if answer["status"] != "ok":
-        yield "the search did not reach a maximum: the numbers below are where it ended"
+        yield "the search did not reach a maximum: the numbers below are those at which it ended"
     yield f"{'parameter':<20}{'estimate':>12}{'error':>12}   95 % interval"
     for row in answer["parameters"]:
         numbers = f"{row['estimate']:>12.5g}{row['standard_error']:>12.3g}"
@@ -215,5 +215,8 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
         yield f"without a measurement error: {', '.join(answer['exact'])}{end}"
     if "value" in answer:
         value = answer["value"]
-        yield f"value of the run: ± {value['half_width']:,.4g} (95 %) from these parameters"
+        yield (
+            f"value of the run: ± {value['half_width']:,.4g} (95 %) due to the errors of these "
+            f"parameters"
+        )
     yield f"table for a case: {answer['folder'] / TABLE}"

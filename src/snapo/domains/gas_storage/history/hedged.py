@@ -52,7 +52,7 @@ class HedgePosition(NamedTuple):
 class HedgedStore:
     """The result with one hedge.
 
-    - `gain`: the gain of the hedge, minus its `cost`; `traded`: volume of all trades.
+    - `gain`: the gain of the hedge after its `cost`; `traded`: volume of all trades.
     - `total`: the total of contract and hedge; `deviation`: standard deviation of the change of
       this total, marked to the curve, from one solution to the next.
     """
@@ -69,8 +69,9 @@ class HedgedStore:
 class HedgeBook:
     """The positions of all hedges of a contract over its days.
 
-    - `curves`: prices known on a step of the contract; -1 is a valuation date before it.
-    - `trading`: the steps on which a curve is published, on which positions change.
+    - `curves`: the prices that are known at each step of the contract; step -1 is a valuation date
+      before the contract.
+    - `trading`: the steps at which a curve is published, so that positions can change.
     """
 
     def __init__(
@@ -179,9 +180,8 @@ def _renumbered(row, steps: int):
 def hedged_results(
     book: HedgeBook, realised: float, marks: Sequence[tuple[datetime.date, float]]
 ) -> tuple[HedgedStore, ...]:
-    """The result of each hedge of a contract that brought `realised`.
-
-    `marks`: the date of each solution, and the contract's money so far with its value then.
+    """The result of each hedge of a contract whose cash flow was `realised`. `marks`: the date of
+    each solution, and the contract's cash flow so far plus its value on that date.
     """
     results = []
     for hedge in book.daily.hedges:

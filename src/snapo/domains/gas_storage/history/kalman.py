@@ -18,10 +18,10 @@ class History(NamedTuple):
     """N dates with up to M prices each.
 
     - `gap` [N]: years since the date before, 0 for the first.
-    - `value` [N, M]: X of each price; `present` [N, M]: whether there is one.
-    - `years` [N, M]: to delivery; `phase` [N, M]: time of delivery as a share of its year.
+    - `value` [N, M]: X of each price; `present` [N, M]: whether there is a price.
+    - `years` [N, M]: years to delivery; `phase` [N, M]: time of delivery as a share of its year.
     - `column` [N, M]: the series of each price, which determines the measurement error.
-    - `first` []: X around which the long-term level begins.
+    - `first` []: the X at which the long-term level begins on average.
     """
 
     gap: Float[Array, " N"]

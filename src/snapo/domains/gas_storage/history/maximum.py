@@ -98,7 +98,8 @@ class HistoryEstimate:
     """The P parameters with the largest likelihood, in the order of the model's names.
 
     - `numbers`, `errors` [P]: estimates and standard errors, in the parameters' own units.
-    - `low`, `high` [P]: the 95 % interval; of positive ones it is symmetric in the logarithm.
+    - `low`, `high` [P]: the 95 % interval, which is symmetric in the logarithm for positive
+      parameters.
     - `covariance` [P, P]: the covariance of the estimates.
     - `unknown` [P]: whether the interval is so wide that the history does not determine the number.
     - `log_likelihood`, `converged`.
@@ -143,11 +144,10 @@ def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
 
 
 def unknown(model: HistoryModel, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """[P] whether an interval is too wide to be useful.
-
-    A positive one: the upper end is over ten times the lower. A correlation: the interval is over
-    half of the range from -1 to 1. A rate: not even its sign is certain, and it may be over 1 % a
-    year. A level: over half a unit of the logarithm in either direction.
+    """[P] whether an interval is too wide to be useful. For a positive parameter the upper end is
+    more than ten times the lower end. For a correlation the interval is longer than half of the
+    range from -1 to 1. For a rate not even the sign is certain, and the rate may be above 1 % a
+    year. For a level the interval is more than half a unit of the logarithm in either direction.
     """
     width, unit = (high - low) / 2, model.units()
     table = {
@@ -165,9 +165,11 @@ def unknown(model: HistoryModel, low: np.ndarray, high: np.ndarray) -> np.ndarra
 class HistoryFit:
     """The estimates of a calibration.
 
-    - `model`: `exact` also has the series without a measurement error at the maximum.
-    - `estimate`; `states`: the filtered factors of each date at the estimates, as NumPy arrays.
-    - `vanished`: those series.
+    - `model`: the model, whose `exact` also has the series without a measurement error according
+      to the estimate.
+    - `estimate`: the estimates; `states`: the filtered factors of each date at the estimates, as
+      NumPy arrays.
+    - `vanished`: the series whose measurement error vanished at the maximum.
     """
 
     model: HistoryModel

@@ -43,11 +43,12 @@ class HistoryParameter(NamedTuple):
 class HistoryModel:
     """A Gaussian model, and which parameters the history can determine.
 
-    - `kind`: as in `[model]`; `factors`: 1 or 2; `normal`: X is the price itself.
+    - `kind`: as in `[model]`; `factors`: 1 or 2; `normal`: whether X is the price itself.
     - `shift`: h; `harmonics`: the harmonics of the season.
     - `quoted`: whether there are forward prices, the only ones that depend on the pricing measure.
     - `columns`: names of the observed series; `exact`: those without a measurement error.
-    - `unit`: typical size of X's movement: 1 for logarithms, money for normal prices.
+    - `unit`: typical size of a movement of X: 1 for logarithms, an amount of money for normal
+      prices.
     """
 
     kind: str
@@ -149,9 +150,9 @@ class HistoryModel:
         return constant, jnp.stack([loading, jnp.ones_like(loading)])[: self.factors]
 
     def initial(self, numbers, first) -> tuple[Array, Array]:
-        """Mean [F] and covariance [F, F] before the first price, of which X is `first`.
-
-        The short-term factor is stationary; the long-term level has a deviation of `unit`.
+        """Mean [F] and covariance [F, F] before the first price, whose X is `first`. The
+        short-term factor has its stationary distribution; the long-term level has a deviation of
+        `unit`.
         """
         p = self.by_name(numbers)
         stationary = p["volatility"] ** 2 / (2 * p["mean_reversion"])

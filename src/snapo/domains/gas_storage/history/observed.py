@@ -50,7 +50,8 @@ class ObservedMarket:
         if position < 0 or day > self.spot_days[-1]:
             first, last = self.spot_days[0], self.spot_days[-1]
             message = (
-                f"a back-test needs the spot prices of all its days; there are {first} to {last}"
+                f"a back-test needs the spot prices of all its days; the file has those of "
+                f"{first} to {last}"
             )
             raise CaseError(str(self.folder / SPOT), day.isoformat(), None, message)
         return self.spot_prices[position]
@@ -60,9 +61,8 @@ class ObservedMarket:
         return bool(self.curve_days) and self.curve_days[0] <= day
 
     def curve(self, day: datetime.date, days: Sequence[datetime.date]) -> np.ndarray:
-        """[n] the forward prices of days, from the last curve known on a day.
-
-        A day of delivery has the price of the shortest product with it; days before the first
+        """[n] the forward prices of days, from the last curve that is known on a day. A day of
+        delivery has the price of the shortest product that contains it; days before the first
         product have the spot price.
 
         **Raises:** `CaseError` if a later day is in no product.
@@ -78,7 +78,8 @@ class ObservedMarket:
             price = next((x.price for x in quotes if x.first <= item <= x.last), None)
             if price is None:
                 message = (
-                    f"no product of {latest} has delivery on {item}; the contract needs all days"
+                    f"no product of {latest} has delivery on {item}; the contract needs a price "
+                    f"for every day"
                 )
                 raise CaseError(str(self.folder / CURVES), latest.isoformat(), None, message)
             prices.append(price)
@@ -90,7 +91,8 @@ class StepCurves:
     """The prices of a contract: on step t, [T + 1 - t] for the day, later days and the end date.
     Step -1 has the prices of the valuation date, [T + 1].
 
-    - `days` [T], `end`: its dates; `end_price`: whether that of the end date counts.
+    - `days` [T], `end`: the dates of the contract; `end_price`: whether the price of the end date
+      counts.
     - `spots` [T + 1]: spot prices of the same dates.
     """
 

@@ -47,7 +47,7 @@ class HistoryTable(CaseTable):
     )
     maturities: str | None = doc(
         "forward prices by time to delivery", None,
-        "a CSV file with a column date, and one for each number of months ahead",
+        "a CSV file with a column date, and a column of prices for each number of months ahead",
     )  # fmt: skip
     first: DateKey | None = doc("first date used", None, f"{DATE}: earlier prices are left out")
     last: DateKey | None = doc("last date used", None, f"{DATE}: later prices are left out")
@@ -94,8 +94,9 @@ class ObservedPrice(NamedTuple):
 class Calibration:
     """A calibration that was read.
 
-    - `file`, `title`; `days` [N] with prices; `prices`: their number.
-    - `model`, `history`: in the form of the filter. `notes`: for the user.
+    - `file`, `title`: the file and its title; `days` [N]: the days with prices; `prices`: the
+      number of prices.
+    - `model`, `history`: both in the form that the filter needs. `notes`: notes for the user.
     """
 
     file: Path

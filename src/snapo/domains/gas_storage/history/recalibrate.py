@@ -31,8 +31,8 @@ NEEDED = frozenset(INPUTS.values())  # by a case: its curve is that of the marke
 class DatedEstimate:
     """An estimate on a date, from the `prices` that were known then.
 
-    - `parameters`: none if there are too few prices.
-    - `model`: the table of a case; `reason`: why the previous model is used, otherwise "".
+    - `parameters`: the estimates, none if there are too few prices.
+    - `model`: the table of a case; `reason`: why the previous model is used, "" if it is not.
     """
 
     date: datetime.date
@@ -51,7 +51,8 @@ class DatedEstimate:
 class ModelHistory:
     """The tables of a case with the latest model, and the estimates so far.
 
-    **Raises:** `CaseError` if the plan has estimates and the case a model without any.
+    **Raises:** `CaseError` if the plan needs estimates, but the model of the case cannot be
+    estimated.
     """
 
     file: Path

@@ -40,8 +40,9 @@ TAIL = 0.025  # of simulated histories, below or above which the realised cash f
 COLOURS = ("withdraw", "good", "inject", "limit", "other")  # of the hedges in a chart
 FEW = len(COLOURS)  # hedges that a chart can show
 METHOD = (
-    "Each day was decided with the prices up to that day. The expectation is the mean of the same "
-    "rule on histories that the model draws on the valuation date; one history may be far from it."
+    "Each day was decided with the prices up to that day. The expectation is the mean result of "
+    "the same rule on histories that the model draws on the valuation date; the result of one "
+    "history may be far from it."
 )
 
 
@@ -86,7 +87,7 @@ def _outcome(result: StoreBacktest, case: StorageCase) -> Section:
     discounted = f"discounted to {long_date(case.valuation_date)}"
     note = f"{less} of simulated histories earn less; {discounted}"
     difference, half = measured(result.realised - result.expected, result.error, digits, sign=True)
-    context = f"{difference} {half} against the expectation; {PLUS_MINUS}."
+    context = f"{difference} {half} compared with the expectation; {PLUS_MINUS}."
     realised = money(result.realised, currency, digits)
     top = Headline("Realised", realised, "", f"{note}.", marks=_marks(result, case, digits),
                    context=context)  # fmt: skip
@@ -224,8 +225,8 @@ def _marked(result: StoreBacktest, case: StorageCase) -> Chart:
     alt = f"Marked to the curve from {number(values[0])} to {number(values[-1])}."
     svg = draw("marked", alt, lambda axes: charts.lines(axes, when, lines, case.currency), 260)
     caption = (
-        "Cash flow so far and the expectation of the rest, marked to the curve of each solution. "
-        "A good hedge keeps it level."
+        "Cash flow so far plus the expectation of the rest, marked to the curve of each "
+        "solution. A good hedge keeps this sum nearly constant."
     )
     return Chart(svg, caption)
 
@@ -243,7 +244,7 @@ def _positions(result: StoreBacktest, case: StorageCase) -> Section:
     peak = int(np.argmax(result.inventory))
     alt = (
         f"Gas in store by day, at most {number(result.inventory[peak])} {unit} on "
-        f"{result.days[peak]}; below the flow of each day and the spot price."
+        f"{result.days[peak]}; the lower chart shows the flow of each day and the spot price."
     )
     svg = draw("positions", alt, paint, 430, (2.0, 1.0, 1.0))
     caption = "Gas in store after each day, the flow of each day, and the spot price."
@@ -270,7 +271,7 @@ def _sold(result: StoreBacktest, case: StorageCase) -> Chart:
         "sold", f"Largest net volume of the hedges: {alt}.",
         lambda axes: charts.lines(axes, when, lines, case.volume_unit), 230,
     )  # fmt: skip
-    caption = "Volume of all products that a hedge has sold, net of purchases, at the end of a day."
+    caption = "Net volume that a hedge has sold in all products, at the end of a day."
     if len(volumes) > FEW:
         caption += f" The first {FEW} of {len(volumes)} hedges."
     return Chart(svg, caption)

@@ -27,10 +27,11 @@ ESTIMATE_COLUMNS = ("date", "prices", "used", "reason", *ParameterRow._fields)
 class MarkedPosition:
     """A solution, and the position marked to the curve of its date.
 
-    - `date`, `inventory`; `cash`: realised so far, discounted to the first valuation date.
-    - `expected`, `standard_error`: of the money of the rest of the contract, on paths of the model
-      around the curve of the date; `intrinsic`: by the best fixed plan; all discounted to the
-      same date.
+    - `date`, `inventory`: the date and the gas in store; `cash`: the realised cash flow so far,
+      discounted to the first valuation date.
+    - `expected`, `standard_error`: the expected cash flow of the rest of the contract and its
+      error, on paths of the model around the curve of the date; `intrinsic`: its cash flow with the
+      best fixed plan; all discounted to the same date.
     """
 
     date: datetime.date
@@ -45,18 +46,18 @@ class MarkedPosition:
 class StoreBacktest:
     """The result of a back-test over T days; money is discounted to the valuation date.
 
-    - `days`; `spots`, `inventory` (after each day), `injection`, `withdrawal`, `cash` [T];
-      `expected_cash` [T]: the mean on the first valuation date.
-    - `band`: [T] 5 and 95 % quantiles of the cash so far on those histories.
+    - `days`, `spots`, `inventory` (after each day), `injection`, `withdrawal`, `cash` [T]: the
+      results by day; `expected_cash` [T]: the mean on the first valuation date.
+    - `band`: [T] 5 and 95 % quantiles of the cash flow so far on simulated histories.
     - `realised`: the sum of the cash, the value of the gas left, and fixed costs.
-    - `expected`, `error`: its mean on simulated histories of the model and the standard error;
-      `deviation`: the deviation of one history; `share`: the share of histories that bring less
-      than the realised one.
-    - `rolling`: of rolling intrinsic on the same curves; None without curves.
+    - `expected`, `error`: the mean of this sum on simulated histories of the model, and the
+      standard error; `deviation`: the standard deviation of one history; `share`: the share of
+      histories that earn less than `realised`.
+    - `rolling`: the result of rolling intrinsic on the same curves; None without curves.
     - `marks`: the marks of every solution. `mark_deviation`: the standard deviation of the change
-      of the marked position from one solution to the next, NaN of fewer than two changes.
-    - `estimates`: the estimates of the model, on their dates; `hedges`: the result with each,
-      `hedge_days` and `positions` by day.
+      of the marked position from one solution to the next, NaN for fewer than two changes.
+    - `estimates`: the estimates of the model, on their dates; `hedges`: the result with each hedge;
+      `hedge_days`, `positions`: the same by day.
     """
 
     days: tuple[datetime.date, ...]

@@ -42,9 +42,9 @@ class SpotFilter(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DatedRule:
-    """A policy solved on a date: its problem, whose first day is the first that it decides.
-
-    `filter`: of the price factors; without it a spot price moves the fast factor only. `prices`:
+    """A policy that was solved on a date, and its problem, whose first day is the first that the
+    policy decides. `filter`: the filter of the price factors; without a filter a spot price moves
+    the fast factor only. `prices`:
     the curve of the date with its loadings on the factors.
     """
 
@@ -57,9 +57,10 @@ class DatedRule:
     def from_curve(self, t: int, before: np.ndarray, spot: float, curve: np.ndarray) -> np.ndarray:
         """[1, F] the factors of the rule's day `t` from its spot price and its curve.
 
-        `curve` [T + 1 - t]: the curve of the day and later ones. The spot price is met exactly; the
-        rest is the least-squares fit of the curve, nearest to the factors `before` [1, F] if it is
-        not unique.
+        `curve` [T + 1 - t]: the forward prices of the day and of all later days. The spot price is
+        matched
+        exactly, and the curve by least squares. If the fit is not unique, it is the one nearest to
+        the factors `before` [1, F].
         """
         assert self.prices is not None and self.filter is not None
         loading, variance = self.prices.loadings(t)
@@ -85,9 +86,8 @@ class DatedRule:
 
 
 class DayResult(NamedTuple):
-    """[N] the inventory after a day, volumes, and the cash, discounted as in the ledger.
-
-    `factors` [N, F]: their mean conditional on the prices until the day.
+    """[N] the inventory after a day, the volumes, and the cash flow, discounted as in the ledger.
+    `factors` [N, F]: the mean of the factors conditional on the prices up to the day.
     """
 
     inventory: np.ndarray
@@ -109,7 +109,8 @@ def solved_on(
 
     - `day`, `inventory`: valuation date, and gas in store then; None: those of the case.
     - `curve`: the forward price of each day that the case needs; None: that of the case.
-    - `policy`: decides instead, with the fitted value of this problem.
+    - `policy`: a policy that decides instead of the fitted value, but reads the fitted value of
+      this problem.
     """
     tables = dict(data)
     if day is not None and inventory is not None:
@@ -147,11 +148,10 @@ def decided(
     spot: np.ndarray,
     curve: np.ndarray | None = None,
 ) -> DayResult:
-    """The rule's day `t` at inventories and spot prices [N], which is the ledger's day `day`.
-
-    `before` [N, F]: the factors of the day before. `curve` [T + 1 - t]: that of the day, which
-    shows several factors; of a single path. The cash is that of the exact simulator of
-    `ledger`, with its discount factors.
+    """The decisions of the rule's day `t` at inventories and spot prices [N]; this is the ledger's
+    day `day`. `before` [N, F]: the factors of the day before. `curve` [T + 1 - t]: the curve of
+    the day, from which several factors are determined; for a single path only. The cash flow is
+    that of the exact simulator of `ledger`, with its discount factors.
     """
     gain, prior = None, before
     if rule.filter is not None:

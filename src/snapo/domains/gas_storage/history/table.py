@@ -23,9 +23,11 @@ class BacktestTable(CaseTable):
 
     calibrate: Any = doc("when the model is estimated again", NEVER, CALENDARS)
     window: Annotated[int, Range(30, noun="a number of days")] | None = doc(
-        "days of history in an estimate, by default all", None
+        "days of history that an estimate uses, by default all", None
     )
-    prices: Literal["spot", "spot and curves"] = doc("prices of which the model is estimated", SPOT)
+    prices: Literal["spot", "spot and curves"] = doc(
+        "prices from which the model is estimated", SPOT
+    )
     season: Literal[0, 1, 2] = doc("number of seasonal waves in an estimate", 0)
 
 

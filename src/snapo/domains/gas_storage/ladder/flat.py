@@ -12,12 +12,12 @@ import numpy as np
 
 
 class Side(NamedTuple):
-    """The money of a unit of q, of one sign, in a period of n days.
+    """What a unit of q of one sign costs in a period of n days.
 
-    - `weight` [n]: volume bought for q = 1 on each day, times its discount factor; negative where
-      it is sold.
-    - `volume`: the volume bought on a day, the mean of the days.
-    - `money`: cost of q = 1 other than the price, discounted.
+    - `weight` [n]: volume bought for q = 1 on each day, times its discount factor; negative if it
+      is sold.
+    - `volume`: the volume bought per day, the mean over the days.
+    - `money`: cost of q = 1 in addition to the price, discounted.
     """
 
     weight: np.ndarray
@@ -28,12 +28,14 @@ class Side(NamedTuple):
 class FlatPeriod(NamedTuple):
     """Consecutive days with one flow, on nodes of the level before and after it.
 
-    - `first`, `after`: its first day, and the day after its last one.
-    - `nodes` [m]: evenly spaced levels before; `keep` [m]: level after without any flow.
-    - `span`: change of the level after it by q = 1.
+    - `first`, `after`: the first day, and the day after the last one.
+    - `nodes` [m]: evenly spaced levels before the period; `keep` [m]: the level after it without
+      any flow.
+    - `span`: the change of the level after the period for q = 1.
     - `minimum`, `maximum` [m]: limits of q; if none is possible, the first is above the second.
-    - `into`, `out`: of q above and below zero.
-    - `cost` [m]: money of the level itself; `spread`: discounted cost of a unit traded on each day.
+    - `into`, `out`: the sides of q above and below zero.
+    - `cost` [m]: the cost of the level itself; `spread`: discounted cost of a unit traded on each
+      day.
     """
 
     first: int
@@ -61,7 +63,7 @@ class Limits(NamedTuple):
 class Slopes(NamedTuple):
     """What q = 1 earns on each path [N], below and above zero, and the q that is held already.
 
-    - `held`: volume bought by positions, a day; `zero`: the q which that delivers.
+    - `held`: volume per day bought by positions; `zero`: the q that delivers this volume.
     """
 
     out: np.ndarray
@@ -115,7 +117,7 @@ def best(
 ) -> tuple[np.ndarray, np.ndarray]:
     """[rows, N] the value before the period and the best q, at levels with limits [rows, 1 or N].
 
-    `every`: whether the limits are also tried, for a value that is not concave.
+    `every`: whether the limits are also tried, which is needed if the value is not concave.
     """
     first, last = np.minimum(slope.zero, 0.0), np.maximum(slope.zero, 0.0)
     parts = [

@@ -108,17 +108,18 @@ def followed(rule: LeastSquaresRule, states: np.ndarray, spots: np.ndarray) -> F
 
 BLOCK = 256  # paths at once: their arrays stay in the cache
 TRAINED = 4096  # paths of a regression
-NO_CURVE = "its prices have other risks than Gaussian factors, so that no path has a forward curve"
+NO_CURVE = "its prices have other risks than Gaussian factors, so that paths have no forward curve"
 
 
 @dataclass(frozen=True, eq=False)
 class DeskMethods:
     """A contract of one level, the traded products, and paths.
 
-    - `forward` [T + 1]: today's curve, the price of the end last.
-    - `factors`: the factors of the prices; None, or not exact: no path has a forward curve.
-    - `states` [T + 1, F, N] of the factors, `spots` [T + 1, N]; `seed`: the seed of the
-      regression's paths.
+    - `forward` [T + 1]: today's curve, with the price of the end date last.
+    - `factors`: the factors of the prices; if they are None or not exact, paths have no forward
+      curve.
+    - `states` [T + 1, F, N]: the factors on paths, `spots` [T + 1, N]: spot prices; `seed`: the
+      seed of the regression's paths.
     """
 
     contract: FlatContract

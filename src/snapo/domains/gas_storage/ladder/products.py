@@ -24,7 +24,7 @@ from snapo.case.table import AnyTable, CaseTable, Nonempty, Range, TableContext,
 from ..curves.products import ONE, months
 from .rolling import TradeBlock
 
-SPREAD = "difference of the prices at which a unit is sold and bought, half of it paid for a trade"
+SPREAD = "difference of the prices at which a unit is bought and sold; a trade costs half of it"
 COLUMNS = ("name", "first", "last", "bid_offer", "lot", "last_trading_day")
 
 
@@ -39,16 +39,16 @@ class DayAheadTable(CaseTable):
 class BalanceTable(DayAheadTable):
     """`products.balance_of_month`: the days of the month after the trading day."""
 
-    lot: Annotated[float, Range(0.0, note=": trades a day are multiples of it, 0 for any")] = doc(
-        "lot size, in volume_unit/day", 0.0
-    )
+    lot: Annotated[
+        float, Range(0.0, note=": forward volumes per day are multiples of it, 0 allows any volume")
+    ] = doc("lot size, in volume_unit/day", 0.0)
 
 
 class FamilyTable(BalanceTable):
     """`products.months`: months, and in the same way `quarters` and `seasons`."""
 
     ahead: Annotated[int, Range(1)] | None = doc(
-        "how many periods after the present one trade, by default all", None
+        "number of periods after the present one that are traded, by default all", None
     )
     last_trading: Annotated[int, Range(0, 400, note=" days before delivery")] = doc(
         "days from the last trading day to the first day of delivery", 1
@@ -91,7 +91,8 @@ FAMILIES = (DAY_AHEAD, BALANCE, *PERIODS, "others")  # the keys of [products]
 class TradedProduct(NamedTuple):
     """A product with its first and last day of delivery, and its last trading day.
 
-    - `opens`: the first trading day, None for any; `family`: the key of [products] that it is of.
+    - `opens`: the first trading day, None for any; `family`: the key of [products] to which it
+      belongs.
     """
 
     name: str
@@ -118,10 +119,10 @@ class ProductDays(NamedTuple):
 class TradedProducts:
     """The products of a contract on its days.
 
-    - `days`: the days of delivery; `valuation`: the first trading day; `products`: all that may
-      trade.
-    - `day_ahead`: bid-offer of the day itself; `balance`: the balance of the rest of its month, or
-      None.
+    - `days`: the days of delivery; `valuation`: the first trading day; `products`: all products
+      that may be traded.
+    - `day_ahead`: bid-offer of the trading day itself; `balance`: the terms of the balance of the
+      month, or None.
     """
 
     days: tuple[datetime.date, ...]
@@ -201,7 +202,8 @@ def products_of(
 ) -> TradedProducts | None:
     """The products of the table [products], None for a case without one.
 
-    **Raises:** `CaseError` if one trades as a whole while its parts trade, or after them.
+    **Raises:** `CaseError` if a product is traded as a whole while its parts are traded, or after
+    that.
     """
     if data is None:
         return None
@@ -293,8 +295,9 @@ def _check_nested(section: TableContext, products: TradedProducts) -> None:
             if name and (name in met or inside):
                 day = products.days[t] if t >= 0 else products.valuation
                 message = (
-                    f"on {day} it would trade as a whole, although a part of it trades on that "
-                    "day or traded before; products must follow one another, or shorter ones "
+                    f"on {day} it would be traded as a whole, although a part of it is traded on "
+                    f"that day or was traded before; products must follow one another, or "
+                    f"shorter ones "
                     "must replace a longer one from its first day on"
                 )
                 raise CaseError(str(section.file), f"{section.name}: {name}", None, message)

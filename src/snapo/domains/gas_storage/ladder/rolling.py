@@ -37,9 +37,11 @@ NEAR = 1e-9
 
 
 class TradeBlock(NamedTuple):
-    """Days from `first` to `after`, not included, that trade as one, or that do not trade yet.
+    """Days from `first` up to the day before `after` that are traded as one product, or that are
+    not traded yet.
 
-    - `spread`: half the bid-offer, for a unit; `lot`: volumes a day are multiples of it, 0 for any.
+    - `spread`: half the bid-offer of a unit; `lot`: volumes per day are multiples of it, 0 for any
+      volume.
     """
 
     first: int
@@ -152,7 +154,7 @@ class Chains:
             nodes = self._nodes(low, high)
         inside = range(first, after - 1)
         if any(contract.settled(t, np.zeros(1)) is not None for t in inside):
-            raise Infeasible("a product must not extend over the end of a contract year")
+            raise Infeasible("a product must not extend beyond the end of a contract year")
         before = self._nodes(*_possible(contract, first, after, low, high))
         minimum, maximum = contract.limits(first, after, before, low, high)
         keep, span = contract.growth(first, after)
@@ -195,7 +197,7 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
     levels = levels[(levels >= bottom) & (levels <= top)]
     inside = np.flatnonzero(possible(levels))
     if not len(inside):
-        raise Infeasible("no flat volumes over the products satisfy it")
+        raise Infeasible("no equal volumes on all days of each product satisfy the contract")
     found = []
     for position, beyond in ((inside[0], inside[0] - 1), (inside[-1], inside[-1] + 1)):
         good = levels[position]
@@ -318,10 +320,11 @@ def rolling(
 ) -> Rolled:
     """Rolling intrinsic on some paths.
 
-    - `blocks`: those that trade on a step, the step itself first.
-    - `curves`: forward prices [T + 1 - t, N] on step t of it, of all later ones and of the end.
-    - `before`: whether the valuation date is before the first step: `blocks` and `curves` of step
-      -1 are those of that date.
+    - `blocks`: gives the blocks that are traded at a step, the step itself first.
+    - `curves`: gives the forward prices [T + 1 - t, N] at step t, of the step, all later steps and
+      the end.
+    - `before`: whether the valuation date is before the first step; `blocks` and `curves` of step
+      -1 are then those of the valuation date.
     """
     contract = chains.contract
     position = ForwardPosition.initial(contract, paths)

@@ -15,7 +15,8 @@ HALVINGS = 32  # of a flat volume, where rates depend on the inventory
 
 
 class Stock(NamedTuple):
-    """Inventories on the days of a period: level factor x first + span x q, and limits after each.
+    """Inventories on the days of a period, factor x first level + span x q, and the limits after
+    each day.
 
     - `before`, `after`: (factor, span) [n] at the start and at the end of each day.
     """

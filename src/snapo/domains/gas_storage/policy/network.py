@@ -31,12 +31,12 @@ from ..prices.process import YEAR, PriceProcess
 
 
 class Economics(NamedTuple):
-    """Today's flows in money, prices in units of the mean forward price.
-
+    """Costs and values of today's flows; prices are in units of the mean forward price.
     `first_in`, `last_in`, `first_out` and `last_out` are the table's marginal values of gas at the
-    end of the day, as of its gas payment: of the first and the last unit of the most injection, and
-    of the most withdrawal. If the value has a corner, a first unit in has the value of the slope
-    above it and a last one of the slope below; for withdrawn units it is the opposite. `buy` is the
+    end of the day, on the day of the payment for gas: those of the first and the last unit of the
+    largest injection, and of the largest withdrawal. If the value has a corner, the first unit
+    injected has the slope above the corner and the last one the slope below it; for withdrawn
+    units it is the opposite. `buy` is the
     cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and `room_out` are the
     free flows in units of the largest rate, `level` the joint level of the slow price factors.
     """
@@ -129,8 +129,8 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
 class MarginalValue(NamedTuple):
-    """Marginal values of gas at the end of the day, in units of the mean forward price: of the
-    first and the last unit of the most injection, and of the most withdrawal."""
+    """Marginal values of gas at the end of the day, in units of the mean forward price: those of
+    the first and the last unit of the largest injection, and of the largest withdrawal."""
 
     first_in: Array
     last_in: Array

@@ -21,8 +21,9 @@ from ..references.marginal import MarginalValues
 
 
 class Knots(NamedTuple):
-    """One day of the value table: uniform inventories from `low` to `high`, with [rows, n]
-    coefficients in the fast factor's state `above` and `below` them, valid up to `reach`."""
+    """One day of the value table: evenly spaced inventories from `low` to `high`, with [rows, n]
+    coefficients `above` and `below` each of them. They are valid for whitened factors up to
+    `reach`."""
 
     low: Array
     high: Array

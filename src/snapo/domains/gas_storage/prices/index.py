@@ -31,7 +31,8 @@ class IndexRows(NamedTuple):
     """The index of each of T + 1 dates: `fixed`, plus the sum of `weight` times the forward prices
     of its days, with `loading` on g and `variance`; leaves [T + 1, D], `fixed` [T + 1].
 
-    `renewed` [T + 1]: whether g is set into this date, to f of the date before.
+    `renewed` [T + 1]: whether g is set between the date before and this date, to the f of the date
+    before.
     """
 
     forward: Array
@@ -47,8 +48,9 @@ class IndexRows(NamedTuple):
 
 
 class PriceIndex(NamedTuple):
-    """The index as used by dynamic programs. g is the last factor, without a loading of the spot
-    price; `carry` [T + 1, F, F]: the shares of other factors in it into each date."""
+    """The index as used by dynamic programs. g is the last factor, on which the spot price has no
+    loading; `carry` [T + 1, F, F]: the shares of other factors that are carried into g before each
+    date."""
 
     rows: IndexRows
     carry: np.ndarray
@@ -69,9 +71,10 @@ class PriceIndex(NamedTuple):
 class IndexMonths(TreeRecord):
     """The months of T + 1 dates; the end date has the index of the last day.
 
-    - `days` [T + 1, D]: dates of the month, by number; `weight` of each, 0 for none.
+    - `days` [T + 1, D]: dates of the month, by number; `weight`: the weight of each, 0 where there
+      is no date.
     - `ahead` [T + 1, D]: years from the day before the month; `fixing_time` [T + 1]: years to it.
-    - `renewed` [T + 1]: whether a month begins with the date, the first date not among them.
+    - `renewed` [T + 1]: whether a month begins with the date; false for the first date.
     - `fixed` [T + 1]: 1 if the index was fixed before today, else 0.
     """
 
@@ -122,9 +125,9 @@ class IndexedStep(NamedTuple):
 
 
 class IndexedConstants(NamedTuple):
-    """The constants of the spot price's process; `before` [1, n]: g on the first date as a sum of
-    the noise of the days before; `first` [2]: its variance there, and the share of g in the mean of
-    f."""
+    """The constants of the spot price's process. `before` [1, n]: the weights of the noise of the
+    days before in g on the first date; `first` [2]: the variance of g on that date, and the share
+    of g in the mean of f."""
 
     spot: Any
     before: Array
@@ -142,7 +145,7 @@ class IndexedPrices(TwoPrices):
     """A spot price of one factor, and the month-ahead index; see the top of this file.
 
     - `spot`: the process of the spot price; `months`: the months of the index.
-    - `fixing`: the index of the first month, fixed before today; None: the curve gives it.
+    - `fixing`: the index of the first month, fixed before today; None if it follows from the curve.
     """
 
     spot: GivenFactors

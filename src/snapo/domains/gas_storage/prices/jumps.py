@@ -27,7 +27,7 @@ from .spikes import Spikes
 
 INTENSITY = Quantity(
     "1/year",
-    Range(0.0, YEAR, "()", noun="a number of jumps a year"),
+    Range(0.0, YEAR, "()", noun="a number of jumps per year"),
     "price model",
     move=1.0,
     plausible=Plausible(0.05, 200.0, "it is the number of spikes in a year"),
@@ -77,15 +77,17 @@ class OneFactorJumps(PriceProcess):
     """S(T) = F(T) exp(s(T) f(T) - variance / 2 + y(T) - c(T)), c(T) = ln E[exp y(T)].
 
     f is an Ornstein-Uhlenbeck factor as in "one-factor". y is a sum of upward spikes that decay
-    at `jump_mean_reversion` b: on each day after the valuation date one comes with probability
-    p = 1 - exp(-intensity / 365), of exponentially distributed size of mean eta in ln S. Spikes
+    at `jump_mean_reversion` b: on each day after the valuation date a spike occurs with
+    probability p = 1 - exp(-intensity / 365). Its size in ln S is exponentially distributed with
+    mean eta. Spikes
     of n days ago have shrunk by exp(-b n / 365), so c is a sum over days, and E[S(T)] = F(T):
 
         c(d) = sum_{n=0}^{d-1} ln(1 - p + p / (1 - eta exp(-b n / 365))),   eta < 1.
 
     A spike is eta x max(0, E - ln(1 / p)) with E = (z1^2 + z2^2) / 2 of two standard normals, which
-    is exponential: P(E > ln(1 / p)) = p, and the excess is exponential again. It is continuous in
-    p, so that pathwise derivatives with respect to the intensity are those of the expectation.
+    is exponential: P(E > ln(1 / p)) = p, and the excess is exponential again. This size is
+    continuous in p, so that pathwise derivatives with respect to the intensity are those of the
+    expectation.
     Source: the jump sizes are those of Kou (2002), upward only, around a mean-reverting spot as in
     Merton (1976). The state is (f, y). `gap`, `last`: days from valuation to the first and the
     last price.
@@ -222,7 +224,8 @@ LOST = 1e-7  # probability of more spikes a day than are drawn
 class OneFactorPoissonJumps(OneFactorJumps):
     """The same with spikes of a compound Poisson process, dy = -b y dt + dJ, in continuous time.
 
-    Several may come on a day, each of which has partly died out at its end, and
+    Several spikes may occur on a day, and each has partly decayed at the end of the day. The
+    compensator is
 
         c(T) = (intensity / b) ln((1 - eta exp(-b T)) / (1 - eta)),   eta < 1.
 

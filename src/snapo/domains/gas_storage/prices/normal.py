@@ -22,9 +22,8 @@ SHIFT = Quantity("price", NOT_NEGATIVE, "price model", move=1.0, limits=Range(0.
 
 
 class SignedPrices(GivenFactors):
-    """Factors of a price that may be negative: it does not scale with the forward curve.
-
-    Its scale for a policy does not change if a constant is added to the curve.
+    """Factors of a price that may be negative, and so is not proportional to the forward curve.
+    The scale of the price for a policy does not change if a constant is added to the curve.
     """
 
     proportional = False
@@ -94,7 +93,7 @@ class ShiftedTable(FactorTable):
     kind: Literal["one-factor-shifted"] = doc(
         "one factor, prices lognormal above minus the shift, which may be negative"
     )
-    shift: CaseInput = SHIFT("shift: the spot price is above minus this number")
+    shift: CaseInput = SHIFT("shift; the spot price is above minus this number")
 
 
 class ShiftedConstants(NamedTuple):

@@ -71,8 +71,8 @@ class CommodityPair(FactorPrices, TwoPrices):
 
     - `delivery`: the delivery of the first; `second_curve`: forward prices of the second, index
       [T].
-    - `reversions`, `volatilities`: of each, index [] and [T + 1]; `correlation`: the correlation of
-      their shocks.
+    - `reversions`, `volatilities`: mean reversion and volatility of each, index [] and [T + 1];
+      `correlation`: the correlation of their shocks.
     """
 
     delivery: Times

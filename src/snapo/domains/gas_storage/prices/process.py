@@ -102,12 +102,12 @@ class Times(TreeRecord):
     """The dates on which a process has prices, and their expectations today.
 
     - `years` [T + 1]: time of each date from the valuation date, Act/365; `gaps` between them.
-    - `curve`: the forward price of each date, but for an end date that needs none.
-    - `age` [n]: time from the end of each of the n days after the valuation date to the first date;
-      negative for later days, which are there so that few numbers n are compiled. `before`: n, or 0
-      if the first date is the valuation date.
-    - `notice` [T + 1]: if flows are nominated, `years` is the time of the nomination, and
-      `notice` that from there to the date; the price is then the forward price of the date.
+    - `curve`: the forward price of each date, except of an end date that needs none.
+    - `age` [n]: time from the end of each of the n days after the valuation date to the first date.
+      It is negative for later days, which are included so that code is compiled for few numbers n
+      only. `before`: n, or 0 if the first date is the valuation date.
+    - `notice` [T + 1]: if flows are nominated, `years` is the time of the nomination, and `notice`
+      the time from the nomination to the date; the price is then the forward price of the date.
     """
 
     years: Float[np.ndarray, " T+1"]
@@ -129,13 +129,14 @@ class Times(TreeRecord):
 class GaussianFactors(NamedTuple):
     """Factors of the spot price as a dynamic program reads them, on the T days and the end date.
 
-        S = (F + shift) exp(loading f - variance / 2) - shift,   or S = F + loading f (`additive`)
+        S = (F + shift) exp(loading f - variance / 2) - shift, or with `additive` S = F + loading f.
 
     - `loading` [T + 1, F], `variance` [T + 1] of loading f.
-    - `decay` [T + 1, F] and `shock` [T + 1, F, F] (lower Cholesky factor) lead INTO each date, the
-      first from the valuation date, where all factors are 0.
-    - `fast`: the factor in which a one-factor dynamic program is written.
-    - `exact`: whether these factors are the whole process; a lattice then gives the exact value.
+    - `decay` [T + 1, F] and `shock` [T + 1, F, F] (lower Cholesky factor) are those from the
+      previous date to each date; before the first date comes the valuation date, on which all
+      factors are 0.
+    - `fast`: the factor that a one-factor dynamic program uses.
+    - `exact`: whether these factors are the whole process, so that a lattice gives the exact value.
     - `spikes`: those of ln S besides the factors, a further coordinate after them.
     - `index`: a second price of a contract, with a factor of its own (a `PriceIndex`).
     """
@@ -187,10 +188,10 @@ class GaussianFactors(NamedTuple):
 
 
 class PriceProcess(Process):
-    """A price process of a store: its answers beyond the core's `Process`.
-
-    As it is read it has the numbers of the case; in a simulator it has none of them (see
-    `snapo.problem.form`), so that methods for paths read their `inputs`.
+    """A price process of a store, with further members in addition to those of the core's
+    `Process`. After
+    reading it has the numbers of the case; in a simulator it has none of them (see
+    `snapo.problem.form`), so that methods for paths read the numbers from their `inputs`.
 
     The level is the spot price in currency per unit; the state is that of the prices only.
     `prepare` gives T + 1 rows: the decision days, and the end date.
@@ -302,7 +303,7 @@ def register(process: type[Registered]) -> type[Registered]:
     if missing:
         raise TypeError(f"price process {process.__name__} has no {', '.join(missing)}")
     if process.kind in KINDS:
-        raise TypeError(f"price process {process.__name__}: {process.kind!r} is known already")
+        raise TypeError(f"price process {process.__name__}: {process.kind!r} is registered already")
     KINDS[process.kind] = process
     return process
 

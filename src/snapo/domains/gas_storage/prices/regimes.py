@@ -37,8 +37,8 @@ class RegimeTable(SingleFactorTable):
     """`[model]` of kind "regimes"."""
 
     kind: Literal["regimes"] = doc("one factor in a market that is calm or tight")
-    tightens: CaseInput = PROBABILITY("probability a day that a calm market becomes tight")
-    eases: CaseInput = PROBABILITY("probability a day that a tight market becomes calm")
+    tightens: CaseInput = PROBABILITY("probability per day that a calm market becomes tight")
+    eases: CaseInput = PROBABILITY("probability per day that a tight market becomes calm")
     premium: CaseInput = PREMIUM("logarithm of the ratio of a tight market's price to a calm one's")
 
 
@@ -52,9 +52,9 @@ class RegimeState(NamedTuple):
 
 
 class RegimeConstants(NamedTuple):
-    """Constants: for the first day the factor's deviation and the probability [] of a tight market;
-    of every day: decay, deviation, transition [2, 2]; the premium, and the size of the factor in a
-    year."""
+    """Constants: for the first day the factor's deviation and the probability [] of a tight
+    market; for every day decay, deviation and transition [2, 2]; the premium, and the size of the
+    factor after a year."""
 
     first_deviation: Array
     first_tight: Array
@@ -86,7 +86,7 @@ class Regimes(PriceProcess):
 
     so that c(d) = ln E[exp(premium R)] = ln(1 + p(d) (exp(premium) - 1)) and E[S(T)] = F(T).
     A path has no derivative with respect to the probabilities: the state carries its likelihood
-    ratio (`weight`), and the derivative of the mean is right. Source: Hamilton (1989), "A new
+    ratio (`weight`), and the derivative of the mean is correct. Source: Hamilton (1989), "A new
     approach to the economic analysis of nonstationary time series"; de Jong (2006), "The nature of
     power spikes". `gap`, `last`: days from valuation to the first and the last price.
     """

@@ -46,5 +46,5 @@ def check_curve(file: str, process: PriceProcess, delivery: Delivery) -> None:
     if not process.proportional:
         return
     for t in np.flatnonzero(curve.values <= 0)[:1]:
-        message = f'model kind "{process.kind}" multiplies the forward price and needs it above 0'
+        message = f'model kind "{process.kind}" multiplies the forward price, which must be above 0'
         raise CaseError(file, curve.labels[t], float(curve.values[t]), message)

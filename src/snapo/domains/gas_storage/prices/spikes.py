@@ -17,8 +17,8 @@ class Spikes(NamedTuple):
     """Spikes of ln S: log-price + y - compensator.
 
     - `decay`: the share of a spike that is left after a day; `size`: the mean of a spike.
-    - `rate`: spikes a day; `poisson`: whether several may occur, and decay, within a day.
-    - `before`: days from the valuation date, without spikes, to the first date.
+    - `rate`: spikes per day; `poisson`: whether several may occur, and decay, within a day.
+    - `before`: days from the valuation date, on which there are no spikes, to the first date.
     - `compensator` [T + 1]: ln E[exp y] on each date.
     """
 
@@ -78,9 +78,8 @@ LARGEST, LEAST = 16.0, 2e-3  # nodes of spikes above 0, as `REACH` of spikes, an
 
 
 def spike_nodes(spikes: Spikes, count: int) -> np.ndarray:
-    """Zero, and about `count` nodes above it in a constant ratio.
-
-    If possible, the decay of a day is a power of that ratio: without a spike, nodes lead to nodes.
+    """Zero, and about `count` nodes above it in a constant ratio. If possible, the decay of a day
+    is a power of this ratio, so that without a new spike every node moves to another node.
     """
     largest = LARGEST / (1 - spikes.size)
     log_ratio = np.log(LEAST / largest) / (count - 2)

@@ -26,7 +26,9 @@ class SuppliedTable(CaseTable):
     kind: Literal["supplied"] = doc("price paths of your own")
     training_paths: Nonempty = doc("price paths of the training, [path, day]", allowed=PATHS)
     evaluation_paths: Nonempty = doc("other price paths, for the valuation", allowed=PATHS)
-    rescale_to_curve: bool = doc("whether the mean of the paths is moved to the curve", False)
+    rescale_to_curve: bool = doc(
+        "whether the paths are scaled so that their mean is the forward curve", False
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +53,9 @@ class SuppliedStep(NamedTuple):
 class SuppliedPrices(PriceProcess):
     """Prices from a file; its paths replace the noise.
 
-    With `rescaled` the arrays are the noise: each day divided by its mean over the paths of its
-    own file, to be multiplied by the forward curve. Without, they are prices in currency per unit,
-    and the forward curve plays no part in them, but for `scale`, its mean size.
+    With `rescaled` the arrays are factors on the forward curve: the prices of each day divided by
+    their mean over the paths of the file. Without it they are prices in currency per unit, which
+    do not depend on the forward curve; only `scale`, the mean size of the curve, is used.
     """
 
     kind = "supplied"
@@ -152,6 +154,6 @@ def _noise(name: str, array: np.ndarray, days) -> np.ndarray:
     mean = array.mean(axis=0)
     for column in np.flatnonzero(mean <= 0)[:1]:
         got = Unquoted(f"a mean price of {mean[column]:g}")
-        message = "rescale_to_curve needs a mean above 0 on every day"
+        message = "rescale_to_curve needs prices whose mean is above 0 on every day"
         raise CaseError(name, f"day {days[column]}", got, message)
     return array / mean

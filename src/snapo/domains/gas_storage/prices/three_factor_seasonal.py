@@ -23,7 +23,8 @@ class SeasonalTable(CaseTable):
 
     kind: Literal["three-factor-seasonal"] = doc("spot, long-term and seasonal factors")
     spot_mean_reversion: CaseInput = REVERSION(
-        "speed at which the spot returns to the curve", plausible=Plausible(1.0, 1000.0, SPEED)
+        "speed at which the spot price returns to the curve",
+        plausible=Plausible(1.0, 1000.0, SPEED),
     )
     spot_volatility: CaseInput = VOLATILITY("volatility of the fast factor, which reverts")
     long_term_volatility: CaseInput = VOLATILITY("volatility of the whole curve, in parallel")
@@ -38,7 +39,7 @@ class ThreeFactorSeasonal(FactorPrices):
     `season`(T) (none). Source: the multi-factor seasonal model of the package cmdty-storage.
 
     - `spot_mean_reversion` (1/year), `spot_volatility`, `long_term_volatility`,
-      `seasonal_volatility` (1/sqrt(year)): one number each, index [].
+      `seasonal_volatility` (1/sqrt(year)): each is one number, index [].
     - `season`: [T + 1] cos(2 pi d / 365.25), d = days from 1 February of the valuation year.
     """
 

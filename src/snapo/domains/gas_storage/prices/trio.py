@@ -67,10 +67,10 @@ class FuelWithCertificates(NamedTuple):
 class CommodityTrio(CommodityPair):
     """Three commodities; see the top of this file.
 
-    - `reversions`, `volatilities`, of all three; `correlation`: the correlation of power and fuel,
-      of power and certificates, of fuel and certificates.
-    - `third_curve`: forward prices of certificates, index [T]; `share`: the number per unit of
-      fuel.
+    - `reversions`, `volatilities`: mean reversions and volatilities of all three; `correlation`:
+      the correlations of power and fuel, of power and certificates, of fuel and certificates.
+    - `third_curve`: forward prices of certificates, index [T]; `share`: the number of certificates
+      per unit of fuel.
     """
 
     third_curve: CaseInput = field(kw_only=True)

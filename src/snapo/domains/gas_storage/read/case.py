@@ -51,9 +51,7 @@ def read_market(
     unit: str,
 ) -> tuple[GasMarket, QuotedCurve | None]:
     """The market of a contract that trades on `days` and needs prices on `price_days`, and the
-    quotes that its curve is made of.
-
-    `moving`: [T] whether gas can move on the day.
+    quotes from which its curve is made. `moving`: [T] whether gas can move on the day.
     """
     curve, quoted = _forward(section, table, price_days, unit)
     valuation = table.valuation_date
@@ -75,14 +73,16 @@ def _forward(
     if table.forward_curve is not None:
         if table.curve is not None:
             raise section.error(
-                "curve", None, "this key makes a curve from quotes, but the case has none"
+                "curve",
+                None,
+                "this key is used to make a curve from quotes, but the case has no quotes",
             )
         return read_curve(section, table.forward_curve, days, unit), None
     assert table.quotes is not None
     forward = replace(FORWARD, unit=unit)
     quoted = read_quotes(section, table.quotes, forward, table.curve or _PLAIN, days)
     labels = [day.isoformat() for day in days]
-    reason = NoPosition(f"it is made from the quotes in {table.quotes}")
+    reason = NoPosition(f"this curve is made from the quotes in {table.quotes}")
     return forward.input(
         "forward_curve", quoted.curve, labels, positions=(reason,) * len(days)
     ), quoted
@@ -98,7 +98,8 @@ def read_curve(
     if both:
         more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
         section.notes.append(
-            f"In {name} {both[0]}{more} a quote of the day and of the month: the first is used."
+            f"In {name} {both[0]}{more} a quote of the day and one of the month: that of the day "
+            f"is used."
         )
     prices = []
     for day in days:
@@ -179,10 +180,10 @@ def _by_price(case: StorageCase) -> Iterator[Plausible]:
     yield Plausible(low, high, hint, names=("forward_curve",), ratio=APART, by_size=True)
     highest = float(np.max(np.abs(case.market.forward_curve.values), initial=0.0))
     if highest > 0:
-        paid = f"a cost is in {name}, and the highest gas price is {highest:.6g}"
+        paid = f"costs are in {name}, and the highest gas price is {highest:.6g}"
         names = ("injection_cost", "withdrawal_cost")
         yield Plausible(0.0, 3 * highest, paid, names=names, by_size=True)
-        paid = f"it is in {name} a day, and the highest gas price is {highest:.6g}"
+        paid = f"it is in {name} per day, and the highest gas price is {highest:.6g}"
         yield Plausible(0.0, highest / 20, paid, names=("inventory_cost",), by_size=True)
 
 
@@ -190,7 +191,7 @@ def _by_size(case: StorageCase) -> Iterator[Plausible]:
     """The range of rates, by the volume of the store: from 10,000 days to a tenth of a day."""
     size = float(np.max(case.contract.max_inventory.values, initial=0.0))
     if size > 0:
-        hint = f"a rate is in {case.volume_unit} a day, and the store has up to {size:.6g}"
+        hint = f"rates are in {case.volume_unit} per day, and the store holds up to {size:.6g}"
         names = ("ratchet_injection", "ratchet_withdrawal", "min_injection", "min_withdrawal")
         yield Plausible(size / 1e4, 10 * size, hint, names=names)
 
@@ -202,8 +203,8 @@ def end_too_early(start: datetime.date, end: datetime.date) -> str:
         return ""
     after = end + datetime.timedelta(1)
     return (
-        f"contract.end: {end} is the first day without a decision, and that is the last day of "
-        f"its month: a contract that includes it has end = {after}."
+        f"contract.end: {end} is the first day without a decision, but it is also the last day "
+        f"of its month: a contract that includes this day has end = {after}."
     )
 
 
@@ -218,12 +219,13 @@ def free_money(case: StorageCase) -> Iterator[str]:
     if np.any(paid & (price > 0)):
         t = int(np.argmax(paid & (price > 0)))
         yield (
-            f"On {case.days[t]} an injection is paid: injection_cost is {inward[t]:g}, and gas "
-            f"costs {price[t]:g}. Is the sign of the cost right?"
+            f"On {case.days[t]} an injection earns money: injection_cost is {inward[t]:g}, and "
+            f"gas costs {price[t]:g}. Is the sign of the cost right?"
         )
     elif (minimum := float(np.min(inward) + np.min(outward))) < 0:
         yield (
-            "Injecting gas and withdrawing it again pays by itself: the lowest injection_cost and "
+            "Injecting gas and withdrawing it again earns money at any prices: the lowest "
+            "injection_cost and "
             f"withdrawal_cost sum to {minimum:g}. Is the sign of the costs right?"
         )
 
@@ -245,10 +247,12 @@ FORMATS = {
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
-    """The case in the TOML file `file`, whose tables were read already: `data`.
+    """The case in the TOML file `file`, whose tables `data` were read already.
 
-    Other files are looked for next to it. **Raises:** `CaseError` if a table, a file or a number
-    is wrong, or if the contract cannot be met; nothing is written.
+    Other files are looked for next to it.
+
+    **Raises:** `CaseError` if a table, a file or a number is wrong, or if the contract cannot be
+    met; nothing is written.
     """
     top = parse(StorageTable, data, str(file), "")
     parse(ReportTable, top.report, str(file), "report")

@@ -43,7 +43,7 @@ def payment_days(
     """[T] integer days since `valuation` on which the flow of each of `days` is paid.
 
     - `moving`: [T] whether gas can move on the day; a month without such days needs no row.
-    - `gas`: [T] the same for the gas itself, which the rule "gas" of a cost refers to.
+    - `gas`: [T] the days on which the gas itself is paid, to which the rule "gas" of a cost refers.
     """
     if rule == "gas" and gas is not None:
         return gas
@@ -105,7 +105,9 @@ AMOUNT = Quantity(group="cost", column="amount", meaning="amounts owed in any ca
 LEVEL = replace(STOCK, column="inventory", meaning="rows with the value of the remaining gas")
 LEFT = Quantity(group=GROUP, meaning="rows with the value of the remaining gas")
 SPOT_SHARE = replace(
-    POINTS, plausible=OF_SPOT, meaning="value of the remaining gas, as a share of its spot value"
+    POINTS,
+    plausible=OF_SPOT,
+    meaning="value of the remaining gas, as a share of its value at the spot price",
 )
 
 

@@ -42,7 +42,7 @@ def read_ratchets(
     if table.ratchets is None:
         return _plain_rates(section, table, plain, days)
     if plain:
-        message = f"give either {plain[0]} or ratchets, not both"
+        message = f"specify either {plain[0]} or ratchets, not both"
         raise section.error(plain[0], getattr(table, plain[0]).written, message)
     rows = read_rows(FileReference(section, "ratchets", table.ratchets), COLUMNS)
     blocks = read_blocks(rows)
@@ -55,7 +55,11 @@ def read_ratchets(
 def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
     for key in ("max_injection", "max_withdrawal"):
         if key not in plain:
-            raise section.error(key, None, "this key is missing; give both max rates, or ratchets")
+            raise section.error(
+                key,
+                None,
+                "this key is missing; specify max_injection and max_withdrawal, or ratchets",
+            )
 
     def rate(numbers: CaseInput) -> CaseInput:
         numbers = numbers.on(days, section.notes)
@@ -88,7 +92,9 @@ def read_blocks(rows: Sequence[Row]) -> list[RatchetBlock]:
     for number, row in enumerate(rows):
         date = row.day("date") if row.cells["date"] else None
         if date is None and not blocks:
-            raise row.error("date", "the first row needs the date from which its block applies")
+            raise row.error(
+                "date", "the first row needs the date from which its block of rows applies"
+            )
         if date is None or (blocks and date == blocks[-1][0]):
             _check_rises(rows[blocks[-1][1][-1]], row)
             blocks[-1][1].append(number)

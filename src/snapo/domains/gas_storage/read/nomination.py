@@ -33,8 +33,8 @@ def nominated_on(
         return None
     nomination = where.nested(NominationTable, table.nomination, "nomination")
     where.notes.append(
-        "contract.nomination: flows are fixed days in advance. Prices and cash flows on paths "
-        "are as of that time, and vary less than on the days of the flows."
+        "contract.nomination: flows are fixed days in advance. Prices and cash flows of paths "
+        "are those at the nominations, and vary less than those on the days of the flows."
     )
     if nomination.calendar == "every-day":
         return tuple(date - datetime.timedelta(nomination.days) for date in dates)
@@ -55,5 +55,5 @@ def check_nomination(where: TableContext, table: Any, objective: str, products: 
         )
         raise where.error("nomination", None, message)
     if products is not None:
-        message = "[products] trade on the days of the flows; leave one of the two out"
+        message = "[products] are traded on the days of the flows; leave one of the two out"
         raise where.error("nomination", None, message)

@@ -33,12 +33,13 @@ def _plain_day(value: Any) -> Any:
 DATE = "a date from 1900 to 2200, YYYY-MM-DD"
 DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day), Field(description=DATE)]
 ValuationDay = Annotated[
-    DateKey, Field(title="day of today's prices, to which money is discounted")
+    DateKey, Field(title="day of today's prices, to which payments are discounted")
 ]
 VolumeUnit = Annotated[Nonempty, doc("unit of all volumes", "MWh", 'a name such as "MWh"')]
 Currency = Annotated[Nonempty, doc("currency of all money", "EUR", 'a name such as "EUR"')]
 NominationKey = Annotated[
-    dict | None, doc("how long before its date a flow is fixed", None, "a table like { days = 1 }")
+    dict | None,
+    doc("how many days before its date a flow is fixed", None, "a table like { days = 1 }"),
 ]
 END_VALUES = "a CSV file with columns inventory,value"
 CURVE = (
@@ -53,7 +54,7 @@ RULES = (
 
 PRICE, FLOW, GROUP = "{currency}/{volume_unit}", "{volume_unit}/day", "contract"
 OF_VOLUME = Plausible(0.0, 0.2, "it is a share of the volume, 0.015 is 1.5 %")
-OF_STOCK = Plausible(0.0, 0.01, "it is a share of the gas in store a day, 0.0001 is 3.6 % a year")
+OF_STOCK = Plausible(0.0, 0.01, "it is a share of the gas in store per day, 0.0001 is 3.6 % a year")
 OF_SPOT = Plausible(
     0.0,
     1.5,
@@ -140,11 +141,13 @@ class ContractTable(CaseTable):
         "when costs of withdrawal are paid", "flow", f'"gas", {RULES}'
     )
     fixed_costs: Nonempty | None = doc(
-        "amounts that are due for any decisions, in currency",
+        "amounts that are due whatever is decided, in currency",
         None,
         "a CSV file with columns date,amount",
     )
-    injection_fuel: CaseInput = SHARE("fuel: share of the injection, bought in addition", 0.0)
+    injection_fuel: CaseInput = SHARE(
+        "fuel: share of the injection that is bought in addition", 0.0
+    )
     withdrawal_fuel: CaseInput = SHARE("fuel: share of the withdrawal that is not sold", 0.0)
     inventory_loss: CaseInput = SHARE(
         "lost gas", 0.0, unit="1/day", display_unit="percentage point a day", move=1e-4, bump=1e-6,
@@ -158,12 +161,13 @@ class ContractTable(CaseTable):
         "value of gas left at the end: a share of the spot price, or currency by inventory", None
     )
     outages: list[str] | Nonempty = doc(
-        "days without flow, the last one included, or with the shares of the rates that remain", [],
+        "days without flow, first and last day included; or a file with the shares of the rates "
+        "that remain", [],
         'a list like ["2021-07-01/2021-07-14"], or a CSV file with columns '
         "from,to,injection_factor,withdrawal_factor",
     )  # fmt: skip
     first_decision: Literal["valuation-date", "next-day"] = doc(
-        "first day whose flow is decided: the day after, if that of today is nominated already",
+        "first day whose flow is decided; tomorrow, if the flow of today is nominated already",
         "valuation-date",
     )
     nomination: NominationKey

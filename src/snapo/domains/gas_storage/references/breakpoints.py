@@ -22,9 +22,8 @@ def breakpoints(
     maximum: int = MAXIMUM,
 ) -> list[np.ndarray] | None:
     """[T + 1] rising inventories of each day and of the end date, with both ends of each interval.
-
-    `low`, `high`: [T + 1] of these intervals, see `piecewise.visited`. None if rates depend on the
-    inventory, if gas is lost, and if a day has more than `maximum`.
+    `low`, `high`: [T + 1] the ends of these intervals, see `piecewise.visited`. None if rates
+    depend on the inventory, if gas is lost, or if a day has more than `maximum` inventories.
     """
     steps = schedule.steps
     depends = [np.ptp(item, axis=1) > 0 for item in (steps.injection_rate, steps.withdrawal_rate)]

@@ -24,7 +24,7 @@ class DayRates(NamedTuple):
 
 
 class FlowChoices(NamedTuple):
-    """Inventory at the end of the day that each inventory at its start can reach. [n]
+    """Inventories at the end of the day that each inventory at its start can reach. [n]
 
     `keep` is the inventory without any flow (after losses), `down` and `up` the smallest and the
     largest that the contract allows, `hold` the allowed one nearest to `keep`.
@@ -52,7 +52,8 @@ def volume_scale(schedule) -> float:
 def rates(schedule, interpolation: Interpolation, t: int) -> DayRates:
     """The day's ratchets as continuous piecewise-linear functions of the inventory.
 
-    With step ratchets (the row at or below holds) a jump at a level becomes a ramp that ends at
+    With step ratchets (the row at or below the inventory applies) a jump at a level becomes a ramp
+    that ends at
     the level and is 1e-9 of the largest inventory wide: a dynamic program then needs one
     kind of function only, and can gain at most that volume from it.
     """
@@ -117,7 +118,7 @@ def holding_cost(schedule, t: int, inventory: np.ndarray) -> np.ndarray:
 def end_value(schedule, inventory: np.ndarray, spot) -> np.ndarray:
     """Present value of the gas left on the end date, at that day's spot price.
 
-    The shape is that of `inventory` and `spot` together; both parts of the contract's rule are
+    `inventory` and `spot` are broadcast against each other; both parts of the contract's rule are
     paid on the end date.
     """
     constants = schedule.constants

@@ -13,7 +13,7 @@ class IntrinsicPlan(NamedTuple):
 
     - `value`: present value on the valuation date, in the contract's currency.
     - `net`: net volume put into store on each day, withdrawals negative, [T].
-    - `inventory`: in store at the start of each day, and on the end date, [T + 1].
+    - `inventory`: gas in store at the start of each day, and on the end date, [T + 1].
     """
 
     value: float
@@ -24,8 +24,9 @@ class IntrinsicPlan(NamedTuple):
 def intrinsic(schedule, interpolation: Interpolation) -> IntrinsicPlan:
     """The exact intrinsic value with free volumes, by piecewise-linear dynamic programming.
 
-    Exact to rounding for every contract: ratchets of any shape, linear or step, any end value. It
-    needs no grid, see `piecewise`. For concave contracts it is tested against a linear program.
+    It is exact to rounding for every contract, with linear or step ratchets of any shape and any
+    value at the end. It needs no grid, see `piecewise`. For concave contracts it is tested against
+    a linear program.
     """
     low, high = visited(schedule, interpolation)
     after = values_after(schedule, interpolation, low, high)
@@ -40,7 +41,8 @@ def intrinsic(schedule, interpolation: Interpolation) -> IntrinsicPlan:
 def values_after(schedule, interpolation: Interpolation, low, high) -> list[PiecewiseLine]:
     """The value of gas at the END of each day, when all prices are today's forward prices.
 
-    Exact on [low[t + 1], high[t + 1]] of the T + 1 supplied intervals; present values.
+    The values are present values, exact on [low[t + 1], high[t + 1]] of the T + 1 supplied
+    intervals.
     """
     horizon = len(schedule.steps.forward)
     line = _end_line(schedule, low[horizon], high[horizon])

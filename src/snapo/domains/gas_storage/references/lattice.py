@@ -35,12 +35,12 @@ class LatticeResult:
     """Result of the dynamic program. Money is a present value on the valuation date.
 
     - `value`: the value of the contract, before fixed costs.
-    - `selected`: indices of the price factors on the grid, fast one first; `dropped`: those left
-      out.
-    - `follow`: the sweep forward, which is done once, when one of the following is read.
+    - `selected`: indices of the price factors on the grid, the fast factor first; `dropped`: the
+      indices of the others.
+    - `follow`: the forward sweep, which is done once, when one of the following attributes is read.
     - `deltas`: [T] derivative of the value with respect to each day's forward price, in discounted
-      volume (positive: gas sold), by the envelope theorem; `end_delta`, with respect to the price
-      of the end date.
+      volume (positive: gas sold), by the envelope theorem; `end_delta`: the derivative with respect
+      to the price of the end date.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
     """
 
@@ -83,21 +83,23 @@ def lattice(
     slow_nodes: int = 17,
     volumes: Volumes = "free",
 ) -> LatticeResult:
-    """The value of the contract by dynamic programming, with deltas from one sweep forward.
+    """The value of the contract by dynamic programming, with deltas from one forward sweep.
 
     **Arguments:**
 
     - `factors`: the factors of the price process, which must be Gaussian for the value to be exact.
-    - `keep`: indices of the one or two to keep; by default `relevant_factors`.
-    - `inventories`: grid points from 0 to the largest inventory; or `step`, the volume between; or
-      `nodes`, [T + 1] inventories of each day and of the end date, see `breakpoints`.
+    - `keep`: indices of the one or two factors that are used; by default `relevant_factors`.
+    - `inventories`: the number of grid points from 0 to the largest inventory; or `step`, the
+      volume between them; or `nodes`, [T + 1] the inventories of each day and of the end date, see
+      `breakpoints`.
     - `spacing`: the spacing of the fast factor's nodes, in standard deviations of its daily shock;
       by default 0.15 for one factor, 0.3 for two. The error falls with its square; deltas need a
       finer grid than values.
     - `slow_nodes`: nodes of the second factor.
-    - `volumes`: "extremes" allows the largest, the least and the smallest flow of each day; "free"
-      also a flow up to where the value of more gas falls below its price; "every" flows to every
-      grid point, like "free" with step ratchets.
+    - `volumes`: "extremes" allows the largest injection, the largest withdrawal and the flow
+      nearest to zero of each day. "free" also allows a flow up to the inventory at which more gas
+      has a value below its price. "every" allows flows to every grid point, and so does "free"
+      with step ratchets.
     """
     every = range(factors.loading.shape[1])
     selected = relevant_factors(schedule, factors) if keep is None else tuple(keep)
@@ -132,9 +134,10 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
     A non-reverting factor with the same loading on all days, independent of the others, scales all
-    prices in proportion, if they are proportional to the curve; without proportional costs it
-    leaves the value unchanged (a change of numeraire), and almost so with small costs (a fixed
-    payment for the gas left counts as one). It is dropped unless it is the only factor.
+    prices in proportion, if they are proportional to the curve; Without fixed or proportional
+    costs such a factor leaves the value unchanged (a change of numeraire), and with small costs
+    almost unchanged; a fixed payment for the gas left counts as a cost. It is dropped unless it is
+    the only factor.
     """
     if len(schedule.steps.forward) == 0:
         return (0,)

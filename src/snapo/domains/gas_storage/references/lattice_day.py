@@ -32,9 +32,10 @@ class DayDecisions(NamedTuple):
     """One day's best decisions, and the nodes needed to follow them.
 
     - `inventory`: [n] start-of-day grid; `nodes`: [m] end-of-day grid.
-    - `choice`: [n, columns] HOLD, UP, DOWN (smallest, greatest and least net flow), BUY_TO or
-      SELL_TO (a node of the column), MOVE_TO (a separate node).
-    - `today`: the end-of-day inventory of the first three; `buy_to`, `sell_to` [columns] and
+    - `choice`: [n, columns] HOLD (the flow nearest to zero), UP and DOWN (the largest and the
+      smallest net flow), BUY_TO or SELL_TO (a flow to the node of the column), MOVE_TO (a flow to a
+      separate node).
+    - `today`: the end-of-day inventories of the first three; `buy_to`, `sell_to` [columns] and
       `move_to` [n, columns]: node indices of the others.
     """
 
@@ -79,8 +80,8 @@ def decide(
 ) -> tuple[DayDecisions, np.ndarray]:
     """The best decision at each start-of-day inventory [n] and column, and the value [n, columns].
 
-    `after` [m, columns] is the value at the end of the day on `nodes` [m]. Free volumes: the node
-    where value minus price is greatest is a target if it is within reach; if `after` is
+    `after` [m, columns] is the value at the end of the day on `nodes` [m]. With free volumes, the
+    node at which value minus price is greatest is a target if it is within reach; if `after` is
     concave in the inventory, no other target is needed.
     """
     today = moves(schedule, day_rates, t, inventory)
@@ -159,9 +160,9 @@ def follow(day: DayDecisions, weight: np.ndarray) -> LatticeFlow:
 
 
 def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> "csr_array":
-    """Linear interpolation from rising nodes [m] to points [n], flat outside. [n, m], sparse
-
-    It is linear since this keeps the order of values, and can only lower a concave value.
+    """The sparse matrix [n, m] of the linear interpolation from rising nodes [m] to points [n],
+    flat outside. Linear interpolation keeps the order of values, and can only lower a concave
+    value.
     """
     from scipy.sparse import csr_array  # late: a case is checked without it
 

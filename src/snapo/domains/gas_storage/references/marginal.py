@@ -55,14 +55,14 @@ class Transition(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FactorGrid:
-    """Nodes of the kept factors, the same on all days; columns run over slow x fast nodes.
+    """Nodes of the factors on the grid, the same on all days; columns are all pairs of a slow and a
+    fast node. If prices have spikes, the spikes are the slow coordinate.
 
-    If prices have spikes, these are the slow coordinate.
-
-    - `of`: all factors of the price process; `selected`: indices of those on the grid, fast one
-      first.
+    - `of`: all factors of the price process; `selected`: indices of the factors on the grid, the
+      fast factor first.
     - `fast`, `slow`: node positions (slow: one node at 0 if there is one coordinate).
-    - `covariance`: [T + 1, kept, kept] of the kept factors on each day, and on the end date.
+    - `covariance`: [T + 1, kept, kept] the covariance of the factors on the grid on each day, and
+      on the end date.
     """
 
     of: GaussianFactors
@@ -207,7 +207,8 @@ class SlopeTable(NamedTuple):
     - `low`, `high`: [T] the first and the last row; the rows between are evenly spaced.
     - `next_low`, `next_high`: [T] the inventories that the day can end with.
     - `corners`: whether levels lie on corners, so that a slope has two sides.
-    - `segments`: between two levels each; rows are at the levels and half-way between them.
+    - `segments`: how many there are; a segment is between two levels, and rows are at the levels
+      and half-way between them.
     """
 
     low: np.ndarray
@@ -290,11 +291,11 @@ DEGREE = 4  # of it; with 2 a store of fast corners lost 0.3 % of its value, now
 class MarginalValues:
     """The value of one more unit of gas at the END of each day, as a present value.
 
-    - `low`, `high`: [T] of the table, see `SlopeTable`; row k of n lies at
-      low + k / (n - 1) (high - low).
-    - `above`, `below`: [T, rows, n] on either side: c0 + c1 f + c2 f^2 + … in the fastest
-      factor's state f on the day, the other factors at rest; currency per unit, discounted to
-      the valuation date.
+    - `low`, `high`: [T] the range of the table, see `SlopeTable`; row k of n is at low + k / (n -
+      1) (high - low).
+    - `above`, `below`: [T, rows, n] the coefficients c on either side of a row, in c0 + c1 f + c2
+      f^2 + … with the fastest factor's state f on the day and the other factors at zero; currency
+      per unit, discounted to the valuation date.
     - `reach`: [T] the |f| within which the polynomial was fitted; clip f to it.
     """
 
@@ -308,7 +309,8 @@ class MarginalValues:
 def marginal_values(
     schedule, factors: GaussianFactors | None, interpolation: Interpolation
 ) -> MarginalValues:
-    """The table of a dynamic program in the fast factor; without factors of the intrinsic problem.
+    """The table of a dynamic program in the fast factor, or of the intrinsic problem if there are
+    no factors.
 
     If a day has only one possible inventory (`low` = `high`) the value is the day's spot price.
     There must be at least one day.

@@ -44,9 +44,9 @@ def day_value(
     low: float,
     high: float,
 ) -> PiecewiseLine:
-    """The value at the start of day t of every inventory in [low, high], given that at its end.
-
-    `prices` are the day's two known unit prices, `after` spans all that [low, high] can reach.
+    """The value at the start of day t of every inventory in [low, high], computed from `after`,
+    the value at its end. `prices` are the day's two known unit prices; `after` spans all
+    inventories that can be reached from [low, high].
     """
     day_rates = rates(schedule, interpolation, t)
     scale = volume_scale(schedule)
@@ -93,9 +93,9 @@ def best_move(
 
 
 def visited(schedule, interpolation: Interpolation) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest inventory that the starting one can lead to, [T + 1] each.
-
-    Narrower than the schedule's interval (from which the contract can still be met) early on.
+    """The smallest and the largest inventory that can be reached from the initial one, [T + 1]
+    each. In the first days this interval is narrower than that of the schedule, from which the
+    contract can still be met.
     """
     horizon = len(schedule.steps.forward)
     low, high = np.empty(horizon + 1), np.empty(horizon + 1)

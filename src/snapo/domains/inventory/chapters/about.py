@@ -18,7 +18,8 @@ class CaseSummary:
 
     - `item_unit`, `step`, `currency`: names of units, "piece", "week", "EUR"; `units`: the units of
       outputs.
-    - `horizon`: the number of all periods; `warm_up`: of the first ones, which do not count.
+    - `horizon`: the number of all periods; `warm_up`: the number of the first periods, which do
+      not count.
     - `lead_time`: the lead time of an item; None for a `network`.
     - `other_leads`: whether other lead times are trained; `lost`: whether unmet demand is lost.
     """

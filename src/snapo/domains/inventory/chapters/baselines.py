@@ -26,7 +26,8 @@ from ..policy.search import SEARCH_PATHS
 class RuleResult:
     """The result of a rule, minus its cost, and its standard error.
 
-    - `difference`, `difference_error`: to the trained rule, paired path by path; None for itself.
+    - `difference`, `difference_error`: the difference from the trained rule and its error, paired
+      path by path; None for the trained rule.
     - `numbers`: the numbers of the rule, in a planner's terms.
     """
 
@@ -55,7 +56,9 @@ def measure(run: StudyRun) -> RuleResults:
 
     def compare(name: str, shares: np.ndarray, trained: np.ndarray, numbers: dict[str, float]):
         result, gap = of_shares(shares), of_shares(shares - trained)
-        run.progress(f"{name}: {result.value:,.6g}, {gap.value:+,.3g} to the trained rule")
+        run.progress(
+            f"{name}: {result.value:,.6g}, difference to the trained rule {gap.value:+,.3g}"
+        )
         rows.append(RuleResult(name, *result[:2], *gap[:2], numbers))
 
     for name, rule, numbers in network_rules(setup) if is_network else item_rules(setup):

@@ -52,7 +52,7 @@ def measure(run: StudyRun) -> OtherLeadTimes:
             change = _change(run, make_setup(case, run.setup.engines.name))
             rows.append(OtherLeadTime(site, other, change.value, change.standard_error))
             where = f" of {site}" if site else ""
-            run.progress(f"lead time {other}{where}: {change.value:+,.4g} to that of {lead}")
+            run.progress(f"lead time {other}{where}: {change.value:+,.4g} compared with {lead}")
     return OtherLeadTimes(tuple(rows))
 
 

@@ -36,7 +36,8 @@ LINES = 25  # of the table
 class OrderCurve:
     """The rule at every stock, for one amount on its way that is spread over the lead time.
 
-    - `orders` [n]; `levels` [n]: stock, on its way and ordered together; NaN without an order.
+    - `orders` [n]: the orders; `levels` [n]: the sum of stock, goods on their way and the order;
+      NaN without an order.
     """
 
     coming: Number

@@ -24,8 +24,9 @@ class PlaceService:
 
     - `level`: the order-up-to level; if an order has a cost, the mean over orders only.
     - `supplier`: empty if goods come from outside.
-    - `orders`, `order_size`: in a period, if an order has a cost; `sent`, `received`: in a pool.
-    - `demand`, `fill_rate`: if it has customers.
+    - `orders`, `order_size`: number and size of orders in a period, if an order has a cost; `sent`,
+      `received`: only for places in a pool.
+    - `demand`, `fill_rate`: only for places with customers.
     """
 
     name: str
@@ -94,9 +95,9 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
         Column("Fill rate", lambda site: percent(_value(site.fill_rate), 2)),
     ]  # fmt: skip
     text = (
-        "Stock is the average on hand at the end of a period. The level up to which a place orders "
-        "is a mean over periods: all goods at the place, on their way to it and further down, "
-        "minus demand that waits, plus the order."
+        "Stock is the average on hand at the end of a period. The level up to which a place "
+        "orders is a mean over periods of this sum: all goods at the place, on their way to it "
+        "and further downstream, minus demand that waits, plus the order."
     )
     if any(place.sent for place in sites):
         columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]

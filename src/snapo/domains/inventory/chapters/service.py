@@ -65,10 +65,10 @@ class CostPart:
 class CostAndService:
     """Service and costs.
 
-    - `service`: {name: mean}, the names those of `SHARES` and `AMOUNTS`: fill rate (demand met from
-      stock at once), cycle service (replenishment cycles without unmet demand), periods without
-      unmet demand, stock at the end of a period, demand of a period, and of an item cycle service,
-      orders in a period and units of an order.
+    - `service`: {name: mean} with the names of `SHARES` and `AMOUNTS`: fill rate (demand met from
+      stock at once), periods without unmet demand, stock at the end of a period and demand of a
+      period. An item also has cycle service (replenishment cycles without unmet demand), orders in
+      a period and units of an order.
     - `costs`: in the order of `COSTS`.
     """
 

@@ -36,10 +36,10 @@ def deviation_key(note: str = "", default: Any = ...) -> Any:
 
 
 class Demand(TreeRecord):
-    """Demand of one period, by period: static fields, arrays, and its parameters.
+    """The demand of each period: static fields, arrays, and its parameters.
 
-    **Class attributes:** `kind`, the word in `[demand]`; `table`, its keys; `integer`, whether it
-    comes in whole units.
+    **Class attributes:** `kind`, the word in `[demand]`; `table`, its keys; `integer`, whether
+    demand is in whole units.
     """
 
     kind: ClassVar[str]
@@ -103,7 +103,7 @@ def register(demand: type[Demand]) -> type[Demand]:
     if missing:
         raise TypeError(f"demand {demand.__name__} has no {', '.join(missing)}")
     if demand.kind in KINDS:
-        raise TypeError(f"demand {demand.__name__}: {demand.kind!r} is known already")
+        raise TypeError(f"demand {demand.__name__}: {demand.kind!r} is registered already")
     KINDS[demand.kind] = demand
     return demand
 

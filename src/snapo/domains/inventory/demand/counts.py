@@ -155,14 +155,15 @@ class NegativeBinomialTable(CaseTable):
 
     kind: Literal["negative-binomial"] = doc("negative binomial demand, more variable than Poisson")
     mean: CaseInput = count_mean()
-    deviation: CaseInput = deviation_key(", above the root of the mean")
+    deviation: CaseInput = deviation_key(", above the square root of the mean")
 
 
 @register
 class NegativeBinomialDemand(CountDemand):
     """p(k) = G(k + r) / (G(r) k!) (r / (r + m))^r (m / (r + m))^k, G the gamma function.
 
-    r = mean^2 / (deviation^2 - mean) of a period with the factor 1, and the same for all periods.
+    r = mean^2 / (deviation^2 - mean) is that of a period with the factor 1, and is the same for
+    all periods.
     """
 
     kind = "negative-binomial"
@@ -175,7 +176,10 @@ class NegativeBinomialDemand(CountDemand):
         mean, deviation = float(table.mean.values[0]), float(table.deviation.values[0])
         if deviation**2 <= 1.01 * mean:
             minimum = (1.01 * mean) ** 0.5
-            message = f"it must be a number above {minimum:.4g}, of a Poisson demand; see that kind"
+            message = (
+                f"it must be a number above {minimum:.4g}, the deviation of a Poisson demand; "
+                'for a Poisson demand use kind "poisson"'
+            )
             raise section.error("deviation", deviation, message)
         if deviation > 10 * mean:
             message = f"it must be at most ten times the mean, {10 * mean:g}"

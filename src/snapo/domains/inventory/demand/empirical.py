@@ -40,7 +40,8 @@ class EmpiricalDemand(Demand):
     deviation stretches them.
 
     - `numbers`: the numbers of the history, sorted; `scores`: the same with mean 0 and deviation 1.
-    - `whole`: whether all are; `moved`: whether the case has another mean or deviation.
+    - `whole`: whether all numbers are whole; `moved`: whether the case has another mean or
+      deviation.
     """
 
     kind = "empirical"
@@ -65,7 +66,9 @@ class EmpiricalDemand(Demand):
             for row in rows
         ]
         if max(numbers) == min(numbers):
-            message = "demand is the same in all periods: there is nothing to draw from"
+            message = (
+                "demand is the same in all periods, so that there is no distribution to draw from"
+            )
             raise CaseError(table.history, "", None, message)
         numbers = np.sort(numbers)
         return cls(

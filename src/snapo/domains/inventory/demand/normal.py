@@ -11,7 +11,7 @@ from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 class NormalTable(CaseTable):
     """`[demand]` of kind "normal"."""
 
-    kind: Literal["normal"] = doc("normal demand; below zero goods are returned")
+    kind: Literal["normal"] = doc("normal demand; if it is negative, goods are returned")
     mean: CaseInput = mean_key()
     deviation: CaseInput = deviation_key()
 

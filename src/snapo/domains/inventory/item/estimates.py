@@ -21,13 +21,11 @@ def usual_deviation(case: InventoryCase) -> float:
 
 
 def safety_factor(case: InventoryCase, quantile: Callable[[float], float] | None = None) -> float:
-    """Standard deviations of the demand of L + 1 periods above its mean, of the first base stock.
-
-    The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), as if demand waited
-    at a shortage cost of p / (L + 1), which costs less than losing it does (Janakiraman, Seshadri
-    and Shanthikumar, Operations Research 55, 2007). Training starts from this number.
-
-    `quantile`: the quantile of the standard normal distribution, another one than SciPy's.
+    """How many standard deviations the first base-stock level is above the mean demand of L + 1
+    periods. It is the newsvendor's quantile p / (p + h); for lost sales p / (p + (L + 1) h), as if
+    demand waited at a shortage cost of p / (L + 1), which costs less than losing it (Janakiraman,
+    Seshadri and Shanthikumar, Operations Research 55, 2007). Training starts from this number.
+    `quantile`: the quantile function of the standard normal distribution, if it is not SciPy's.
     """
     item = case.item
     holding = item.cost("holding") * (item.lead_time + 1 if item.lost else 1)
@@ -67,8 +65,8 @@ def economic_lot(case: InventoryCase) -> float:
 
 
 def usual_cost(case: InventoryCase) -> float:
-    """The cost of a period: the costs of economic lots and of a newsvendor's safety stock, added in
-    quadrature, and purchases. For three (s, S) optima its error is 2 to 11 %."""
+    """An estimate of the cost of a period: the costs of economic lots and of a newsvendor's safety
+    stock, added in quadrature, plus purchases. For three (s, S) optima its error is 2 to 11 %."""
     item, periods = case.item, case.item.lead_time + 1
     holding, shortage = item.cost("holding"), item.cost("shortage")
     lots = economic_lot(case) * holding * shortage / (holding + shortage)
@@ -78,9 +76,9 @@ def usual_cost(case: InventoryCase) -> float:
 
 
 def memory(case: InventoryCase) -> float:
-    """Periods after which an order has no effect: 20 times its lead time plus those of a lot.
-
-    In one case the derivative with respect to when to order, -0.06 per deviation at a cost of 12.9,
-    has an error of 0.02 with twenty, 0.04 with ten.
+    """The number of periods after which an order has no effect: 20 times the sum of its lead time
+    and the periods of a lot. In one case the derivative with respect to the threshold of ordering,
+    -0.06 per deviation at a cost of 12.9, has an error of 0.02 with the factor 20, and 0.04 with
+    10.
     """
     return 20 * (case.item.lead_time + 1 + economic_lot(case) / mean_demand(case))

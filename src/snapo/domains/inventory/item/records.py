@@ -20,9 +20,9 @@ class Item:
     - `lead_time`: periods from an order to its arrival.
     - `integer`: whether orders are whole numbers; `maximum`: the maximum of one order, infinite if
       not limited.
-    - `holding`, `shortage`, `purchase`, `ordering`: costs by unit held, unit short, unit ordered,
-      order.
-    - `stock`, `coming`: at the start; None for the default start.
+    - `holding`, `shortage`, `purchase`, `ordering`: costs of a unit held, a unit short, a unit
+      ordered, and an order.
+    - `stock`, `coming`: stock and arrivals at the start; None for the default start.
     """
 
     lost: bool
@@ -56,11 +56,13 @@ class Item:
 class InventoryCase:
     """The data that `snapo solve` needs from a case.
 
-    - `currency`, `unit`, `period`: their names, "EUR", "piece", "week".
-    - `periods`: those that count; `warm_up` before them do not; `discount` by period, 1 for the
-      average of a period.
-    - `season`: factors of demand by place in the season.
-    - `other_leads`: whether a run trains a period more and less of lead time too.
+    - `currency`, `unit`, `period`: names, such as "EUR", "piece", "week".
+    - `periods`: the number of periods that count; `warm_up`: the number of periods before them,
+      which do not count; `discount`: the discount factor of a period, 1 for the average of a
+      period.
+    - `season`: factors of demand by position in the season.
+    - `other_leads`: whether a run also trains with lead times that are one period longer and
+      shorter.
     """
 
     file: Path

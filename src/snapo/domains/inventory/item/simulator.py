@@ -49,17 +49,18 @@ class InventorySimulator(Simulator):
     It contains no case: items of the same form differ only in arrays and inputs.
 
     **Arguments:** `lost`, `lead_time`, `integer`, `fixed` as in an `Item`; `seasonal`: whether
-    periods differ; `demand`: the demand of the case, `formed`; `weights`, `counted` [T] as of the
-    case; and its estimates `safety_factor`, `usual_cost` and `memory`.
+    periods differ; `demand`: the demand of the case, after `formed`; `weights`, `counted` [T] as
+    in the case; and the estimates `safety_factor`, `usual_cost` and `memory`.
 
     State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first,
     "missed" (1 if demand was unmet since the last arrival; exact simulation only), and with a fixed
     cost the "likelihood" ratio of the draws of training: 1, with a derivative.
 
     Outputs: "result", minus all costs, and its parts "holding", "shortage", "purchase",
-    "ordering"; and averages of a period that counts: "demand", "sold" (met from stock at once),
-    "stock" at the end, "short" (1 in a period with unmet demand), "orders", "ordered"; and of the
-    value only "cycles", which end with an arrival, and "cycles_met", without unmet demand.
+    "ordering"; and averages over the periods that count: "demand", "sold" (met from stock at
+    once), "stock" at the end, "short" (1 in a period with unmet demand), "orders", "ordered". Only
+    exact simulation has "cycles", which end with an arrival, and "cycles_met", the cycles without
+    unmet demand.
     """
 
     lost: bool = eqx.field(static=True)

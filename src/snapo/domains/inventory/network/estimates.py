@@ -10,10 +10,10 @@ from .records import NetworkCase
 
 
 def safety_factors(case: NetworkCase) -> np.ndarray:
-    """[n] deviations of the first echelon levels above the mean: the middle of two newsvendors'.
-
-    Shang and Song, Management Science 49 (2003): with echelon holding costs h and u their sum
-    upstream of a place, z of (p + u) / (p + all h) and of (p + u) / (p + h + u).
+    """[n] how many standard deviations the first echelon levels are above the mean: the mean of
+    two newsvendors' numbers. Shang and Song, Management Science 49 (2003): with echelon holding
+    costs h, and u their sum upstream of a place, these are z of (p + u) / (p + all h) and of (p +
+    u) / (p + h + u).
     """
     averages = []
     for i in range(len(case.network.sites)):
@@ -55,8 +55,8 @@ def economic_lots(case: NetworkCase) -> np.ndarray:
     """[n] sqrt(2 K mean (p + h) / (e p)), 0 if an order has no fixed cost.
 
     h is the local holding cost of the places with customers, e that of the place's echelon: the
-    additional cost of holding a unit there instead of at its supplier. A single place has the lot
-    of an item.
+    additional cost of holding a unit there instead of at its supplier. A single place has the
+    economic lot of an item.
     """
     lots, (mean, _) = np.zeros(len(case.network.sites)), served(case)
     for i, cost in zip(case.network.fixed, _ordering(case)):
@@ -75,11 +75,10 @@ def _echelon_cost(case: NetworkCase, i: int) -> float:
 
 
 def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
-    """[n] S above and [m] s below the first level, in standard deviations; S is 0 and s is absent
-    without a fixed cost.
-
-    With a lot Q, stock runs short in the share e Q / ((p + u) mean + e Q) of its cycles (u, the
-    holding cost of the supplier); an order is placed half a period's demand too late on average.
+    """How far S is above the first level, [n], and s below it, [m], in standard deviations.
+    Without a fixed cost S is 0 and there is no s. With a lot Q, stock runs short in the share e Q
+    / ((p + u) mean + e Q) of its cycles, where u is the holding cost of the supplier. On average
+    an order is placed half a period's demand too late.
     """
     (mean, unit), lots = served(case), economic_lots(case)
     batch, wait = np.zeros(len(case.network.sites)), np.zeros(len(case.network.fixed))
@@ -95,11 +94,10 @@ def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
 
 
 def usual_costs(case: NetworkCase) -> np.ndarray:
-    """[n] costs of a period at each place; deviations from them are the noise of training.
-
-    A place with customers has the costs of an item: economic lots and a newsvendor's safety stock,
-    added in quadrature. Any other place has the costs of its orders, and of stock and goods on
-    their way at its initial levels.
+    """[n] estimates of the costs of a period at each place; the deviations from them cause the
+    noise of training. A place with customers has the costs of an item: those of economic lots and
+    of a newsvendor's safety stock, added in quadrature. Any other place has the costs of its
+    orders, and of the stock and the goods on their way at its initial levels.
     """
     (mean, unit), lots = served(case), economic_lots(case)
     batch, wait = first_batches(case)
@@ -125,7 +123,8 @@ def _usual_levels(case: NetworkCase) -> np.ndarray:
 
 
 def memory(case: NetworkCase) -> np.ndarray:
-    """[m] periods after which an order no longer has an effect: twenty times a lot's, and the
-    periods until it reaches the last customer. See `item.estimates.memory`."""
+    """[m] the number of periods after which an order no longer has an effect: twenty times the
+    periods of a lot, plus the periods until the order reaches the last customer. See
+    `item.estimates.memory`."""
     lots, (mean, _), sites = economic_lots(case), served(case), list(case.network.fixed)
     return 20 * (case.network.cover[sites] + lots[sites] / mean[sites])

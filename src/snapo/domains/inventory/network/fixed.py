@@ -31,7 +31,8 @@ class Placed(NamedTuple):
     """The places that order.
 
     - `orders` [n]: 1 if a place orders, or may do so without a fixed cost.
-    - `likelihood` [m]: ratios of the draws of `network.fixed`: 1, with a derivative.
+    - `likelihood` [m]: likelihood ratios of the draws of `network.fixed`, which are 1 but have a
+      derivative.
     """
 
     orders: jax.Array
@@ -51,9 +52,9 @@ def placed(
     probabilities.
 
     - `parts`: the parts of the action; `likelihood` [m]: the likelihood of the periods before;
-      `normals` [m].
-    - `remembered` [m]: the share of it that is used, since earlier draws only add noise to this
-      period.
+      `normals` [m]: the noise of the draws.
+    - `remembered` [m]: the share of this likelihood that is used, since earlier draws only add
+      noise to this period.
     """
     orders, ratios = jnp.ones(len(network.sites), likelihood.dtype), []
     for k, i in enumerate(network.fixed):
@@ -71,7 +72,7 @@ class LikelihoodWeights:
     """The likelihood ratios, of value 1, by which outputs are multiplied for their derivatives.
 
     - `likelihood` [m]: the likelihood of this period; None if no order has a fixed cost.
-    - `usual_costs` [n] of a period at each place.
+    - `usual_costs` [n]: the usual costs of a period at each place.
     """
 
     def __init__(self, network: SupplyNetwork, likelihood, usual_costs):

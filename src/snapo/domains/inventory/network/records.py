@@ -17,7 +17,8 @@ from ..demand.base import Demand, as_input
 class Site:
     """One place.
 
-    - `supplier`: the number of the place that it orders from; None: outside, which always delivers.
+    - `supplier`: the number of the place from which it orders; None for the outside, which always
+      delivers.
     - `lead_time`: periods from an order to its arrival, before the demand of that period.
     - `sells`: whether it has customers; `seasonal`: whether their demand has a season.
     - `fixed`: whether an order has a fixed cost.
@@ -35,9 +36,10 @@ class Site:
 class Pool:
     """Places with customers that exchange goods without a lead time: lateral transshipment.
 
-    - `sites`: their numbers; `one_way`: only from the first of two to the second.
-    - `before`: whether they do so before the demand of a period is known, to balance their
-      stocks; otherwise afterwards, to where a place is short.
+    - `sites`: the numbers of the places; `one_way`: whether only the first of two places sends
+      goods to the second.
+    - `before`: whether goods are exchanged before the demand of a period is known, to balance the
+      stocks; otherwise they are sent afterwards to places with a shortage.
     """
 
     sites: tuple[int, ...]
@@ -146,11 +148,12 @@ class SupplyNetwork:
 class NetworkCase:
     """The data that `snapo solve` needs from a case with places.
 
-    - `demands`, `seasons`: of the places with customers, in the order of `network.sellers`; None
-      if all periods are equal.
-    - `holding`: by place, of goods there and on their way from there; `shortage`: by place with
-      customers; `transshipment`: by pool, of a unit moved; `ordering`: the cost of an order of any
-      size, by place in the order of `network.fixed`, None if no order costs anything.
+    - `demands`, `seasons`: demand and season of the places with customers, in the order of
+      `network.sellers`; a season is None if all periods are equal.
+    - `holding`: the cost of goods at each place and on their way from it; `shortage`: the cost for
+      each place with customers; `transshipment`: the cost of a unit moved, for each pool;
+      `ordering`: the cost of an order of any size, for each place in the order of `network.fixed`,
+      None if orders cost nothing.
     - Other attributes as in `InventoryCase`.
     """
 

@@ -23,7 +23,7 @@ BAND = 0.5  # deviations: where the search for one begins
 class RuleNumbers(NamedTuple):
     """The numbers of a classical rule, in deviations of the demand that a place serves.
 
-    - `above` [n]: its levels minus those of the simulator.
+    - `above` [n]: the levels of the rule minus those of the simulator.
     - `reserve`: the bands of stores; stores hold back nothing after demand, unless it is `ENDLESS`.
     - `wait` [m]: the levels of the simulator minus the reorder points, for each place with a fixed
       cost; None if a place orders whenever it is below its level.
@@ -35,9 +35,9 @@ class RuleNumbers(NamedTuple):
 
 
 def network_rules(setup: Setup) -> Iterator[tuple[str, EchelonRule, dict[str, float]]]:
-    """(name, rule, its numbers in a planner's terms): echelon base stock at its first levels, and
-    at the best ones of a search on other paths; with costs of an order (s, S) of the echelons;
-    where stores may send goods, the best numbers if they send none."""
+    """Triples (name, rule, its numbers in a planner's terms). The rules are echelon base stock at
+    its first levels, and at the best levels of a search on other paths; if orders have a cost, (s,
+    S) of the echelons; if stores may exchange goods, the best numbers without exchange."""
     for name, numbers in classical(setup).items():
         yield name, echelon_rule(setup, *numbers), _for_planner(setup, numbers)
 

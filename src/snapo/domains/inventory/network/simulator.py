@@ -47,12 +47,12 @@ Amounts = dict[str, tuple[Any, tuple[int, ...]]]  # [n] by place, and the places
 class Levels(NamedTuple):
     """Levels of T periods and n places, all in units of demand.
 
-    - `ahead` [T, n, R]: mean demand that a place serves in a period, and in the R - 1 after it;
-      R covers the longest way from outside to a customer.
-    - `level` [T, n]: first levels of the echelon: the means of the periods that it covers, and a
-      safety stock.
-    - `unit` [n]: the standard deviation of the demand that a place serves, `typical` [n] its mean,
-      both over the season.
+    - `ahead` [T, n, R]: mean demand that a place serves in a period, and in the R - 1 periods after
+      it; R covers the longest way from outside to a customer.
+    - `level` [T, n]: first levels of the echelon: the mean demand of the periods that it covers,
+      plus a safety stock.
+    - `unit` [n]: the standard deviation of the demand that a place serves; `typical` [n]: the mean
+      of this demand; both over the season.
     """
 
     ahead: jax.Array
@@ -66,20 +66,22 @@ class NetworkSimulator(Simulator):
 
     It contains no case: networks of the same form differ only in arrays and inputs.
 
-    **Arguments:** `network`; `horizon`; `demands`: the demands of the case, `formed`; `first`: the
-    numbers of demand from which a path starts, which no input changes; `weights`, `counted` [T] as
-    in the case; and its estimates `safety_factors` [n], `usual_costs` [n] and `memory` [m].
+    **Arguments:** `network`; `horizon`; `demands`: the demands of the case, after `formed`;
+    `first`: the numbers of demand from which a path starts, which no input changes; `weights`,
+    `counted` [T] as in the case; and the estimates `safety_factors` [n], `usual_costs` [n] and
+    `memory` [m].
 
     State: "stock" [n]; if a lead time is above zero, "coming" [n, longest lead time], the next
     arrival first; with fixed costs "likelihood" [m], ratios for the draws of training that are 1
     but have a derivative. Action [n]: the amount that each place orders; with pools of stores
-    further parts, [m] each: "held", the amount that a store holds back after demand; "band" and
-    "shift", the distance of its stock from balance before demand that is allowed, and the shift of
-    its balance; and "order_NAME", whether a place with a fixed cost orders.
+    further parts, [m] each: "held", the amount that a store holds back after demand; "band", by
+    how much its stock may differ from balance before demand; and "shift", the shift of its
+    balance. "order_NAME" is whether a place with a fixed cost orders.
 
-    Outputs: "result", minus all costs; "holding", "shortage"; averages of a period that counts:
-    "demand", "sold" (met at once), "stock" and "short" (1 if any place falls short), and
-    "stock_NAME", "sold_NAME", "demand_NAME" by place, "level_NAME" up to which it orders. With
+    Outputs: "result", minus all costs; "holding", "shortage"; averages over the periods that
+    count: "demand", "sold" (met at once), "stock" and "short" (1 if any place has a shortage); and
+    for each place "stock_NAME", "sold_NAME", "demand_NAME", and "level_NAME", the level up to
+    which it orders. With
     pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME". If an
     order has a cost, also the cost "ordering", and on average "orders", "orders_NAME" and
     "ordered_NAME", the amount ordered; "level_NAME" is then 0 in a period without an order.
@@ -226,8 +228,9 @@ class NetworkSimulator(Simulator):
         return state
 
     def observe(self, constants, now, state):
-        """[gap of each echelon to its level, unit of each place, stock …, coming …, season …]; all
-        but the units in units, the standard deviation of the demand that a place serves."""
+        """[gap of each echelon to its level, unit of each place, stock …, coming …, season …]. All
+        except the units are divided by the unit, the standard deviation of the demand that a place
+        serves."""
         network, here = self.network, {**constants, **now}
         unit, stock, ahead = here["unit"], state["stock"], here["ahead"]
         coming = state.get("coming", jnp.zeros((len(network.sites), 0)))

@@ -27,9 +27,9 @@ from .search import cost_on_other_paths, search
 class Myopic(Policy):
     """Tables of the rule, for stocks 0 … n - 1 and orders 0 … m - 1.
 
-    - `moves` [n, n]: probabilities of the stock left, by stock.
-    - `met` [n, m]: P(demand <= left + q).
-    - `ratio`: p / (p + h); `mean`: the mean of demand, which observations are relative to.
+    - `moves` [n, n]: probabilities of the remaining stock, for each stock.
+    - `met` [n, m]: P(demand <= remaining stock + q).
+    - `ratio`: p / (p + h); `mean`: the mean of demand, to which observations are relative.
     """
 
     moves: Frozen
@@ -93,12 +93,13 @@ RULES = {
 
 
 class Classical(Policy):
-    """Order up to a level, at most a cap, and only from a reorder point down.
+    """The rule orders up to a level, at most a cap, and only if the position is at or below a
+    reorder point.
 
     Level and reorder point are relative to the simulator's level of the period, so that
     they move with a season.
 
-    - `above`: the level S is higher by this; `cap`: the maximum order; `reorder`: an order is
+    - `above`: by how much the level S is higher; `cap`: the maximum order; `reorder`: an order is
       placed if the inventory position is below s = level + reorder.
 
     With an infinite cap and reorder point it is a base-stock rule; with a cap a capped base-stock
@@ -144,7 +145,7 @@ def classical(setup: Setup, name: str, numbers: dict[str, float]) -> Classical:
 
 
 def best_numbers(setup: Setup, name: str, base_stock: dict[str, float]) -> dict[str, float]:
-    """The best numbers of a rule, searched on other paths than those of the value.
+    """The best numbers of a rule, from a search on other paths than those of the value.
 
     - `base_stock`: the numbers of the base-stock rule, from which others may start.
     """
@@ -174,7 +175,8 @@ def _for_planner(setup: Setup, numbers: dict[str, float]) -> dict[str, float]:
 
 
 def myopic_of(setup: Setup) -> Policy | None:
-    """The myopic rule, if it has no simpler form: lost sales, demand in whole units, and no season.
+    """The myopic rule, if it has no simpler form; it is for lost sales, demand in whole units, and
+    no season.
 
     If demand waits, this rule is the base stock at the newsvendor's level.
     """

@@ -22,8 +22,9 @@ def search(
 ) -> tuple[float, ...]:
     """The numbers at which `cost` is smallest, among points of a grid of width `minimum`.
 
-    Moves by `step` along every number, and of two along both diagonals, while the cost falls, then
-    by half of it, down to `minimum`; at most `maximum` costs are computed.
+    It moves by `step` along every number, and for two numbers along both diagonals, while the cost
+    falls; then by half of the step, and so on down to `minimum`. At most `maximum` costs are
+    computed.
 
     - `together`: pairs that also move along their diagonals, if there are more than two numbers.
     """

@@ -58,7 +58,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
 
 def _item(section: TableContext, table: ItemTable, complete: bool) -> Item:
     if table.whole and not complete:
-        section.notes.append("Orders are whole numbers, demand is not.")
+        section.notes.append("Orders are whole numbers, but demand is not.")
     shortage = table.shortage
     if table.unmet == "lost":
         by_unit, text = f"{table.currency}/{table.unit}", "cost of a unit of demand that is lost"

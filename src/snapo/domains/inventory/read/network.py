@@ -63,7 +63,7 @@ class PlaceTable(CaseTable):
 
     name: PlaceName = doc("name of the place", allowed=PLACE)
     supplier: PlaceName | None = doc(
-        "place that supplies it, by default an outside source without limit",
+        "place that supplies it, by default an outside source with unlimited supply",
         None,
         "the name of another place",
     )
@@ -139,7 +139,9 @@ FORMATS = {
 
 
 def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
-    """The case whose tables are `data`. **Raises:** `CaseError` for every mistake."""
+    """The case whose tables are `data`.
+
+    **Raises:** `CaseError` for every mistake."""
     name, notes = str(file), []
     top = parse(NetworkFile, data, name, "")
     table = parse(NetworkTable, top.network, name, "network")
@@ -209,7 +211,10 @@ def _check(
             raise section.error("supplier", row.supplier, f"the places are {', '.join(names)}")
         if (row.demand is None) != (row.shortage is None):
             key = "shortage" if row.shortage is None else "demand"
-            message = "a place with customers needs both demand and shortage, any other neither"
+            message = (
+                "a place with customers needs both demand and shortage; any other place "
+                "must have neither"
+            )
             raise section.error(key, None, message)
         supplying = any(item.supplier == row.name for item in rows)
         if row.demand is None and not supplying:

@@ -28,7 +28,7 @@ class FileWithSettings(Protocol):
 
 
 def read_settings(top: FileWithSettings, file: str) -> dict[str, Any]:
-    """Objective, training and evaluation, as a case holds them.
+    """Objective, training and evaluation, in the form of a case.
 
     **Raises:** `CaseError` for every mistake, and for an objective that does not apply to costs.
     """
@@ -40,7 +40,10 @@ def read_settings(top: FileWithSettings, file: str) -> dict[str, Any]:
     kind = settings["objective"].kind
     check_window(settings["training"], [kind], file)
     if kind == "crra":
-        message = "costs are not wealth; use mean, cvar, mean-variance, entropic or target"
+        message = (
+            'kind "crra" is for wealth, not for costs; use mean, cvar, mean-variance, entropic or '
+            "target"
+        )
         raise CaseError(file, "objective.kind", "crra", message)
     return settings
 
@@ -49,7 +52,7 @@ SHORTEST_SEASON, LONGEST_SEASON = 2, 366  # periods
 FACTOR = Quantity(
     "1", Range(0.001, 1000.0), "demand", column="factor",
     plausible=Plausible(0.02, 20.0, "it is a factor of the mean, 1.2 is 120 %"),
-    meaning="demand of a period, relative to the mean",
+    meaning="demand of a period relative to the mean",
 )  # fmt: skip
 
 
@@ -81,13 +84,13 @@ def unit_slips(files: CaseFiles, inputs: Iterable[Any], period: str) -> list[str
 
 def _ranges(entries: Sequence[CheckedNumbers], period: str) -> Iterator[Plausible]:
     """The ranges, some of them by the size of other numbers of the case."""
-    by_period = f"it should be for one {period}"
-    yield Plausible(0.5, 1.0, f"a factor per {period} is expected, 0.999 and not the rate 0.001",
-                    names=("discount",))  # fmt: skip
+    by_period = f"it must refer to one {period}"
+    hint = f"a factor per {period} is expected, such as 0.999, not the rate 0.001"
+    yield Plausible(0.5, 1.0, hint, names=("discount",))
     cost = {entry.name: entry.values[entry.values > 0] for entry in entries}
     short, bought = (cost.get(name, np.zeros(0)) for name in ("shortage_cost", "purchase_cost"))
     if short.size:
-        hint = f"{by_period} and unit, and a unit short costs {short.max():.6g}"
+        hint = f"{by_period} and unit, and a missing unit costs {short.max():.6g}"
         yield Plausible(short.max() / 1e5, 10 * short.max(), hint, names=("holding_cost",))
     if bought.size:
         hint = f"a unit costs {bought.max():.6g}"

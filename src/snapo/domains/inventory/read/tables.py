@@ -24,8 +24,8 @@ HOLDING = Quantity("{currency}/{unit}/{period}", POSITIVE, "costs")
 STOCK = Quantity("{unit}", NOT_NEGATIVE, "start", move=1.0)
 DISCOUNT = Quantity("1", Range(0.0, 1.0, "(]"))
 COMING = (
-    "a list of numbers of at least 0, one for each period of the lead time but the last, "
-    "the next arrival first"
+    "a list of numbers of at least 0, one for each period of the lead time except the last, the "
+    "next arrival first"
 )
 
 
@@ -46,7 +46,7 @@ UnitName = Annotated[ItemName, doc("unit of stock and demand", "piece", NAME)]
 PeriodName = Annotated[ItemName, doc("time from one decision to the next", "week", NAME)]
 WholeOrders = Annotated[
     bool | None,
-    doc("whether orders are whole units, by default if demand is", None),
+    doc("whether orders are in whole units; by default they are if demand is", None),
 ]
 LeadTime = Annotated[
     int,
@@ -97,7 +97,9 @@ class ItemTable(CaseTable):
         "cost of an order of any size", 0.0, unit="{currency}", name="order_cost"
     )
     whole: WholeOrders
-    most: int | None = whole_number("largest order, in units, by default any", 1, default=None)
+    most: int | None = whole_number(
+        "largest order, in units; by default there is no limit", 1, default=None
+    )
     stock: CaseInput | None = STOCK("stock at the start", None, name="start_stock")
     coming: CaseInput | None = custom(
         "orders on their way at the start, in units", _coming, COMING, None, ("array",)
@@ -109,7 +111,7 @@ class HorizonTable(CaseTable):
 
     periods: int = whole_number("periods that count", 2, 2000, 100)
     warm_up: int | None = whole_number(
-        "periods before, by default 10 (lead time + 1)", 0, 2000, None
+        "periods before those that count, by default 10 (lead time + 1)", 0, 2000, None
     )
     discount: CaseInput = DISCOUNT("discount factor of a period", 1.0)
 

@@ -17,8 +17,9 @@ from ..records.case import PensionModel
 
 
 class MixBounds(NamedTuple):
-    """Bounds [n] of the weights; `group` [n] the group of each class, groups [k] with bounds (a
-    class without a group forms one); of the swaps: `minimum`, `maximum` [b] shares."""
+    """Bounds [n] of the weights; `group` [n]: the group of each class, where a class without a
+    group forms its own; bounds of the groups [k]; and for the swaps the shares `minimum`,
+    `maximum` [b]."""
 
     low: np.ndarray
     high: np.ndarray
@@ -57,10 +58,9 @@ def limits(case: PensionModel, leverage: float) -> MixBounds:
 def best_mix(
     limits: MixBounds, value: Float[Array, " n"], swaps: Float[Array, " b"]
 ) -> Float[Array, ""]:
-    """max over weights and shares of weights @ value + shares @ swaps.
-
-    Each class belongs to one group, so a greedy fill is exact: first the lower bounds, then the
-    best classes within the room of the class, its group and the total.
+    """The maximum of weights @ value + shares @ swaps over weights and shares. Each class belongs
+    to one group, so a greedy method is exact: first the lower bounds are filled, then the best
+    classes, within the bounds of the class, its group and the total.
     """
     best = jnp.sum(jnp.maximum(limits.minimum * swaps, limits.maximum * swaps))
     order = jnp.argsort(-value)
@@ -88,12 +88,12 @@ def best_mix(
 class GaussianReturns(NamedTuple):
     """Log returns over cash, linear in the step's normals [Z].
 
-    - `mean` [m], `load` [m, Z]: of n classes, and of money over cash (minus its log return): m = n
-      + 1. For classes made of bonds this is to first order.
+    - `mean` [m], `load` [m, Z]: mean and loadings of the n classes and of money over cash (minus
+      the log return of cash), so m = n + 1. For classes made of bonds this is to first order.
     - `bonds`, `bond_load`: the same for the q bonds of which classes and swaps are made, on all
       paths.
-    - `shares`: their weights [k, q of its own] in each kind, in the order of `by_kind`, and in the
-      swaps if there are any; None if nothing is made of bonds.
+    - `shares`: for each kind, in the order of `by_kind`, the weights [k, q of the kind] of its
+      bonds, and for the swaps if there are any; None if nothing is made of bonds.
     """
 
     mean: Float[Array, " m"]

@@ -52,7 +52,7 @@ FUNDED = 1e6  # a funding ratio above every limit of a plan
 
 
 class Extremes(NamedTuple):
-    """Extremes of one path: `received` [T] the maximum of contributions minus payments, money;
+    """Extremes of one path: `received` [T] the maximum of contributions minus payments, in money;
     `liability` the minimum at the horizon."""
 
     received: Float[Array, " T"]
@@ -62,11 +62,11 @@ class Extremes(NamedTuple):
 def extremes(
     simulator: PensionSimulator, terms: FundTerms, steps: Period, before: Market, after: Market
 ) -> Extremes:
-    """The extremes of a path whose markets `before` and `after` each step have leaves [T, …].
-
-    Decisions affect rights through indexation only, and contributions through assets and rights.
-    The minimum rights follow from the smallest increase at every date, the maximum rights from the
-    largest; contributions are highest without assets and with the maximum rights.
+    """The extremes of rights and contributions on a path; its markets `before` and `after` each
+    step have leaves [T, …]. Decisions affect rights through indexation only, and contributions
+    through assets and rights. The minimum rights follow from the smallest increase at every date,
+    and the maximum rights from the largest increase. Contributions are highest without assets and
+    with the maximum rights.
     """
     case = simulator.model
 
@@ -165,7 +165,10 @@ class FundRelaxation:
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         if not scale.all():
-            raise ValueError("with foresight the value of a fund is unbounded: use --penalty value")
+            raise ValueError(
+                "with perfect foresight and no penalty the value of a fund is "
+                "unbounded: use --penalty value"
+            )
         with jax.enable_x64(True):
             available = self._paths(rollout, draws), self._extremes(rollout)
             value, money = self._split(self.price, *available)
@@ -289,9 +292,9 @@ IN_MONEY = "assets"  # the output that is not a share of the liability
 
 
 def conjugate(objective: Objective, start: float = 1.0) -> Conjugate:
-    """The conjugate as a function of z > 0, for an objective that increases in the final assets.
-
-    F >= 0 is the final funding ratio, or the final assets; `start` the funding ratio now.
+    """The conjugate of the objective as a function of z > 0, for an objective that increases in
+    the final assets. F >= 0 is the final funding ratio, or the final assets; `start` is the
+    funding ratio now.
 
     **Raises:** `ValueError` for any other objective, with a list of the allowed ones.
     """
@@ -302,7 +305,7 @@ def conjugate(objective: Objective, start: float = 1.0) -> Conjugate:
     if isinstance(objective, Mean) and objective.output == "surplus_ratio":
         return lambda z: jnp.maximum(-z, -1.0)
     raise ValueError(
-        'a fund is bounded from above for a utility ("crra") of funding_ratio or assets, and for'
+        'a fund has an upper bound for a utility ("crra") of funding_ratio or assets, and for'
         " the mean of log_relative or of surplus_ratio"
     )
 

@@ -46,7 +46,7 @@ from ..run import PensionRun, points, share, with_measure
 PATHS = 4096
 ROWS = (
     ("interest", "Interest at the short rate"),
-    ("rates", "Rates: bonds and swaps over cash, and the liability"),
+    ("rates", "Rates: return of bonds and swaps over cash, and the change of the liability"),
     ("credit", "Credit over cash"),
     ("assets", "Other classes over cash"),
     ("accrual", "Contributions against accrual"),
@@ -80,8 +80,8 @@ class RatioChange:
 
 @dataclass(frozen=True)
 class RatioParts:
-    """The funding ratio of today, the parts of its change, and the change by the simulator itself,
-    to which they must add up; no rows for a fund without a liability."""
+    """The funding ratio of today, the parts of its change, and the change in the simulator itself,
+    to which the parts must add up. There are no rows for a fund without a liability."""
 
     start: Number = np.nan
     rows: tuple[RatioEffect, ...] = ()
@@ -166,7 +166,7 @@ class Explained(PensionSimulator):
     def _liability(
         self, done: Happened, owed: Array, as_expected: Array, reserved: Array
     ) -> dict[str, Array]:
-        """Parts of the change of the liability, money; `owed` at the end of the step,
+        """Parts of the change of the liability, in money; `owed` at the end of the step,
         `as_expected` the same with mortality as it was expected, `reserved` as in `PlanTerms`."""
         # The reserve for a payment's expenses goes with it.
         books, benefit = done.books, reserved * done.flows.benefit
@@ -195,7 +195,7 @@ class Explained(PensionSimulator):
 
 
 def _assets(case: PensionModel, done: Happened) -> dict[str, Array]:
-    """Parts of the change of the assets, money."""
+    """Parts of the change of the assets, in money."""
     cash, flows, held = done.move.cash, done.flows, done.held
     working = done.invested - held.cost
     over = working * held.weights * (done.move.gross - jnp.exp(cash))
@@ -229,11 +229,13 @@ def show(run: PensionRun, result: RatioParts) -> Sequence[Block]:
     head = [("", ""), ("Through assets", "points"), ("Through liability", "points")]
     head += [("Mean effect", "points"), ("Standard deviation", "points")]
     caption = (
-        f"From {share(result.start)} today to the mean {run.horizon}: means over paths under the"
-        " learned policy. Every month is split twice, assets first and liability first, and the"
-        " mean is taken; the liability's parts come in the order benefits, accrual, interest,"
-        " rates, mortality, indexation. Mortality: deviations from the table; indexation: beyond"
-        " the part that the liability already includes. The parts add up to the change of F on"
+        f"From {share(result.start)} today to the mean {run.horizon}: means over paths under the "
+        f"learned policy. The change of every month is split twice, assets first and liability "
+        f"first, and the mean is taken. The liability's parts come in the order benefits, "
+        f"accrual, interest, "
+        f"rates, mortality, indexation. Mortality is the effect of deviations from the table, "
+        f"and indexation that of increases beyond the part that the liability already includes. "
+        f"The parts add up to the change of F on"
         " every path."
     )
     table = Table(head, body, "", 1, strong=frozenset([len(body) - 2, len(body) - 1]))
@@ -316,8 +318,8 @@ def show_variance(run: PensionRun, result: tuple[SourceVariance, ...]) -> Sequen
     head = [("", ""), ("Mean F", "%"), ("Standard deviation", "points"), ("Variance removed", "%")]
     caption = (
         f"The funding ratio {run.horizon} on the same paths with the volatilities of one source at "
-        "zero and the decisions of the trained policy. Shares need not add up to 100 %: sources "
-        "offset each other. A source with a negative share offsets the others."
+        "zero and the decisions of the trained policy. Shares need not add up to 100 %, since "
+        "sources may offset each other; a source with a negative share offsets others."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]
 

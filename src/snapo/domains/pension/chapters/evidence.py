@@ -42,7 +42,8 @@ TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
 class BondsPriced(PensionSimulator):
     """The fund, with the discounted value of bonds at the horizon: "bond 10".
 
-    Values are per unit of the forward price, index-linked if the liability follows prices.
+    Values are per unit of the forward price. The bonds are index-linked if the liability follows
+    prices.
     """
 
     def terminal(self, constants, state, smooth):
@@ -72,8 +73,9 @@ class MarketTest:
 def measure(run: StudyRun) -> tuple[MarketTest, ...]:
     """Discounted values and their expectations, with the trained policy.
 
-    The scenarios are "Q" for any measure of the case, without the cost of hedging currencies, which
-    nobody receives. Other costs count when they are paid. None if scenarios are supplied. Appraised
+    The scenarios are risk-neutral ("Q"), whatever the measure of the case. The cost of hedging
+    currencies is left out, since no market participant receives it; other costs count when they
+    are paid. None if scenarios are supplied. Appraised
     values and bases with a spread are not market prices.
     """
     case, setup = case_of(run), run.setup
@@ -102,7 +104,7 @@ def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) 
             then = _price(case, inputs, years + u, _real(case))
             values = totals[f"bond {u}"] * then / now
             name = (
-                f"Refit of the curve: {kind.lower()} of {counted(u, 'year')} bought after "
+                f"Fit of the curve: {kind.lower()} of {counted(u, 'year')} bought after "
                 f"{counted(years, 'year')}"
             )
             tests.append((name, values, then))
@@ -199,10 +201,10 @@ def assumptions(run: PensionRun) -> Section:
 def _glossary() -> Table:
     rows = [
         ("P, Q", "real-world and risk-neutral scenarios; shown next to all simulated numbers"),
-        ("Funding ratio F", "assets over liability, both at the same instant"),
+        ("Funding ratio F", "assets divided by liability, both at the same instant"),
         ("Certainty equivalent", "the certainty-equivalent ratio of the policy"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),
-        ("Hedge ratio", "rate sensitivity of assets and swaps over that of the liability"),
+        ("Hedge ratio", "rate sensitivity of assets and swaps, divided by that of the liability"),
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),
         ("CVaR 95 %", "the mean of the worst 5 % of paths"),
         (

@@ -38,9 +38,10 @@ if TYPE_CHECKING:
 TAIL = 50  # paths that the tail of a training batch must hold: a smaller one is biased
 CHECKS = 4  # validations in each training: a policy on the way may be better than the last one
 CAPTION = (
-    "Each point is the best policy for its weighting of the two objectives on the validation paths,"
-    " of all policies trained in both directions; all are valued on the same fresh paths; bars are"
-    " 95 % intervals. Up and left is better. CVaR: mean of min(F − 1, 0) over the worst paths at"
+    "Each point is the policy that is best on the validation paths for its weighting of the two "
+    "objectives, among all policies trained in both directions. All are valued on the same fresh "
+    "paths; bars are 95 % intervals. Points further up and to the left are better. CVaR: mean of "
+    "min(F − 1, 0) over the worst paths at"
     " the horizon. Efficient: no other point has both lower contributions and a smaller shortfall."
 )
 
@@ -54,8 +55,9 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True)
 class FrontierPoint:
-    """A policy: the mean present value of contributions (money) and the CVaR of the shortfall (a
-    ratio, at most 0) with standard errors, the median funding ratio and the share of paths below 1.
+    """The results of a policy: the mean present value of contributions (money) and the CVaR of the
+    shortfall (a ratio, at most 0) with standard errors, the median funding ratio, and the share of
+    paths with a ratio below 1.
 
     - `share`: the weight of contributions, NaN for the policy of the run.
     - `efficient`: whether no other point has lower contributions and a smaller shortfall; None for
@@ -176,7 +178,9 @@ def _better(one: FrontierPoint, other: FrontierPoint) -> bool:
 def show(run: PensionRun, result: FrontierSweep) -> Sequence[Block]:
     """The sweep as a picture and a table."""
     if not result.points:
-        return [Missing("The case asks for no efficient frontier (`[frontier]`).")]
+        return [
+            Missing("The case has no table `[frontier]`, so no efficient frontier was computed.")
+        ]
     policies = [*result.points, result.learned]
     scale, unit = run.size([x.contributions for x in policies])
     level = share(result.level, 0)

@@ -53,12 +53,10 @@ class WeightedTerm:
 
 @dataclass(frozen=True)
 class ObjectiveValue:
-    """The terms and the value.
-
-    `equivalent`, `equivalent_error`: the certainty equivalent of this `output` with its standard
-    error, if the objective is a utility of the funding ratio, or of pensions relative to today's.
-    `slope`: the derivative of the equivalent with respect to the utility, which has the relative
-    risk `aversion`.
+    """The terms of the objective and its value. `equivalent`, `equivalent_error`: the certainty
+    equivalent of this `output` with its standard error, if the objective is a utility of the
+    funding ratio, or of pensions relative to today's. `slope`: the derivative of the equivalent
+    with respect to the utility, whose relative risk aversion is `aversion`.
     """
 
     terms: tuple[WeightedTerm, ...] = ()

@@ -41,15 +41,16 @@ CAVEAT = (
     "First-order effects of the standard moves, with decisions held fixed; one adjoint pass for "
     "each output, over the same paths. Points are percentage points of the funding ratio or of "
     "probability. Money is this share times today's liability; for contributions it is their "
-    "present value. The probability is the exact share of paths; its effects are those of a "
-    "logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has no "
-    "unit. Every number: outputs.csv."
+    "present value. The probability is the exact share of paths; its effects are those on a "
+    "logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has "
+    "no unit. The file outputs.csv has every number."
 )
 OF_POTS = (
     ("points of the funding ratio", "points of today's pension"),
     ("Money is this share times today's liability; for contributions it is their present value.",
      "For contributions money is their present value."),
-    ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P is the pension over today's"),
+    ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), where P is the pension divided by that of "
+        "today"),
 )  # fmt: skip
 
 

@@ -38,10 +38,9 @@ Fan = dict[str, Floats]  # {"p05": [times], "mean": [times]}
 
 @dataclass(frozen=True)
 class YearlyFans:
-    """Quantiles by year. `funding` ratio, the share of paths with a ratio below 1 (`underfunded`),
-    and the mean of min(F - 1, 0) over the worst 5 % (`shortfall`), at `years` from now.
-
-    Within each year: contributions, benefits, increases minus cuts; and these `cumulated`.
+    """Quantiles by year. At `years` from now: the `funding` ratio, the share of paths with a ratio
+    below 1 (`underfunded`), and the mean of min(F - 1, 0) over the worst 5 % (`shortfall`). Within
+    each year: contributions, benefits, and increases minus cuts, which are also `cumulated`.
     """
 
     years: Floats
@@ -59,9 +58,9 @@ class PolicyMap:
     """Weights over funding ratio and time: means over the paths in each cell.
 
     - `years` [Y]: starts of years; `ratios` [R + 1]: edges of the columns.
-    - `growth` [Y, R]: the growth of the classes with a separate shock; `hedge` [Y, R]: the mean
-      position of the swap notionals in their ranges, empty without swaps; NaN if fewer than FEW
-      paths are.
+    - `growth` [Y, R]: the weight of the classes with a separate shock; `hedge` [Y, R]: the mean
+      position of the swap notionals in their ranges, empty without swaps. Cells with fewer than
+      FEW paths are NaN.
     """
 
     years: Floats
@@ -279,12 +278,12 @@ def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBr
     """Shares of the paths that violate a limit.
 
     "weights": a weight or a group leaves its bounds; with swaps, "collateral": eligible assets do
-    not cover the need under stress. Less than `round_off` is not a breach: the learned policy often
-    holds exactly as many swaps as its assets back, so that the last bit decides.
+    not cover the need under stress. A violation below `round_off` does not count: the learned
+    policy often holds exactly as many swaps as its assets can back, so that the last bit would
+    decide.
 
-    **Arguments:**
-
-    - `round_off`: the round-off of a weight; of the assets now, per step, for collateral.
+    **Arguments:** - `round_off`: as a share of a weight; for collateral, as a share of the assets
+    now, per step.
     """
     broken = {"weights": record.outputs["bound_excess"] > round_off}
     if record.case.buckets:
@@ -316,8 +315,8 @@ def _map(name: str, text: str, table: PolicyMap, values: np.ndarray) -> Chart:
         f"map-{name}", alt, lambda axes: heat(axes, grid, across, down, "%"), 60.0 + 19 * len(rows)
     )
     caption = (
-        f"{text[:1].upper()}{text[1:]}, in per cent: means over the paths that are at that"
-        " funding ratio in that year; empty if there are almost none."
+        f"{text[:1].upper()}{text[1:]}, in per cent: means over the paths with that funding "
+        f"ratio in that year; a cell is empty if there are almost none."
     )
     return Chart(svg, caption)
 

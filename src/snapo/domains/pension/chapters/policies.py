@@ -38,10 +38,11 @@ class PolicyWorth:
     """A policy on the evaluation's paths.
 
     - `difference`: the learned policy's value minus its own, paired path by path.
-    - `equivalent`: the certainty equivalent, and `lead`: the learned policy's in log ratio per
-      year; NaN if the objective is not a utility of a ratio.
-    - `median`, `p05`, `underfunded`: of the final ratio, the last its share of paths below 1.
-    - `pv_contribution`: the mean present value of contributions, money.
+    - `equivalent`: the certainty equivalent; `lead`: the lead of the learned policy, as a log ratio
+      per year; both are NaN if the objective is not a utility of a ratio.
+    - `median`, `p05`, `underfunded`: median and 5 % quantile of the final ratio, and the share of
+      paths on which it is below 1.
+    - `pv_contribution`: the mean present value of contributions, in money.
     """
 
     key: str = ""
@@ -61,11 +62,12 @@ class PolicyWorth:
 def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     """Value, certainty equivalent and paired difference of every policy, the learned one first.
 
-    Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
-    standard error comes from the differences path by path. The classical policies are trained for
+    All policies are valued on the same fresh paths. A positive difference is a lead of the learned
+    policy, and its standard error comes from the differences path by path. The classical policies
+    are trained for
     as many steps as the network; those that depend on the funding ratio start from the trained
     constant mix. The best version of each is used. The present mix, rebalanced at every step and
-    yearly, is never adjusted: it may leave the bounds.
+    yearly, is not tuned, and may be outside the bounds.
     """
     return tuple(compare(run.setup, run.solution, run.progress))
 
@@ -210,7 +212,10 @@ def _cloud(run: PensionRun, policies: Sequence[PolicyWorth], unit: str) -> Chart
     units = (f"Mean present value of contributions, {unit}", f"5 % quantile of {short}, %")
     alt = f"Policies by present value of contributions and 5 % quantile of the {name}."
     svg = draw("frontier", alt, lambda axes: scatter(axes, marks, units), 230)
-    text = f"Contributions against the {name} in bad times; up and left is better."
+    text = (
+        f"Contributions against the {name} in bad times; points further up and to the left "
+        f"are better."
+    )
     return Chart(svg, text)
 
 

@@ -23,23 +23,25 @@ QUANTILES = (0.05, 0.5, 0.95)
 TINY = 1e-9  # of a pension: less is none
 SMALL = 1e-6  # of a pension: a fall by less is round-off
 CAVEAT = (
-    "Pensions are nominal, for each member and year, under the learned policy. The pots of today"
-    " share the assets minus the reserve by the value of each cohort's accrued rights. A pot earns"
-    " the return of its annuity (on the path's curve) on its protected share and the return of cash"
-    " on the rest; the reserve earns the return of cash. All other return, the excess, is shared by"
-    " exposure. Cut: the share of years of payment in which the pension falls."
+    "Pensions are nominal amounts per member and year under the learned policy. The assets minus "
+    "the reserve are divided among the pots of today by the value of each cohort's accrued "
+    "rights. A pot earns the return of its annuity (on the path's curve) on its protected share "
+    "and the return of cash on the rest; the reserve earns the return of cash. All other return "
+    "is excess return, and is shared by exposure. “Cut” is the share of years of payment in "
+    "which the pension falls."
 )
 
 
 @dataclass(frozen=True)
 class CohortPension:
-    """A cohort under the trained policy, on the first paths of the evaluation; nominal.
+    """A cohort under the trained policy, on the first paths of the evaluation, in nominal terms.
 
-    - `pot`: money. `earned`, `pension`: each member's and year's, as earned, and with the pots of
-      today; `horizon`: the pension at the horizon, in quantiles.
-    - `of_salary`: its median as a share of today's salary, of the active.
-    - `volatility`: the volatility of its yearly changes; `cut`: the probability that it falls in a
-      year of payment, and `fall`: by how much then in the mean; None if there is no such year.
+    - `pot`: money. `earned`, `pension`: the yearly pension of a member, as earned, and with the
+      pots of today; `horizon`: quantiles of the pension at the horizon.
+    - `of_salary`: the median of this pension as a share of today's salary, for active members.
+    - `volatility`: the volatility of the yearly changes of the pension; `cut`: the probability that
+      it falls in a year of payment, and `fall`: the mean fall in such years; None if there is no
+      year of payment.
     """
 
     name: str
@@ -57,9 +59,9 @@ class CohortPension:
 class PotsOutcome:
     """The cohorts, and the reserve as a share of all assets, at the starts of `years`.
 
-    - `reserve` [years, quantiles]; `level`: pensions of today over those earned.
-    - `filled`, `released`: money into the reserve and out of it, means over the horizon.
-    - `since`, `source`: of the rules.
+    - `reserve` [years, quantiles]: the reserve; `level`: pensions of today divided by those earned.
+    - `filled`, `released`: money paid into the reserve and out of it, means over the horizon.
+    - `since`, `source`: date and source of the rules.
     """
 
     cohorts: tuple[CohortPension, ...]
@@ -148,7 +150,8 @@ def show(run: PensionRun, result: PotsOutcome) -> Sequence[Block]:
     """The pots of today, the pensions of the cohorts and the reserve."""
     reserve = result.reserve[:, 1]
     facts = [
-        ("Pension today over the accrued one", share(result.level), "pots over annuities"),
+        ("Pension today divided by the accrued pension", share(result.level), "pots over "
+            "annuities"),
         ("Solidarity reserve", share(reserve[0]),
          f"median {share(reserve[-1])} a year before the end"),
         ("Into the reserve", run.large(result.filled), "mean over the horizon, from excess return"),

@@ -42,13 +42,13 @@ CAVEAT = (
     "shares specified in the case."
 )
 RECOVERY = (
-    "Recovery compares the trained policy's paths, with contributions, indexation and cuts by the"
-    " plan's rules, with the required ratio of today."
+    "The recovery table compares the paths of the trained policy, with contributions, indexation "
+    "and cuts by the plan's rules, with the required ratio of today."
 )
 FUNDING = (
     "Every basis discounts the same expected payments at annual rates of the curve plus its"
-    " margin; mortality is that of the case on all of them. The payments of the recovery plan are"
-    " level, at the end of each year, with the deficit on technical provisions as their value."
+    " margin; mortality is that of the case on all of them. The payments of the recovery plan "
+    "are equal amounts at the end of each year, whose value is the deficit on technical provisions."
 )
 NAMES = {"liability": "Liability today", "duration": "Duration of the liability"}
 
@@ -65,9 +65,9 @@ class KeyRateDurations:
 class FundFigures:
     """The figures of a fund before any simulation, in the terms of `reconcile.Figures` and `Human`.
 
-    - `lines`: checks against the actuary; `remarks`: on implausible numbers.
-    - `in_words`: the plan. `cash_flow`: expected payments by year, money.
-    - `regulation`, `funding`: the fund before its regulator; None if the case names no rules.
+    - `lines`: comparisons with the actuary's figures; `remarks`: notes on implausible numbers.
+    - `in_words`: the plan as sentences. `cash_flow`: expected payments by year, in money.
+    - `regulation`, `funding`: the regulatory position of the fund; None if the case names no rules.
     """
 
     lines: tuple[ReconciledFigure, ...] = ()
@@ -154,7 +154,7 @@ def show(run: PensionRun, result: Reconciliation) -> Sequence[Block]:
     ]
     if hedge is not None:  # a liability without inflation has none
         facts += [
-            ("Inflation hedge", percent(hedge, 0), "of a rise of all break-evens"),
+            ("Inflation hedge", percent(hedge, 0), "for a rise of all break-evens"),
             ("Inflation +1 bp", run.large(local.inflation01, 3, True), "change of the liability"),
         ]
     blocks.append(Facts(facts))
@@ -208,7 +208,7 @@ def _cash_flow(run: PensionRun, flow: np.ndarray) -> Chart | Text:
     )
     caption = (
         "Expected payments of the rights accrued today, with mortality as expected and no future"
-        f" indexation; in all {run.large(flow.sum())}; for example "
+        f" indexation; in total {run.large(flow.sum())}; for example "
         + ", ".join(f"year {y} {run.large(flow[y - 1])}" for y in (1, 10, 20) if y <= len(flow))
         + "."
     )
@@ -242,7 +242,7 @@ def _losses(run: PensionRun, result: Stand) -> Table:
     rows = [(name, number(getattr(losses, key) / scale, 2)) for key, name in RISKS]
     rows.append(("Required own funds", number(result.required / scale, 2)))
     direction = "falling" if losses.falling else "rising"
-    caption = f"Losses by risk; for rates the worse scenario is that of {direction} ones"
+    caption = f"Losses by risk; for rates the worse scenario is that of {direction} rates"
     strong = frozenset([len(rows) - 1])
     return Table([("Risk", ""), ("Loss", unit)], rows, caption, 1, strong=strong)
 

@@ -26,16 +26,17 @@ from .objective import equivalent
 
 CURVE = "curve"  # the group of inputs that are nodes of a curve
 LIFE = (
-    "all death rates fall in proportion, by sex, until the expectation of life at 65 is a year"
-    " longer; to first order"
+    "all death rates of a sex fall in proportion until its life expectancy at 65 is a year "
+    "longer; to first order"
 )
 HELD = (
-    "Held: every path keeps its trades; at an optimum this is to first order also the effect with a"
-    " re-optimised policy. Through the policy: a bump of the exact fund, if it contradicts that."
-    " The 95 % interval adds the sampling error and the error of the policy."
-    " Reacting: the trained policy observes the moved fund and decides again, without new "
-    "training; the two differ only by the error of training and smoothing. Prices of risk, excess "
-    "returns and today's market values are held while the curve moves."
+    "“Held”: every path keeps its trades; at an optimum this is, to first order, also the effect "
+    "with a re-optimised policy. “Through the policy”: a bump of the exact fund, which is "
+    "reported if it contradicts the held effect. The 95 % interval adds the sampling error and "
+    "the error of the policy. “Reacting”: the trained policy observes the moved fund and decides "
+    "again, without new training. Held and reacting effects differ only by the error of training "
+    "and smoothing. Prices of risk, excess "
+    "returns and today's market values are held fixed while the curve moves."
 )
 TOP = 14  # bars of the tornado
 ROWS = 400  # single numbers in the report; sensitivities.csv has all of them
@@ -64,12 +65,12 @@ def standard_move(entry: Input) -> StandardMove:
 
 @dataclass(frozen=True)
 class MoveEffect(ReportedInterval):
-    """The effect of a standard move on the objective; None if not known.
+    """The effect of a standard move on the objective; None if it is not known.
 
-    - `effect`, `low`, `high`, `sampling`, `policy`, `source`: of the reported derivative, as in
-      `study.chapters.sensitivities.InputMove`.
-    - `held`, `standard_error`: with the decisions held fixed; `reacting`: with the trained policy's
-      reaction.
+    - `effect`, `low`, `high`, `sampling`, `policy`, `source`: those of the reported derivative, as
+      in `study.chapters.sensitivities.InputMove`.
+    - `held`, `standard_error`: the effect with the decisions held fixed, and its error; `reacting`:
+      the effect with the trained policy's reaction.
     """
 
     input: str = ""
@@ -107,8 +108,8 @@ class MoveEffects:
 
     - `unit`: "ratio" if they refer to the certainty equivalent (`objective.equivalent`), else
       "objective".
-    - `families`: all numbers of an input; `rows`: single ones; `combined`: moves across the numbers
-      of an input, a year of life.
+    - `families`: the effects of moving all numbers of an input; `rows`: those of moving single
+      numbers; `combined`: those of other joint moves, such as a year of life.
     """
 
     unit: str = ""

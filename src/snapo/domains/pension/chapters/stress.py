@@ -93,9 +93,9 @@ def measure(run: StudyRun) -> tuple[StressedBalance, ...]:
 
 @dataclass(frozen=True)
 class Stressed:
-    """A case after one scenario: numbers of the inputs that moved, and by class the price ratio.
-
-    `values`: {input: [n]}; `price`: [classes], without the losses of bonds to rates and spreads.
+    """A case after one scenario: the numbers of the inputs that moved, and the price ratio of each
+    class. `values`: {input: [n]}; `price`: [classes], without the losses of bonds due to rates and
+    spreads.
     """
 
     scenario: str

@@ -27,14 +27,18 @@ EDGES = (3.5, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0)  # years: half-way between the 
 BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
 SIDES = ("assets", "swaps", "liability")
 RATES = (
-    "Change of value for +1 bp at the nodes nearest to each tenor. A liability that falls is a"
-    " gain: the hedge ratio is the change of assets and swaps over that of the liability."
+    "Change of value for +1 bp at the nodes nearest to each tenor. A fall of the liability "
+    "counts as a gain. The hedge ratio is the change of assets and swaps divided by that of the "
+    "liability."
 )
-PRICES = "IE01: the same for +1 bp of break-evens at each tenor, nominal rates held."
+PRICES = (
+    "IE01 is the same for +1 bp of the break-even at each tenor, with nominal rates held fixed."
+)
 RATES_TABLE = "Change for +1 bp, and hedge ratios: now, and after today's trades"
 PRICES_TABLE = "Inflation: change for +1 bp of break-evens, and inflation hedge ratios"
 REAL = (
-    "With break-evens held, a rise in nominal rates is a rise in real rates: it affects the part"
+    "With break-evens held fixed, a rise in nominal rates is a rise in real rates: it affects "
+    "the part"
     " of the rate ladder with index-linked payments. The rest depends only on nominal rates."
 )
 
@@ -177,7 +181,10 @@ class Buckets:
             Bars("Liability", self.before["liability"][used] / scale, "main"),
         ]
         labels = [BUCKET_NAMES[i] for i in used]
-        alt = "Change of value for a rise of 1 bp by tenor bucket, of assets, swaps and liability."
+        alt = (
+            "Change of the value of assets, swaps and liability for a rise of 1 bp, by tenor "
+            "bucket."
+        )
         svg = draw(name, alt, lambda axes: grouped(axes, labels, series, f"{unit} per bp"), 230)
         return Chart(svg, caption)
 
@@ -211,7 +218,9 @@ def _real(run: PensionRun, result: TodayTables) -> Table:
     scale, unit = run.size(*(np.array(numbers) for _, *numbers in parts))
     rows = [(name, *(number(x / scale, 3, True) for x in numbers)) for name, *numbers in parts]
     head = [("", ""), ("Real rates", unit), ("Nominal rates", unit), ("Both", unit)]
-    return Table(head, rows, "Change for +1 bp of all rates, break-evens held, without swaps", 1)
+    return Table(
+        head, rows, "Change for +1 bp of all rates, with break-evens held fixed, without swaps", 1
+    )
 
 
 LADDERS = TODAY.section(
@@ -227,14 +236,14 @@ def show_limits(run: PensionRun, result: PathTables) -> Sequence[Block]:
         facts = [
             _headroom(run, "Headroom now", now),
             _headroom(run, "After today's trades", collateral.after),
-            ("Required", f"{number(now.required, 0)} bp", "rise in rates to be withstood"),
+            ("Required", f"{number(now.required, 0)} bp", "rise in rates that must be withstood"),
         ]
     broken = [(x, text, result.limits[x]) for x, text in BREACHES if x in result.limits]
     note = f"probability in any month, {run.measure}"
     facts += [(label, share(breaches.ever, 2), note) for _, label, breaches in broken]
     blocks: list[Block] = [Facts(facts)]
     if now is None and not run.left_out(TODAY.name):
-        blocks.append(Text("The case has no swaps, and needs no collateral."))
+        blocks.append(Text("The case has no swaps, so it needs no collateral."))
     return [*blocks, *(_months(run, *breaches) for breaches in broken)]
 
 
@@ -242,7 +251,7 @@ def _months(run: PensionRun, name: str, label: str, breaches: LimitBreaches) -> 
     """Shares of the paths that break one limit, step by step."""
     months = breaches.share
     if not np.any(months > 0):
-        return Text(f"{label}: on no path in any month.")
+        return Text(f"{label}: not violated on any path in any month.")
     worst = int(np.nanargmax(months))
     layer = Layer(label, 100 * months, "limit", 0.8)
     text = f"{label} most often in step {worst + 1}: on {share(months[worst], 2)} of the paths."
@@ -256,7 +265,7 @@ def _headroom(run: PensionRun, name: str, room: Headroom | None) -> tuple[str, s
         return name, "no swaps", "nothing to be collateralised"
     note = f"{run.large(room.eligible)} eligible, PV01 {run.large(room.pv01, 2)}"
     if room.direction == "fall":
-        note = f"{note}; of a fall in rates"
+        note = f"{note}; for a fall in rates"
     enough = room.headroom is None
     return name, "no limit" if enough else f"{number(room.headroom, 0)} bp", note
 

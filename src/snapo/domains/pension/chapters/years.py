@@ -32,11 +32,14 @@ def funding(run: PensionRun, result: PathTables) -> Sequence[Block]:
     scaled = {key: 100 * row for key, row in fan.items()}
     alt = (
         f"Funding ratio by year; the median goes from {share(fan['p50'][0])} to"
-        f" {share(fan['p50'][-1])}, with 5 to 95 % of paths between {share(fan['p05'][-1])} and"
-        f" {share(fan['p95'][-1])} at the end."
+        f" {share(fan['p50'][-1])}, and at the end the 5 % and 95 % quantiles are "
+        f"{share(fan['p05'][-1])} and {share(fan['p95'][-1])}."
     )
     svg = draw("funding-fan", alt, lambda axes: quantile_fan(axes, years, scaled, "%", 100.0), 270)
-    caption = "Assets over liability on the case's basis, under the learned policy; dotted: 100 %."
+    caption = (
+        "Assets divided by the liability on the case's basis, under the learned policy; "
+        "the dotted line is 100 %."
+    )
     rows = [
         (
             number(years[i], 0),

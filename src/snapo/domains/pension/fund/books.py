@@ -17,11 +17,12 @@ MINIMUM = 1e-6  # of the assets now: the liability counts as at least this much 
 class FundState(NamedTuple):
     """The fund at the start of a step.
 
-    `assets` money; `weights` [n] as drifted; `overlay` [b] notionals over assets, or None; `theta`
-    cumulated indexation; `fresh` the ratio a of rights accrued since time 0 to their baseline;
-    `deaths` y, the log of the rights that mortality took beyond the baseline; `log_price_last` at
-    the last indexation; `ratio_sum` towards the policy ratio; `jump` ln of the last indexation
-    beyond the part valued already.
+    `assets`: money; `weights` [n]: the weights before trading; `overlay` [b]: notionals divided by
+    assets, or None; `theta`: cumulated indexation; `fresh`: the ratio a of rights accrued since
+    time 0 to their baseline; `deaths`: y, the logarithm of the rights lost by mortality beyond the
+    baseline; `log_price_last`: the logarithm of prices at the last indexation; `ratio_sum`: the
+    sum so far for the policy ratio; `jump`: the logarithm of the last indexation beyond the part
+    that was valued already.
     """
 
     market: Market

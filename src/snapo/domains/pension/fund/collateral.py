@@ -28,9 +28,9 @@ class Stress(NamedTuple):
     need: Array | np.ndarray
 
     def gap(self, weights: Array | np.ndarray, notional: Array | np.ndarray) -> Array:
-        """The missing collateral, negative if there is a surplus; holdings
-        `weights` [n] and `notional` [b] in one unit. Borrowed cash can exceed the eligible assets:
-        there is no collateral then."""
+        """The missing collateral, negative if there is a surplus; holdings `weights` [n] and
+        `notional` [b] are in the same unit. If borrowed cash exceeds the eligible assets there is
+        no collateral."""
         there = self.cover @ weights
         return xp.asarray(self.need @ notional - xp.where(there >= 0, there, 0.0))
 

@@ -23,8 +23,8 @@ from .terms import PlanTerms
 class ContributionDue(NamedTuple):
     """A fund when a contribution is due: money, with the normal cost and salaries of the step.
 
-    `step`: its length in years. `annuity`: years of level payments that have the value of a gap,
-    None if the rule has a rolling share of it (see `recovery`).
+    `step`: its length in years. `annuity`: the gap divided by this number is the level yearly
+    payment that closes it; None if the rule pays a rolling share of the gap (see `recovery`).
     """
 
     assets: Array
@@ -39,8 +39,9 @@ class ContributionRule:
     """One kind of `[plan.contribution]`.
 
     - `takes`: its keys in addition to those of the normal cost and of the limits.
-    - `by_cost`: it begins with the normal cost, valued with a loading or a rate of salaries.
-    - `responds`: it depends on the funding ratio, thus on decisions.
+    - `by_cost`: whether it begins with the normal cost, valued with a loading or as a rate of
+      salaries.
+    - `responds`: whether it depends on the funding ratio, and so on decisions.
     """
 
     kind: ClassVar[str]
@@ -90,8 +91,8 @@ class SpreadContribution(ContributionRule):
 
 
 class TargetContribution(ContributionRule):
-    """The normal cost and the gap to a funding ratio: level payments with interest until a fixed
-    end, or always the same share of the remaining gap, without interest."""
+    """The normal cost plus payments that close the gap to a funding ratio: level payments with
+    interest until a fixed end, or always the same share of the remaining gap, without interest."""
 
     kind, takes, responds = "target", ("target_ratio", "recovery", "recovery_years"), True
 

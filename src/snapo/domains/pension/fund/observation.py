@@ -48,7 +48,7 @@ def _no(case: PensionModel) -> bool:
 class Feature:
     """A part of the observation: the numbers of one name.
 
-    - `see`: its numbers from a `View`. `size`: the length of the part in a case.
+    - `see`: computes its numbers from a `View`. `size`: the length of the part in a case.
     - `usual`: whether a policy observes it by default.
     """
 

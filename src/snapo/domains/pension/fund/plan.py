@@ -27,12 +27,13 @@ def contribution(
     smooth: Constraints,
     annuity: Array | None = None,
 ) -> Array:
-    """The contribution of this step, money.
+    """The contribution of this step, in money.
 
     **Arguments:**
 
     - `normal_cost`: value of the step's accrual; `payroll`: salaries of the step at wages of time
-      0, `wage` over that of time 0; `step`: its length in years; `annuity` of level payments.
+      0; `wage`: wages relative to time 0; `step`: its length in years; `annuity`: that of level
+      payments.
     """
     rule, salaries = plan.contribution, xp.asarray(payroll * xp.asarray(wage))
     by_rate = rule.normal_cost == "rate"
@@ -58,13 +59,14 @@ def indexation(
     price_growth: ArrayLike,
     smooth: Constraints,
 ) -> tuple[Array, Array]:
-    """(granted, cut) of the date: pensions are multiplied by 1 + granted - cut.
+    """The pair (granted, cut) on a date: pensions are multiplied by 1 + granted - cut.
 
     `granted` may be negative under deflation; `cut` is at least 0.
 
     **Arguments:**
 
-    - `ratio`: the policy funding ratio; `price_growth`: since the last date, I / I_last - 1.
+    - `ratio`: the policy funding ratio; `price_growth`: the growth of prices since the last date,
+      I / I_last - 1.
     """
     rule, ratio = plan.indexation, xp.asarray(ratio)
     granted = INCREASES[rule.kind].granted(terms, ratio, xp.asarray(price_growth), smooth)
@@ -77,9 +79,9 @@ def indexation(
 def indexation_flags(case: PensionModel) -> tuple[np.ndarray, np.ndarray]:
     """The flags (due, averaging), each [T], the same for all paths.
 
-    `due`: 1 in the step that ends on the first of the calendar month of indexation, with yearly
-    steps in every one. `averaging`: weights of the funding ratios at the start of the last
-    `averaging` steps before a date (fewer before the first one); they add up to 1 per date.
+    `due`: 1 in the step that ends on the first of the calendar month of indexation; with yearly
+    steps, 1 in every step. `averaging`: weights of the funding ratios at the start of the last
+    `averaging` steps before a date (fewer before the first date); they add up to 1 for each date.
     """
     rule = case.plan.indexation
     if round(1 / case.step) == 1:

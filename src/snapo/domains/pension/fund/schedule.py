@@ -23,9 +23,9 @@ from .terms import PlanTerms, TradingLimits, plan_terms, scales, trading_limits
 
 
 class Swaps(NamedTuple):
-    """The overlay: present `notional`, `low`, `high`, `cost`, whether `at_par` [b], `leverage`, and
-    `stress` (see `collateral`). `nearest` [b, J]: 1 at the payment nodes nearest to the bucket,
-    among those of its kind."""
+    """The overlay: the present `notional`, the limits `low` and `high`, `cost` and whether it is
+    `at_par` [b] for each bucket, `leverage`, and `stress` (see `collateral`). `nearest` [b, J]: 1
+    at the payment nodes that are nearest to the bucket, among the buckets of its kind."""
 
     notional: Array
     low: Array
@@ -38,9 +38,9 @@ class Swaps(NamedTuple):
 
 
 class FundTerms(NamedTuple):
-    """The numbers of the whole horizon. `assets` now (money), `weight`, `cost`, `fee` [n]; `last`
-    the people and `last_shape` [J] the curve at the horizon; `liability` its value now. No
-    input moves `limits` and the features' `scales`."""
+    """The numbers of the whole horizon. `assets`: the assets now (money); `weight`, `cost`, `fee`
+    [n]: those of the classes; `last`, `last_shape` [J]: people and curve at the horizon;
+    `liability`: its value now. No input moves `limits` and the features' `scales`."""
 
     market: MarketTerms
     plan: PlanTerms
@@ -58,8 +58,8 @@ class FundTerms(NamedTuple):
 
 class Period(NamedTuple):
     """One step, the same for all paths: people at its start, the curve's `shape` [J] at the
-    payment nodes, flags of indexation, `time` as a share of the horizon, `agreed` the
-    contributions agreed in money, None without any, `annuity` of `recovery`."""
+    payment nodes, flags of indexation, `time` as a share of the horizon; `agreed`: the
+    contributions agreed in money, None if there are none; `annuity`: that of `recovery`."""
 
     market: MarketSteps
     people: People
@@ -143,10 +143,10 @@ def _swaps(case: PensionModel, inputs: dict[str, Any], payment_nodes: np.ndarray
 def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " H"]:
     """ln of the discount factor at time 0 of a payment at time s * step, s = 0 ... H.
 
-    H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is `Liability`'s: payments that
-    follow prices are multiplied by the expected index, within a cap and a floor by the value of
-    the options in it; under ready-made scenarios the curve
-    comes with the path, and only the addition to it remains here.
+    H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is that of `Liability`. Payments that
+    follow prices are multiplied by the expected index; if increases have a cap and a floor, by the
+    value of the options in them. Under ready-made scenarios the curve comes with the path, and the
+    result contains only the addition to the curve.
     """
     basis, years = case.liability, payment_years(case)
     added = xp.zeros(len(years))
@@ -170,7 +170,7 @@ def payment_years(case: PensionModel) -> np.ndarray:
 
 
 def added_rate(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) -> Array:
-    """The continuous rate at which a basis discounts for `years`, beyond that of the curve.
+    """The continuous rate that a basis adds to the curve when it discounts for `years`.
 
     An annual spread s on an annual zero rate i is ln(1 + s / (1 + i)). The rates are those of the
     case, which stay fixed if its curve moves.

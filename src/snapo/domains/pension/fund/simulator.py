@@ -48,8 +48,8 @@ class FundFlows(NamedTuple):
 
 
 class Happened(NamedTuple):
-    """A step: the books before it, the money, the sums `invested` and `held`, the market's move,
-    the state after it, and the indexation `granted` and `cut` at its end."""
+    """What happened in a step: the books before it, the payments, the sums `invested` and `held`,
+    the market's move, the state after it, and the indexation `granted` and `cut` at its end."""
 
     books: FundBalance
     flows: FundFlows
@@ -86,8 +86,8 @@ def derived(case: PensionCase) -> DerivedNumbers:
 class PensionSimulator(Simulator):
     """The fund of a case; see `snapo.domains.pension.records` for its terms.
 
-    It has no case: all in which two funds of one form differ is an array, or an input. The schedule
-    has the numbers of these that a step reads.
+    It contains no case: two funds of the same form differ only in arrays and inputs. The schedule
+    has the numbers that a step reads.
     """
 
     model: PensionModel

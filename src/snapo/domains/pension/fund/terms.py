@@ -16,10 +16,11 @@ from ..records.inputs import use
 class PlanTerms(NamedTuple):
     """The numbers of the rules, all scalars.
 
-    Indexation: `cap`, `floor` per year, `lower`, `upper`, `required` funding ratios.
-    Contribution: `rate` and limits `c_floor`, `c_cap` as shares of salaries, `loading`,
-    `spread_factor` per year, `target` ratio, `recovery_years`, `sponsor` money per year.
-    Liability: `reserved`, the amount set aside per value of a payment.
+    For indexation: `cap` and `floor` per year, the funding ratios `lower`, `upper` and `required`.
+    For contributions: `rate` and the limits `c_floor` and `c_cap` as shares of salaries,
+    `loading`, `spread_factor` per year, the `target` ratio, `recovery_years`, and `sponsor`, the
+    limit in money per year. For the liability: `reserved`, the amount reserved per unit of value
+    of a payment.
     """
 
     cap: Array
@@ -60,8 +61,8 @@ def plan_terms(case: PensionModel, inputs: dict[str, Any]) -> PlanTerms:
 
 
 class TradingLimits(NamedTuple):
-    """Limits of weights and of trading (see `records.assets.Assets`): of the classes [n], and
-    `group_low`, `group_high` of the groups [k]; `max_sale` and `turnover` are those of a step."""
+    """Limits of weights and of trading (see `records.assets.Assets`): for the classes [n], and
+    `group_low`, `group_high` for the groups [k]; `max_sale` and `turnover` are those of a step."""
 
     low: Float[Array, " n"]
     high: Float[Array, " n"]

@@ -31,9 +31,11 @@ SHARE = 0.01  # width over which the cost of a trade is rounded while training
 
 
 class Holdings(NamedTuple):
-    """`weights` [n] of assets after trading; `notional` [b] money in swaps or None; `cost` money;
-    `bound_excess` the distance of the policy's weights outside their bounds (negative inside);
-    `collateral_shortfall` money."""
+    """`weights` [n]: weights of the assets after trading; `notional` [b]: notionals of the swaps
+    in money, or None; `cost`: cost of trading, in money; `bound_excess`: how far the policy's
+    weights
+    are outside their bounds (negative inside); `collateral_shortfall`: missing collateral, in
+    money."""
 
     weights: Array
     notional: Array | None
@@ -86,8 +88,9 @@ def _while_solvent(classes: Assets, held: Holdings, assets: Array) -> Holdings:
 
 
 def drifted(classes: Assets, grown: Array, growth: Array) -> Float[Array, " n"]:
-    """The weights after a step from `grown` [n], the holdings per unit of the assets before it, and
-    their sum `growth`; all in cash if a fund with debts has lost everything."""
+    """The weights after a step, computed from `grown` [n], the holdings per unit of the assets
+    before the step, and their sum `growth`. If a fund with debts has lost everything, all is in
+    cash."""
     if not classes.short:
         return grown / growth
     left = growth > LEFT

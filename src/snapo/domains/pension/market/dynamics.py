@@ -65,9 +65,9 @@ class AssetSteps(NamedTuple):
 
 
 class Returns(NamedTuple):
-    """Over one step: `log` [n] log returns as shown, `swaps` [b] log returns over cash, `reported`
-    [q] of the next step; `beneath` the bonds of each kind and of the swaps, None if log returns
-    are Gaussian themselves."""
+    """Returns of one step: `log` [n]: log returns as shown; `swaps` [b]: log returns of swaps over
+    cash; `reported` [q]: the appraised returns that enter the next step; `beneath`: the bonds of
+    each kind and of the swaps, None if log returns are Gaussian themselves."""
 
     log: Array
     swaps: Array | None
@@ -123,7 +123,8 @@ class IndexGrowth(NamedTuple):
 def growth(
     case: PensionModel, inputs: dict[str, Any], factors: MarketFactors, shift: Array
 ) -> IndexGrowth:
-    """`shift` [T] is that of nominal minus that of real bonds: the break-even index, fitted.
+    """`shift` [T] is the shift of nominal bonds minus that of real bonds, with which the
+    break-even index is fitted.
 
     ln I' - ln I = shift + int p + s_I (dW_I + lambda_I d), where int p has its own price of risk.
     """

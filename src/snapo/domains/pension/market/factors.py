@@ -29,9 +29,8 @@ from .shocks import Slots, reach, slots
 
 
 class MarketFactors(NamedTuple):
-    """The g factors: `volatility` [T, g] per step, all others [g].
-
-    `decay` exp(-a d), `reach` B(d), `reached` the integral of B from 0 to d. `price_of_risk` is
+    """The g factors: `volatility` [T, g] is given for each step, all other numbers are [g].
+    `decay`: exp(-a d); `reach`: B(d); `reached`: the integral of B from 0 to d. `price_of_risk` is
     zero if scenarios are risk-neutral.
     """
 

@@ -28,14 +28,15 @@ from .shocks import covariance, reach
 
 
 class PriceGrowth(NamedTuple):
-    """Dates k = 1 ... N after each time t = 0 ... T, in phases by the steps to the first of them.
+    """Price growth up to the dates k = 1 ... N after each time t = 0 ... T. Times with the same
+    number of steps to the first date are one phase.
 
-    - `phase` [T+1]: row of `variance`, `together`, `later` and `load`. `first` [T+1]: steps to the
-      first date.
+    - `phase` [T+1]: the row of `variance`, `together`, `later` and `load`. `first` [T+1]: steps to
+      the first date.
     - `mean` [T+1, N]: the mean of Y_k under the measure of a payment after date k, with the factor
       of expected inflation at zero; `load` [phases, N]: its rise per unit of that factor.
-    - `variance` [phases, N]; `together` [phases, N, N]: covariances of pairs.
-    - `later` [phases, N, N]: [n, k] fall of the mean of Y_k where the payment follows date n.
+    - `variance` [phases, N]: variances; `together` [phases, N, N]: covariances of pairs.
+    - `later` [phases, N, N]: at [n, k], the fall of the mean of Y_k if the payment follows date n.
     """
 
     phase: np.ndarray

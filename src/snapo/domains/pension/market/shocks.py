@@ -18,11 +18,11 @@ from .correlation import brownians, matrix
 
 
 class Slots(NamedTuple):
-    """The index of each part of the vector; F rate factors, one of inflation (g = F + 1).
-
-    `zeta`, `iota`: [g] of rates, then expected inflation. Other shocks are slices; the vector is
-    zeta and iota of rates, zeta and iota of inflation, price index, wage, mortality, ratings,
-    currencies, asset classes with a separate shock.
+    """The index of each part of the vector of shocks. There are F rate factors and one inflation
+    factor (g = F + 1). `zeta`, `iota`: [g] the shocks of rates, then of expected inflation. The
+    other shocks are slices. The order of the vector is zeta and iota of rates, zeta and iota of
+    inflation, price index, wage, mortality, ratings, currencies, asset classes with a separate
+    shock.
     """
 
     zeta: np.ndarray

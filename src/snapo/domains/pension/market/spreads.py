@@ -40,8 +40,9 @@ def next_spread(terms: SpreadTerms, spread: Array | None, shock: Array) -> Array
 
 
 class CurrencyTerms(NamedTuple):
-    """X currencies, per step and unit of holding: `exposure` the volatility of the unhedged share,
-    `premium` its mean over the difference of rates, `hedging` minus the cost of the hedge."""
+    """X currencies, per step and unit of holding: `exposure`: the volatility of the unhedged
+    share; `premium`: its mean return over the difference of rates; `hedging`: minus the cost of
+    the hedge."""
 
     exposure: Array
     premium: Array

@@ -10,8 +10,9 @@ LONG = 10.0  # years of the long rate that a policy may see
 
 class Market(NamedTuple):
     """State of the market: `factors` [g] of rates and expected inflation (under ready-made
-    scenarios the zero rates of the file), ln of price index and wages, Lee-Carter's k, spreads
-    ln(s / mean) [R] or None, appraised returns [q] or None, ln of the discount factor of cash."""
+    scenarios the zero rates of the file), the logarithms of price index and wages, Lee-Carter's k,
+    spreads ln(s / mean) [R] or None, appraised returns [q] or None, and the logarithm of the
+    discount factor of cash."""
 
     factors: Array
     log_price: Array
@@ -23,11 +24,10 @@ class Market(NamedTuple):
 
 
 class MarketTerms(NamedTuple):
-    """The numbers of the whole horizon: `start` the market at time 0; ln P(t, t+u) = shape -
-    `slope` @ factors [J, g] at the payment nodes; `rate_slope` [2, g] of long and short
-    rate. Under ready-made scenarios `swap_slope` [2, J, k] of the payments of swaps, before and
-    after a step; else the
-    numbers of the models, with
+    """The numbers of the whole horizon: `start`: the market at time 0; `slope` [J, g] at the
+    payment nodes, with ln P(t, t+u) = shape - `slope` @ factors; `rate_slope` [2, g]: slopes of
+    long and short rate. Under ready-made scenarios there is `swap_slope` [2, J, k], for the
+    payments of swaps before and after a step; otherwise the numbers of the models, with
     `shock` [Z, Z], `decay`, `reach` [g] and wages (see `inflation.Growth`)."""
 
     start: Market
@@ -45,8 +45,9 @@ class MarketTerms(NamedTuple):
 
 
 class MarketSteps(NamedTuple):
-    """Per step t: `rate_level` [T, 2] long and short rate at factors of zero; the generator's
-    shifts of cash and prices, volatilities and drifts of the factors [T, g]."""
+    """The numbers of each step t: `rate_level` [T, 2]: long and short rate if the factors are
+    zero; the generator's shifts of cash and prices; volatilities and drifts of the factors [T,
+    g]."""
 
     rate_level: Array
     cash_shift: Any = None
@@ -58,8 +59,9 @@ class MarketSteps(NamedTuple):
 
 
 class Move(NamedTuple):
-    """Over one step: log return of cash, gross returns [n], swaps' log returns over cash [b] or
-    None, the market after it, and of the models the bonds `beneath` (see `dynamics.returns`)."""
+    """What happens in one step: the log return of cash, gross returns [n], swaps' log returns over
+    cash [b] or None, the market after the step, and for the models the bonds `beneath` (see
+    `dynamics.returns`)."""
 
     cash: Array
     gross: Array

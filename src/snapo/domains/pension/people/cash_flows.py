@@ -33,10 +33,9 @@ from .mortality import log_survival, partner
 
 
 class Streams(NamedTuple):
-    """Payment profiles (module docstring), and the lives [K] on which each depends.
-
-    `member`, `spouse`: [K] 1 if it depends on the member's, the spouse's life, of the group
-    at position `group` [K] of `lives`.
+    """Payment profiles (see the module docstring), and the lives [K] on which each depends.
+    `member`, `spouse`: [K] 1 if the profile depends on the life of the member, or of the spouse,
+    in the group at position `group` [K] of `lives`.
     """
 
     unit: Array
@@ -51,10 +50,12 @@ class Streams(NamedTuple):
 class Projection(NamedTuple):
     """Expected payments; N is T plus the steps of `PAYMENT_YEARS`.
 
-    - `accrued`: [N] money paid in each step out of rights accrued by time 0.
-    - `fresh`: [T, N], row t: out of the accrual of step t, per unit of wages over indexation.
+    - `accrued`: [N] money paid in each step for rights accrued by time 0.
+    - `fresh`: [T, N], in row t the payments for the accrual of step t, per unit of wages divided by
+      indexation.
     - `payroll`: [T+1] salaries of each step at wages of time 0.
-    - `streams`: their components; None if the case gives cash flows.
+    - `streams`: the components of these payments; None if the case has cash flows instead of
+      members.
     """
 
     accrued: Array

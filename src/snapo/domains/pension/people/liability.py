@@ -28,8 +28,9 @@ from .mortality import accumulate, partner, step_hazards
 
 
 class Longevity(NamedTuple):
-    """`decline` [T+1]: fall of ln value in step t per unit of k. `flow` [T+1, N]: payments of
-    rights accrued before t, each times its response to k from t on, at baseline wages."""
+    """`decline` [T+1]: fall of the logarithm of the value in step t per unit of k. `flow` [T+1,
+    N]: payments for rights accrued before t, each times its response to k from t on, at baseline
+    wages."""
 
     decline: Array
     flow: Array
@@ -86,10 +87,11 @@ class People(NamedTuple):
     """The numbers of the members that all paths share. Leading axis T + 1: at time t, before step
     t.
 
-    - `accrued`, `fresh` [T+1, J]: forward values on the nodes, loading for expenses included, of
-      rights accrued by time 0, and in steps before t at baseline wages. `accrual` [T+1, J]: the
-      accrual of the accrual of step t, per unit of w (last row zeros). Money, at indexation 1.
-    - `benefit`, `fresh_benefit` [T+1]: money paid in step t from each of them.
+    - `accrued`, `fresh` [T+1, J]: forward values on the nodes, including the loading for expenses,
+      of rights accrued by time 0, and of rights accrued in steps before t at baseline wages.
+      `accrual` [T+1, J]: the forward values of the accrual of step t, per unit of w (last row
+      zeros). All are money at indexation 1.
+    - `benefit`, `fresh_benefit` [T+1]: money paid in step t for `accrued` and for `fresh` rights.
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
     - `baseline` [T+1]: the assumed w, exp(real wage growth).
     - `mix` [T+1]: share of step t's accrual in the value of fresh rights after it.
@@ -115,7 +117,8 @@ class People(NamedTuple):
 def nodes(step: float) -> np.ndarray:
     """The payment nodes [J] in steps from now, up to `PAYMENT_YEARS`; the first is 0.
 
-    Months 0, 1, 3, 6, then 1, 1.5, 2 and every year to 30, every other to 50, every fifth after.
+    They are months 0, 1, 3, 6, then years 1, 1.5, 2, every year to 30, every second year to 50,
+    and every fifth year after that.
     """
     item = round(1 / step)
     years = np.concatenate([np.arange(31), np.arange(32, 51, 2), np.arange(55, 101, 5)])
@@ -125,12 +128,10 @@ def nodes(step: float) -> np.ndarray:
 
 
 def people(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> People:
-    """Cash flows as weights on nodes for every time.
+    """Cash flows as weights on the nodes, for every time.
 
-    **Arguments:**
-
-    - `log_bond`: ln of the discount factor at time 0 of a payment at time s * step, basis
-      included, s = 0 ... T + `PAYMENT_YEARS` / step.
+    **Arguments:** - `log_bond`: the logarithm of the discount factor at time 0 of a payment at time
+    s * step, basis included, s = 0 ... T + `PAYMENT_YEARS` / step.
     """
     steps, result = case.steps, project(case, inputs, log_bond)
     growth = use(inputs, case.inflation.real_wage_growth) * case.step

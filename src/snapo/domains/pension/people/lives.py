@@ -16,15 +16,15 @@ TINY = 1e-9  # of a year
 
 
 class Lives(NamedTuple):
-    """Groups of people of one sex and age. N is the number of steps projected.
+    """Groups of people of the same sex and age. N is the number of projected steps.
 
     - `sex`, `age` (at time 0, rounded; entrants may be below their entry age), `entry` (step from
       which they count, NumPy), `service` (years at entry): [C].
     - `earning`: [C] bool, whether they work until retirement; `waiting`: [C] bool, whether their
       pension begins at the retirement age only.
     - `base`: [C] pensionable salary of all of them, and `pension`: [C] accrued, money per year.
-    - `alive`: [C, N+1] probability to be alive at each time, given that they were at entry.
-    - `factor`: [C] on their own death probabilities; None: ones.
+    - `alive`: [C, N+1] probability of being alive at each time, if alive at entry.
+    - `factor`: [C] factors on their own death probabilities; None means ones.
     """
 
     sex: Array
@@ -88,8 +88,8 @@ def present(case: PensionModel, inputs: dict[str, Any], members: FundMembers, st
 def entrants(case: PensionModel, inputs: dict[str, Any], lives: Lives, steps: int) -> Lives:
     """The lives that replace actives who retire or die: one group per sex and year of entry.
 
-    At the start of each year entrants replace the pensionable salary that was lost since the last
-    one, so that it has its level of time 0 at the start of every year.
+    At the start of each year entrants replace the pensionable salary that was lost in the year
+    before, so that at the start of every year it has the level of time 0.
     """
     item = round(1 / case.step)
     entry = np.arange(item, case.steps, item)

@@ -27,14 +27,14 @@ def year_of_life(case: PensionCase, inputs: dict[str, Any], sex: int) -> float:
     """The factor on all death probabilities of a sex that raises its life expectancy at 65 by
     one year.
 
-    A first-order effect of one more year is the sum of multiplier times (factor - 1) times the
-    sensitivity to the multiplier.
+    To first order, the effect of one more year is the sum of multiplier times (factor - 1) times
+    the sensitivity to the multiplier.
     """
     life = _life(case, inputs, sex, AT_AGE)
     target = _expectancy(life) + 1
     low, high = MINIMUM, MAXIMUM
     if _expectancy(life, low) < target:
-        raise ValueError("mortality: no scaling raises the expectation of life at 65 by a year.")
+        raise ValueError("mortality: no scaling raises the life expectancy at 65 by a year.")
     while high - low > CLOSE:
         middle = (low + high) / 2
         if _expectancy(life, middle) > target:
@@ -64,10 +64,10 @@ class LongerLife(NamedTuple):
 
 
 def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
-    """All death probabilities scaled, by sex, until the expectation of life at 65 is a year longer.
-
-    The multipliers change, else the death probabilities, else the formula, whose hazards are then
-    scaled, to first order in the scale. None if mortality is not an input or no scale suffices. A
+    """All death probabilities are scaled, by sex, until the life expectancy at 65 is a year
+    longer. The inputs that change are the multipliers; else the death probabilities; else the
+    parameters of the formula, whose hazards are then scaled to first order. None if mortality is
+    not an input or no scale suffices. A
     number that both sexes share moves by the mean of the two moves.
     """
     mortality = case.mortality

@@ -35,14 +35,14 @@ MINIMUM = 1e-16  # variance that takes the place of none
 
 
 class Lpi(NamedTuple):
-    """The addition of increases to ln of the payments on the nodes, beyond today's expectation.
-    [T+1, ...].
+    """What increases add to the logarithm of the payments on the nodes, beyond today's expectation;
+    arrays are [T+1, ...].
 
-    - `mean`, `load`, `deviation` [T+1]: of the growth of prices up to the first date: its mean,
-      that mean's rise with the factor, and its deviation.
+    - `mean`, `load`, `deviation` [T+1]: the mean of the growth of prices up to the first date, the
+      rise of this mean with the factor, and the standard deviation.
     - `started` [T+1, J]: 1 if a node's payments have an increase ahead.
-    - `later`, `joint` [T+1, J, DEGREE+1]: Chebyshev coefficients, in factor over `width` [T+1]: the
-      width of the later dates' part, and of the part that goes with d_1.
+    - `later`, `joint` [T+1, J, DEGREE+1]: Chebyshev coefficients in the factor divided by `width`
+      [T+1], for the part of the later dates and for the part that is joint with the first date.
     """
 
     mean: Array
@@ -120,12 +120,13 @@ def lpi(case: PensionModel, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
 
 
 def log_factor(now: Lpi, terms, growth: Array, factor: Array) -> Float[Array, " J"]:
-    """The addition to ln of the value of each node's payments on a path.
+    """The addition to the logarithm of the value of each node's payments on a path.
 
     **Arguments:**
 
-    - `now`: of one time. `growth`: the growth of ln prices since the last date. `factor`: the
-      factor of expected inflation. `terms`: the plan's, with `cap` and `floor`.
+    - `now`: the numbers of one time. `growth`: the growth of ln prices since the last date.
+      `factor`: the factor of expected inflation. `terms`: the terms of the plan, with `cap` and
+      `floor`.
     """
     mean = now.mean + now.load * factor + growth
     first, slope = expected(mean, now.deviation, terms.floor, terms.cap)

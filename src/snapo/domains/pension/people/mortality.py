@@ -115,8 +115,8 @@ def step_hazards(
 
     **Arguments:**
 
-    - `loading`: [2, G]; the factor of the hazard of each age, in a Lee-Carter response.
-    - `factor`: [C] on the death probabilities of each cohort; None: ones.
+    - `loading`: [2, G] the factor on the hazard of each age, for a Lee-Carter response.
+    - `factor`: [C] factors on the death probabilities of each cohort; None means ones.
     """
     time = np.arange(steps) * case.step
     since_birth = xp.asarray(age, float)[:, None] + time

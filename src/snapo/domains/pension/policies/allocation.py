@@ -30,10 +30,11 @@ class AllocationLimits(Policy):
     """Turns real numbers, one per class and swap bucket, into an action within all limits.
 
     Weights are `smooth.simplex` of the first n numbers, which reaches every mix inside the bounds,
-    with negative and levered ones if the bounds allow them. The positions of the notionals in their
-    ranges are a logistic curve of the other numbers. If these ranges are shares of the assets,
-    swaps are scaled down together to the collateral behind the weights. If they are shares of the
-    liability, a policy does not observe enough for that, and the simulator counts the shortfall.
+    with negative and levered ones if the bounds allow them. The positions of the notionals in
+    their ranges are a logistic function of the other numbers. If these ranges are shares of the
+    assets, all swaps are scaled down together until the collateral of the weights is sufficient.
+    If they are shares of the liability, a policy does not observe enough to ensure this, and the
+    simulator counts the shortfall.
     """
 
     low: Frozen

@@ -42,10 +42,10 @@ class ConstantMix(Policy):
 
 
 class GlidePath(Policy):
-    """Moves from one mix to another, linearly in the funding ratio between two bounds; also swaps.
-
-    `logits` [2, n + b] of the mixes at and below the lower bound, at and above the upper one;
-    `bounds` [2] in `UNIT`. It starts with the same `mix` at all ratios.
+    """Moves from one mix of assets and swaps to another, linearly in the funding ratio between two
+    bounds. `logits` [2, n + b]: those of the mix at and below the lower bound, and of the mix at
+    and above the upper bound; `bounds` [2]: the bounds in `UNIT`. It starts with the same `mix` at
+    all ratios.
     """
 
     limits: AllocationLimits
@@ -72,10 +72,11 @@ class GlidePath(Policy):
 class LiabilityDriven(Policy):
     """A growth portfolio (classes with a separate shock) and a hedge (bonds, credit, cash).
 
-    The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
-    are the logits of the classes within the two portfolios and `hedge` [b] of the swaps' places.
-    If weights may be negative, the growth share lies within `reach`, and within its portfolio a
-    class weighs floor + (1 - sum of floors) softmax(mix), `floor` [n] being zero elsewhere.
+    The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix`
+    [n] are the logits of the classes within the two portfolios, and `hedge` [b] those of the
+    positions of the swaps in their ranges. If weights may be negative, the growth share is within
+    `reach`, and the weight of a class within its portfolio is floor + (1 - sum of floors)
+    softmax(mix); otherwise `floor` [n] is zero.
     It starts at a constant `mix`.
     """
 
@@ -147,7 +148,8 @@ def followers(
 ) -> dict[str, tuple[str, Policy]]:
     """{key: (name, policy)} of the rules that follow the funding ratio, ready to be tuned.
 
-    They start at a `mix` that was tuned before, the glide path with bounds at `ratios`. There are
+    They start at a `mix` that was tuned before; the bounds of the glide path start at `ratios`.
+    There are
     none if the funding ratio is not among the observations.
     """
     if not {"funding_ratio", "relative_funding"} & set(case.observation):
@@ -166,7 +168,7 @@ def _ratio_slot(case: PensionCase) -> int:
 
 
 class PresentMix(Policy):
-    """Today's weights, and today's notionals as places in the ranges of the swaps.
+    """Today's weights, and today's notionals as positions in the ranges of the swaps.
 
     `mix` [n + b]. `every` is the number of steps from one rebalancing to the next; between them
     weights drift with the markets, and swaps keep their positions.
@@ -222,10 +224,9 @@ def present_mixes(case: PensionCase) -> dict[str, tuple[str, Policy]]:
 
 
 class OneOf(Policy):
-    """Decides like the rule at `position`; only this rule is tuned.
-
-    All rules are evaluated, which is cheap compared with a step of the fund; the position is data
-    of the compiled program, not a constant of it.
+    """Decides like the rule at `position`; only this rule is tuned. All rules are evaluated, which
+    is cheap compared with a step of the fund. In the compiled program the position is an argument,
+    not a constant.
     """
 
     rules: tuple[Policy, ...]

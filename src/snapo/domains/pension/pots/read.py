@@ -29,7 +29,8 @@ LIMITS = {
 }
 BY_COHORT = SHARE.of("plan", range=Range(0.0, 2.0))
 PROTECTION = BY_COHORT.in_column(
-    "protection", "the share of a pot that earns as its annuity does; the rest earns cash"
+    "protection",
+    "the share of a pot that earns the return of its annuity; the rest earns the return of cash",
 )
 EXPOSURE = BY_COHORT.in_column("exposure", "the weight of a cohort's pot in the excess return")
 

@@ -23,8 +23,8 @@ from .sharing import Reserve
 class Cohorts(NamedTuple):
     """The data that all paths share. Leading axis T + 1: at time t, before step t.
 
-    - `value` [T+1, C, J]: forward value of each cohort's payments on the nodes, of pensions as they
-      were earned at time 0; `benefit` [T+1, C]: those paid in step t.
+    - `value` [T+1, C, J]: forward value of each cohort's payments on the nodes, for pensions as
+      they were earned at time 0; `benefit` [T+1, C]: the payments in step t.
     - `payroll` [T+1, C]: each cohort's share of the salaries; zeros where no one works.
     - `drawing` [T+1, C]: 1 if the pension is in payment.
     """
@@ -64,9 +64,10 @@ def _payroll(case: PensionModel, inputs: dict[str, Any], lives: Lives) -> Array:
 
 
 class PotTerms(NamedTuple):
-    """The whole horizon: the `fund`'s terms, the `reserve`'s rules, `fill` the share of
-    contributions that it takes, `pots` [C] and `start_reserve` at the start, `level` of pots over
-    annuities then; `last` [C, J] the cohorts' payments at the horizon."""
+    """The numbers of the whole horizon: the `fund`'s terms; the rules of the `reserve`; `fill`:
+    the share of contributions that is paid into the reserve; `pots` [C] and `start_reserve`: pots
+    and reserve at the start; `level`: pots divided by annuities at the start; `last` [C, J]: the
+    cohorts' payments at the horizon."""
 
     fund: FundTerms
     reserve: Reserve
@@ -86,10 +87,11 @@ class PotTerms(NamedTuple):
 
 
 class PotPeriod(NamedTuple):
-    """One step: the `fund`'s period; of the cohorts the payments on the nodes before and after it
-    [C, J], `shape_after` [J] of the curve then, the `benefit` [C] of the step, the shares of
-    `payroll` [C], `drawing` [C] at its end, `protection` and `exposure` [C]; `unwound` the growth
-    of an annuity that is not the curve's but the addition's to it."""
+    """One step: the `fund`'s period; for the cohorts the payments on the nodes before and after it
+    [C, J], the `benefit` [C] of the step, the shares of `payroll` [C], whether they are `drawing`
+    [C] at its end, `protection` and `exposure` [C]; `shape_after` [J]: the shape of the curve
+    after it; `unwound`: the part of an annuity's growth that is due to the addition to the
+    curve."""
 
     fund: Period
     value: Array

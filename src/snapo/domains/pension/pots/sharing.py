@@ -71,12 +71,12 @@ def shared(
     exposure: Float[Array, " C"],
     smooth: Constraints,
 ) -> SharedResult:
-    """The parts of a step's return `earned`, money.
+    """The parts of the return `earned` in a step, in money.
 
     **Arguments:**
 
-    - `pots`, `reserve`: that earned it. `returned`: of each cohort's annuity, `cash`: of cash, over
-      the step, both as a share.
+    - `pots`, `reserve`: the pots and the reserve that earned the return. `returned`, `cash`: the
+      returns of each cohort's annuity and of cash over the step, as shares.
     """
     protected = pots * (protection * returned + (1 - protection) * cash)
     selected = reserve * cash
@@ -105,7 +105,8 @@ def closed(
 
     **Arguments:**
 
-    - `missing`: a function from pots [C] to the money that their pensions in payment lack [C].
+    - `missing`: a function of pots [C] that gives the money [C] by which their pensions in payment
+      are too low.
     """
     total = jnp.sum(pots) + reserve
     scale = ROUND * total

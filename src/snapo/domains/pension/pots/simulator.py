@@ -29,8 +29,8 @@ MINIMUM = 1e-9  # of an annuity of today, below which a cohort has no more payme
 
 
 class PotState(NamedTuple):
-    """The `fund` with its market and holdings; `pots` [C] and `reserve`, money; `level` [C] of the
-    pensions of this year, as multiples of those earned at time 0; `gained`: the excess return of
+    """The `fund` with its market and holdings; `pots` [C] and `reserve`: money; `level` [C]: the
+    pensions of this year as multiples of those earned at time 0; `gained`: the excess return of
     the year so far."""
 
     fund: FundState

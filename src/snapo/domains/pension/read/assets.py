@@ -30,22 +30,23 @@ from .cells import WHOLE, TimeGrid, empty, number, unique, word
 from .tables import AssetsTable
 
 MEAN = SHARE.of("premium", unit=YEARLY, range=Range(-0.999, 1.0)).in_column(
-    "mean", "mean return of a class: above cash for excess returns, in total for total returns"
+    "mean",
+    "mean return of a class: over cash for excess returns, the whole return for total returns",
 )
 IN_CELL = VOLATILITY.in_column(
-    "volatility", "volatility of a class in its own currency; the mean in the case is unchanged",
+    "volatility", "volatility of a class in its own currency; the mean in the case does not change",
     range=Range(0.0, 5.0),
 )  # fmt: skip
 IN_FILE = replace(IN_CELL, range=VOLATILITY.range, by=FROM_YEAR, column="value")
 SMOOTHING = SHARE.of("model").in_column(
-    "smoothing", "the share of a step's return that an appraisal shows at once"
+    "smoothing", "the share of a step's return that appraised prices show at once"
 )
 LIMITS = ("low", "high", "group", "group_low", "group_high", "max_sale", "band")
 OPTIONAL = (*SPECIAL, *LIMITS, "cost", "fee", "currency", "eligible", "risk")
 OF_TRADE = RATE.of("assets", unit="1", range=FRACTION, blank=0.0)
 COST = OF_TRADE.in_column("cost", "the cost of trading as a share of the trade")
 FEE = OF_TRADE.in_column("fee", "the fee per year, as a share of the holding", unit=YEARLY)
-WEIGHT = SHARE.of("assets", meaning="a weight held today, before the first trade")
+WEIGHT = SHARE.of("assets", meaning="a weight in the holdings of today, before the first trade")
 FARTHEST = 10.0  # a bound beyond 1,000 % of the assets is a percentage that was not divided by 100
 
 
@@ -131,7 +132,8 @@ def _class(row: Row, names: AssetNames) -> AssetClass:
                 name for name, item in sorted(KINDS.items()) if special in item.columns
             )
             message = (
-                f"a class of kind {kind.kind} has none: {kind.without} (kinds with it: {owners})"
+                f"a class of kind {kind.kind} has no such number: {kind.without} (kinds that "
+                f"have it: {owners})"
             )
             raise row.error(special, message)
     return kind(
@@ -230,7 +232,10 @@ def _check_bounds(
         lower, upper = max(group.low, inside[0]), min(group.high, inside[1])
         if lower > upper + WHOLE:
             got = Unquoted(f"limits {group.low:g} to {group.high:g} of the group {group.name}")
-            message = f"its classes together can weigh {inside[0]:g} to {inside[1]:g}"
+            message = (
+                f"the bounds of its classes allow a total weight from {inside[0]:g} to "
+                f"{inside[1]:g}"
+            )
             raise section.error("file", got, message)
         minimum += lower - inside[0]
         maximum += upper - inside[1]

@@ -64,7 +64,7 @@ def position(row: Row, column: str, names: Sequence[str], subject: str) -> int:
         return -1
     if text not in names:
         raise row.error(
-            column, f"there is no such {subject}; available are {', '.join(names) or 'none'}"
+            column, f"there is no such {subject}; available: {', '.join(names) or 'none'}"
         )
     return list(names).index(text)
 

@@ -29,21 +29,23 @@ from .tables import CorrelationsTable, CurveTable, InflationTable, RatesTable
 SPEED = 0.1  # towards an ultimate rate, if the case does not say
 QUOTES: dict[str, Literal["forward", "swap"]] = {"forward": "forward", "swap": "swap"}
 PERIOD, EARLIEST = 40.0, 60.0  # years from the last liquid tenor to convergence, and its earliest
-HELD = "Market values of assets today, prices of risk and excess returns are held"
+HELD = "Today's market values of assets, prices of risk and excess returns are held fixed"
 # A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
 NODE = RATE.of("curve", range=Range(-0.999, 1.0))
 ZERO = NODE.in_column(
     "zero",
-    "KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
-    f" a parallel shift. {HELD}",
+    "KR01: a move of the zero rate at one node, linear between nodes; the sum of all nodes is a "
+    "parallel shift. {HELD}",
 )
-SWAP = NODE.in_column("swap", f"KR01: the par swap rate of one tenor, the others fixed. {HELD}")
+SWAP = NODE.in_column(
+    "swap", f"KR01: a move of the par swap rate of one tenor, with the others fixed. {HELD}"
+)
 FORWARD = NODE.in_column(
     "forward",
-    f"KR01: the forward rate of one interval; the sum of all is a parallel shift. {HELD}",
+    f"KR01: a move of the forward rate of one interval; the sum of all is a parallel shift. {HELD}",
 )
 BREAK_EVEN = NODE.in_column(
-    "rate", "IE01: the break-even at one node, while nominal rates are held"
+    "rate", "IE01: a move of the break-even at one node, while nominal rates are held fixed"
 )
 # Ready-made scenarios need no model: this one is at rest.
 IDLE = {"kind": "hull-white", "mean_reversion": 0.1, "volatility": 0.0}
@@ -85,7 +87,9 @@ def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -
         message = 'with "smith-wilson" a column zero or swap is needed'
         raise section.error("file", table.file, message)
     if curve.quote == "swap" and np.any(np.abs(curve.tenor - np.round(curve.tenor)) > NEVER):
-        raise section.error("file", table.file, "swaps pay every year: whole tenors are needed")
+        raise section.error(
+            "file", table.file, "swaps pay every year, so tenors must be whole years"
+        )
     convergence = table.convergence or max(last + PERIOD, EARLIEST)
     if convergence <= last:
         raise section.error("convergence", convergence, f"it must be above the tenor {last:g}")
@@ -106,16 +110,18 @@ def _possible(section: TableReader, table: CurveTable, curve: MarketCurve) -> No
     values = curve.rate.used(), curve.ultimate.used()
     speed, missed, prices = with_numpy(price_all)(*values)
     if not np.isfinite(prices).all():
-        message = "no Smith-Wilson curve of positive prices meets these quotes with this speed"
+        message = (
+            "there is no Smith-Wilson curve with positive prices for these quotes and this speed"
+        )
         raise section.error("file", table.file, message)
     if table.speed is None and missed > 1e-6:
         message = f"no speed up to {MAXIMUM:g} brings the forward rate within a basis point by then"
         raise section.error("convergence", curve.convergence, message)
     if table.speed is None:
         section.notes.append(
-            f"{table.file}: Smith-Wilson with a speed of {float(speed):.6f}, found so that the"
-            f" forward rate at {curve.convergence:g} years is within a basis point of the ultimate"
-            " one; sensitivities move it with the quotes."
+            f"{table.file}: Smith-Wilson with a speed of {float(speed):.6f}, chosen so that the "
+            f"forward rate at {curve.convergence:g} years is within a basis point of the "
+            f"ultimate rate; in sensitivities the speed changes with the quotes."
         )
 
 
@@ -218,7 +224,9 @@ def read_inflation(
     )
 
 
-CORRELATION = NUMBER.of("model", meaning="a correlation; it moves together with its mirror entry")
+CORRELATION = NUMBER.of(
+    "model", meaning="a correlation, which moves together with its mirror entry"
+)
 SMALLEST = 1e-8  # eigenvalue that a matrix must have to count as positive definite
 EQUAL = 1e-9
 
@@ -242,13 +250,14 @@ def read_correlations(
         if not table.repair:
             got = Unquoted(f"a matrix whose smallest eigenvalue is {smallest:.3g}")
             message = (
-                "a correlation matrix is positive definite; repair = true takes the nearest one"
+                "a correlation matrix must be positive definite; repair = true uses the nearest "
+                "such matrix"
             )
             raise section.error("file", got, message)
         matrix, change = nearest_correlation(matrix)
         section.notes.append(
-            f"{table.file} was not positive definite (smallest eigenvalue {smallest:.3g}); in the "
-            f"nearest matrix that is, entries changed by {change:.3g} at most."
+            f"{table.file} was not positive definite (smallest eigenvalue {smallest:.3g}); in "
+            f"the nearest positive definite matrix, entries differ by at most {change:.3g}."
         )
     below = np.tril_indices(len(names), -1)
     labels = [f"{names[i]}, {names[j]}" for i, j in zip(*below)]
@@ -275,7 +284,7 @@ def _names(rows: Sequence[Row], available: Sequence[str], folded: Sequence[str])
         if name not in folded:
             raise row.error(
                 "name",
-                f"there is no random quantity of this name; available are {', '.join(available)}",
+                f"there is no random quantity of this name; available: {', '.join(available)}",
             )
         names.append(available[folded.index(name)])
     columns = [column for column in rows[0].cells if column != "name"]

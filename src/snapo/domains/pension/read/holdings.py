@@ -23,7 +23,7 @@ SHOCK = replace(VOLATILITY, range=Range(0.0, 5.0), blank=0.0)
 REVERSION = NUMBER.of("model", unit=YEARLY, range=POSITIVE)
 CREDIT = (
     SPREAD.of("credit").in_column(
-        "spread", "the spread today, at unchanged prices of the holdings"
+        "spread", "the spread today, with prices of the holdings unchanged"
     ),
     SPREAD.in_column("mean_spread", "the level to which the spread reverts"),
     REVERSION.in_column("mean_reversion", "mean reversion of the logarithm of a spread"),
@@ -36,7 +36,7 @@ NOT_HEDGED = "the hedged share is not affected"
 CURRENCY = (
     SHOCK.in_column("volatility", f"volatility of a currency; {NOT_HEDGED}"),
     FEE.of("premium", range=Range(-1.0, 1.0)).in_column(
-        "premium", f"return of a currency over the difference of rates; {NOT_HEDGED}"
+        "premium", f"return of a currency in addition to the difference of rates; {NOT_HEDGED}"
     ),
     SHARE.of("model", blank=0.0).in_column(
         "hedge_ratio", "the share of a currency's exposure that is hedged"
@@ -44,7 +44,7 @@ CURRENCY = (
     FEE.in_column("hedge_cost", "the cost of hedging a currency, per year of the hedged amount"),
 )
 NOTIONAL = AMOUNT.of("overlay").in_column(
-    "notional", "the notional held today, before the first trade", range=ANY
+    "notional", "the notional of today, before the first trade", range=ANY
 )
 SWAP_COST = FEE.of("overlay", unit="1").in_column(
     "cost", "the cost of trading swaps, as a share of the notional traded"

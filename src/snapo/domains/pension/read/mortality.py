@@ -20,7 +20,9 @@ SEX = ("male", "female")
 RATIO = AMOUNT.of("people", unit="1", range=ANY)
 PROBABILITY = RATIO.in_column("q", "a death probability rises by a relative 1 %", range=FRACTION)
 FORMULA = replace(RATIO, meaning="a parameter of the mortality formula rises by a relative 1 %")
-LOADING = RATIO.in_column("loading", "how far the hazard of an age follows the mortality factor")
+LOADING = RATIO.in_column(
+    "loading", "how strongly the hazard of an age responds to the mortality factor"
+)
 LAST_AGE = 120  # of a formula, and of a table that is closed
 FORMULA_AGES = (16, LAST_AGE - 16 + 1)  # first age and number of ages of a formula
 OLD = 110  # a table that ends here or later, or at a probability of `HALF`, is used unchanged
@@ -87,7 +89,10 @@ def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
         return count
     got = Unquoted(f"the ages {first} to {last}")
     if count < FEWEST:
-        message = f"a table that ends before {OLD} needs at least {FEWEST} ages, to be extrapolated"
+        message = (
+            f"a table that ends before age {OLD} must have at least {FEWEST} ages, so that "
+            f"it can be extrapolated"
+        )
         raise section.error("file", got, message)
     oldest = q[:, -SLOPE_AGES:]
     ages = f"{last + 1 - oldest.shape[1]} to {last}"
@@ -101,8 +106,8 @@ def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
         )
         raise section.error("file", got, message)
     section.notes.append(
-        f"{file} ends at {last}: the ages {last + 1} to {LAST_AGE} are closed, the logit of their"
-        f" hazards rising as at {ages} (Kannisto)."
+        f"{file} ends at {last}: it is extrapolated to the ages {last + 1} to {LAST_AGE}, where "
+        f"the logit of the hazard rises as at {ages} (Kannisto)."
     )
     return LAST_AGE - first + 1
 

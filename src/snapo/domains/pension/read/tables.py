@@ -42,8 +42,8 @@ ValuationDate = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 HiddenLayers = Annotated[list[Annotated[int, Field(ge=1, le=1024)]], Field(max_length=4)]
 Ratio = Annotated[float, Field(gt=0)]
 DATE, WHOLE = "a date, YYYY-MM-DD", "a whole number"
-OF_FACTOR = "of a factor of the short rate; the curve is fitted again"
-OF_INFLATION = "of expected inflation; break-evens are fitted again"
+OF_FACTOR = "volatility or mean reversion of a factor of the short rate; the curve is fitted again"
+OF_INFLATION = "volatility or mean reversion of expected inflation; break-evens are fitted again"
 MOVING = QUIET_VOLATILITY.of("volatility", by=FROM_YEAR)
 REVERSION = NUMBER.of("model", unit=YEARLY, range=POSITIVE)
 PRICE_OF_RISK = NUMBER.of("premium", unit=SQUARE_ROOT)
@@ -140,7 +140,9 @@ class RatesTable(CaseTable):
     mean_reversion: tuple[CaseInput, ...] = REVERSION(f"mean reversion {OF_FACTOR}", by_factor=True)
     volatility: tuple[CaseInput, ...] = MOVING(f"volatility {OF_FACTOR}", by_factor=True)
     price_of_risk: tuple[CaseInput, ...] = PRICE_OF_RISK(
-        "price of interest rate risk; higher is a lower premium of long bonds", 0.0, by_factor=True
+        "price of interest rate risk; a higher number means a lower premium of long bonds",
+        0.0,
+        by_factor=True,
     )
 
 
@@ -181,7 +183,7 @@ class AssetsTable(CaseTable):
     return_kind: Literal["excess", "total"] = doc("whether mean returns are over cash or total")
     mean_kind: Literal["geometric", "arithmetic", "log"] = doc("kind of the mean returns")
     turnover: float | None = plain(
-        "limit on trade, by default none",
+        "limit on trading, by default none",
         _above("the largest share of the assets traded per year,"),
         None,
     )
@@ -218,7 +220,7 @@ class OverlayTable(CaseTable):
     file: Nonempty = csv("swaps by tenor", "tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = doc("unit of the limits of notionals", "assets")
     leverage: CaseInput = SWAP_LIMIT(
-        "largest sum of notionals over assets", 1.0, range=NOT_NEGATIVE
+        "largest sum of notionals, as a share of the assets", 1.0, range=NOT_NEGATIVE
     )
     collateral_stress: CaseInput = SWAP_LIMIT(
         "rise of all zero rates that collateral must withstand",
@@ -330,7 +332,7 @@ class PensionTable(CaseTable):
 
     kind: Literal["pension"] = doc("kind of the case")
     title: Title = "Pension fund"
-    fund: dict = subtable("horizon, steps and money of the fund", "fund")
+    fund: dict = subtable("horizon, steps and assets of the fund", "fund")
     curve: dict = subtable("nominal curve, and measure of the scenarios", "curve")
     rates: dict | None = subtable("model of the short rate", "rates", None)
     inflation: dict = subtable("break-evens, and models of inflation and wages", "inflation")
@@ -359,12 +361,14 @@ class PensionTable(CaseTable):
         "the table [objective], or several [[objective]]",
     )
     sensitivity: dict = subtable("numbers without a sensitivity", "sensitivity", {})
-    stress: dict | None = subtable("shocks of a table of the report", "stress", None)
+    stress: dict | None = subtable("shocks for the table of stresses in the report", "stress", None)
     frontier: Annotated[dict | None, PROMISED] = subtable(
-        "contributions against the shortfall, a policy for every point", "frontier", None
+        "frontier of contributions against the shortfall, with a policy for every point",
+        "frontier",
+        None,
     )
     regulation: Annotated[dict | None, PROMISED] = subtable(
-        "rules of a regulator, and the figures that they ask for", "regulation", None
+        "rules of a regulator, and the figures that they need", "regulation", None
     )
     funding: Annotated[dict | None, PROMISED] = subtable(
         "bases of a scheme of the United Kingdom", "funding", None

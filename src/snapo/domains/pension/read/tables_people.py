@@ -101,7 +101,7 @@ CUTS = Only(
 )
 FIXED = Only(
     lambda tables: tables["plan.indexation"].kind in ("none", "fixed"),
-    'where pensions in payment have increases of kind "fixed" or "none": other kinds apply to'
+    'if pensions in payment have increases of kind "fixed" or "none"; other kinds apply to'
     " all rights",
     _kind("plan.indexation"),
 )
@@ -182,7 +182,7 @@ class MortalityTable(CaseTable):
     )
     year: int | None = plain(
         "year from which mortality improves",
-        Range(1900, 2200, noun="the calendar year of these probabilities,"),
+        Range(1900, 2200, noun="the calendar year of the death probabilities,"),
         None,
     )
     improvement: CaseInput | Nonempty = RATE(
@@ -324,7 +324,7 @@ class ContributionTable(CaseTable):
         "recovery by an annuity to a fixed date, or a rolling share of the gap", "rolling"
     )
     recovery_years: Annotated[CaseInput, _contribution("recovery_years")] = TIME(
-        "time in which the gap to the target is paid", 10.0, group="plan"
+        "time in which the gap to the target is closed", 10.0, group="plan"
     )
     floor: Annotated[CaseInput | None, PAID] = RULE(
         "smallest contributions, as a share of salaries", None, range=OF_SALARIES
@@ -354,7 +354,7 @@ class LiabilityTable(CaseTable):
         range=FRACTION._replace(noun="a share of the value of the payments"),
     )  # fmt: skip
     future_indexation: Literal["none", "full", "capped"] = doc(
-        "increases that the value of payments includes", "none"
+        "which future increases the value of payments includes", "none"
     )
 
 
@@ -364,5 +364,5 @@ class ReconcileTable(CaseTable):
     liability: float | None = plain("liability of the actuary, in currency", POSITIVE, None)
     duration: float | None = plain("duration of the actuary, in years", POSITIVE, None)
     tolerance: Annotated[float, COMPARED] = plain(
-        "largest relative difference to the actuary", Range(0.0, 1.0, "()"), 0.001
+        "largest relative difference from the figures of the actuary", Range(0.0, 1.0, "()"), 0.001
     )

@@ -23,12 +23,12 @@ class AssetRow:
     A kind, a subclass of `market.assets.asset_class.AssetClass`, sets:
 
     - `kind`: the word in the table; `description`: its meaning in one phrase, for the report.
-    - `part`: the part of an attribution that its return over cash belongs to.
-    - `collateral`: the share that is eligible if the table has none.
-    - `risk`: the risk, in addition to rates and spreads, that a regulator sees in it where the
-      table has none, one of `records.regulation.RISKS`; "none" only if there is none.
+    - `part`: the part of an attribution to which its return over cash belongs.
+    - `collateral`: the eligible share, if the table has none.
+    - `risk`: the regulatory risk class in addition to rates and spreads, if the table has none; one
+      of `records.regulation.RISKS`, "none" if there is no such risk.
     - `linked`: whether its payments follow prices.
-    - `own_shock`: whether it has a separate mean and volatility, and counts as growth.
+    - `own_shock`: whether it has a separate mean and volatility, and so counts as a growth class.
     """
 
     kind: ClassVar[str]
@@ -58,23 +58,25 @@ class AssetGroup(TreeRecord):
 class Assets(TreeRecord):
     """The asset classes; n is their number, m those with a shock of their own (`shocks`).
 
-    - `mean`: index [m], per year. `return_kind` "excess": over cash, "total": the whole return,
-      including that of cash. `mean_kind` "log": of the log return; "geometric": ln(1 + mean) is
-      that; "arithmetic": 1 + mean is the expected gross return of a year, in the fund's own
-      currency after hedging. Counts under "P" only: under "Q" every class earns cash on average.
+    - `mean`: index [m], per year. `return_kind` is "excess" for returns over cash, "total" for the
+      whole return including that of cash. `mean_kind` "log": the mean of the log return;
+      "geometric": ln(1 + mean) is the mean of the log return; "arithmetic": 1 + mean is the
+      expected gross return of a year, in the fund's own currency after hedging. It is used under
+      "P" only: under "Q" every class earns the return of cash on average.
     - `volatility`: index [T, m] in local currency, 1/sqrt(year).
-    - `smoothing`: index [q], the share of a step's return that an appraisal shows at once, 0 to
-      1; `smoothed`: [q] positions of the appraised classes ("property"), often none.
+    - `smoothing`: index [q], the share of a step's return that appraised prices show at once, 0 to
+      1; `smoothed`: [q] positions of the appraised classes (such as property), often none.
     - `cost`: index [n], share of the trade; `fee`: index [n], share of assets per year.
     - `weight`: index [n], weights now, adding up to one.
-    - `low`, `high`: [n] bounds of the weights; `groups`: disjoint. A class whose `low` is below 0
+    - `low`, `high`: [n] bounds of the weights; `groups`: groups of classes, which do not overlap.
+      A class whose `low` is below 0
       may be sold short, or, as cash, be borrowed; others may then weigh more than 1.
     - `amount`: market value of all assets now, index [].
     - `max_sale`: [n] share of a holding that may be sold per year, infinite without a limit;
       `band`: [n] distance from the wanted weight within which a class is not traded; `turnover`:
       half the sum of all changes of weights per year. None if no class has a limit.
-    - `short`: whether a weight may be negative, so that the assets may be lost more than once.
-    - `risk`: [n] the risk that a regulator sees in each class, one of `regulation.RISKS`.
+    - `short`: whether a weight may be negative, so that more than the assets may be lost.
+    - `risk`: [n] the regulatory risk class of each, one of `regulation.RISKS`.
     """
 
     classes: tuple[AssetRow, ...] = field(static=True)
@@ -119,9 +121,9 @@ class Overlay(TreeRecord):
       positions `zero_coupon`.
     - `maturities`: [b] whole steps, rising among swaps of rates and of inflation. `notional`:
       money, the value of the fixed leg when the swap is struck, index [b].
-    - `low`, `high`: [b] limits as a share of `unit`: the unit of assets, or of the value of the
+    - `low`, `high`: [b] limits as a share of `unit`: of the assets, or of the value of the
       liability payments that are nearest to the bucket (a hedge ratio).
-    - `leverage`: largest sum of absolute notionals over assets, index [].
+    - `leverage`: largest sum of absolute notionals, divided by the assets, index [].
     - `cost`: share of the notional traded, index [b].
     - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].
     """

@@ -95,13 +95,14 @@ class Scales(NamedTuple):
 
 
 class DerivedNumbers(TreeRecord):
-    """Numbers that follow from a case's own ones, for all values of its inputs.
+    """Numbers that follow from those of a case, whatever the values of its inputs.
 
     - `eligible`: [n] share of each class that counts as collateral.
     - `scales`: the scales of the features (see `fund.observation`).
     - `width`: the width of the factor of expected inflation (see `people.lpi`).
     - `divided`: whether birthdays lie within steps (see `people.mortality`).
-    - `annual_bond`: 1 / (1 + annual zero rate) by step (see `fund.schedule`); None without need.
+    - `annual_bond`: 1 / (1 + annual zero rate) by step (see `fund.schedule`); None if it is not
+      needed.
     """
 
     eligible: np.ndarray
@@ -112,7 +113,7 @@ class DerivedNumbers(TreeRecord):
 
 
 class PensionModel(TreeRecord):
-    """A fund, its markets and its people: all that its paths depend on.
+    """A fund, its markets and its people: everything on which its paths depend.
 
     The model of a case has all numbers. The model of a simulator is made from a case with `of`: it
     has every number that is not an input, as an array.
@@ -122,7 +123,7 @@ class PensionModel(TreeRecord):
     - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
     - `pots`: personal pots instead of promised rights; None if these are promised.
-    - `derived`: of a simulator.
+    - `derived`: the derived numbers, for a simulator only.
     """
 
     step: float = field(static=True)
@@ -161,9 +162,11 @@ class PensionModel(TreeRecord):
 class PensionCase(PensionModel):
     """A pension case.
 
-    - `held`: names of `CaseInput`s that are no inputs. `notes`: remarks for the user.
-    - `slips`: names of numbers that one of the notes supposes to be in another unit.
-    - `parts`: names of those parts of a run that are wanted, () for all.
+    - `held`: names of the `CaseInput`s that are not inputs of the simulator. `notes`: remarks for
+      the user.
+    - `slips`: names of numbers that are likely to be in another unit, according to one of the
+      notes.
+    - `parts`: names of the requested parts of a run, () for all.
     """
 
     file: Path = field(kw_only=True)

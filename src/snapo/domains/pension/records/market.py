@@ -14,7 +14,7 @@ def as_tuple(values: Any) -> tuple:
 
 
 class MarketCurve(TreeRecord):
-    """Nominal zero curve, or break-evens of the same form (then rates are of inflation).
+    """Nominal zero curve, or break-evens in the same form, whose rates are inflation rates.
 
     - `tenors`: [n] nodes in years, strictly rising, above zero.
     - `rate`: [n], index [n], continuous, unit "1/year", labels "10y". Quote "zero": zero rates,
@@ -23,8 +23,8 @@ class MarketCurve(TreeRecord):
       once a year, tenors in whole years.
     - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate;
       "ultimate" moves the forward rate to `ultimate` by exp(-speed * (years beyond the node));
-      "smith-wilson" is that method for all terms, with `speed`, or if it is None with the
-      smallest one at which forward rates have reached `ultimate` at `convergence` years.
+      "smith-wilson" is this method for all terms, with `speed`; if it is None, with the smallest
+      speed at which forward rates have reached `ultimate` at `convergence` years.
     - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
     """
 
@@ -67,8 +67,8 @@ class Credit(TreeRecord):
     """Spreads by rating; R is the number of ratings (0 allowed). u = ln(s / mean) is an OU process.
 
     - `names`: [R]. `spread` (now), `mean_spread` (both above 0), `mean_reversion`, `volatility`
-      (of ln s), `default_loss` (share of a holding lost per year at the mean spread, moving in
-      proportion to the spread): index [R]. Carry and loss count under "P" only.
+      (of ln s), `default_loss` (share of a holding lost per year at the mean spread, in proportion
+      to the spread): index [R]. Carry and loss are used under "P" only.
     """
 
     names: tuple[str, ...] = field(static=True)
@@ -82,7 +82,8 @@ class Credit(TreeRecord):
 class Currencies(TreeRecord):
     """Foreign currencies; X is their number (0 allowed).
 
-    - `volatility`, `premium` (over the difference of rates; under "P" only), `hedge_ratio` (0 to
+    - `volatility`, `premium` (return over the difference of rates; under "P" only), `hedge_ratio`
+      (0 to
       1, the share of the exposure that is hedged), `hedge_cost` (share of the hedged amount per
       year): index [X]. `emerging`: [X] whether its market is an emerging one.
     """
@@ -96,11 +97,11 @@ class Currencies(TreeRecord):
 
 
 class Correlation(TreeRecord):
-    """Instantaneous correlations: positive definite, repaired beforehand if the case asked.
+    """Instantaneous correlations: positive definite, repaired before if the case requests this.
 
-    - `names`: [k] of the correlated motions: "rate", "rate 2", "inflation", "price index", "wage",
-      ratings, currencies, and classes with a separate shock. Others, and mortality, are
-      independent of all the rest.
+    - `names`: [k] the names of the correlated quantities: "rate", "rate 2", "inflation", "price
+      index", "wage", ratings, currencies, and classes with a separate shock. Others, and mortality,
+      are independent of all the rest.
     - `lower`: strict lower triangle, row by row, index [k (k - 1) / 2]; labels "equity, rate".
     - `repaired`: the largest change of an entry, 0 if nothing was repaired.
     """
@@ -113,9 +114,10 @@ class Correlation(TreeRecord):
 class SuppliedScenarios(TreeRecord):
     """Ready-made scenarios instead of the generator: two different sets of paths.
 
-    - `training`, `evaluation`: [paths, T, K], over step t (returns, growth) or at its end (zeros).
-    - `columns`: [K] "return CLASS" for every class (simple, of the step), then "inflation" and
-      "wage" (log growth of the step), then "zero TENOR" (continuous) for each of `tenors`.
+    - `training`, `evaluation`: [paths, T, K], the returns and growth over step t, and the zero
+      rates at its end.
+    - `columns`: [K] "return CLASS" for every class (simple return of the step), then "inflation"
+      and "wage" (log growth of the step), then "zero TENOR" (continuous) for each of `tenors`.
     - `tenors`: [k] years, rising; zero rates are linear between them and flat outside.
     """
 

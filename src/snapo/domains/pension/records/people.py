@@ -20,8 +20,9 @@ class Mortality(TreeRecord):
     """Death probabilities of a year by sex and age, with yearly improvement.
 
     Kind "table": `table` [sex, age] = q, from `first_age` on. A table of fewer than G ages is
-    closed: the logit of the hazard continues from the last age with the slope of the `SLOPE_AGES`
-    last ones (V. Kannisto). The rate of the last age applies to later ones (a q of 1 ends all
+    extrapolated: the logit of the hazard continues from the last age with the slope of the last
+    `SLOPE_AGES` ages (V. Kannisto). The rate of the last age applies to later ones (a q of 1 ends
+    all
     lives). Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x) and q = 1 - exp(-integral
     of mu over the year). Either way, j years after time 0, q(x, j) = 1 - (1 - m
     q(x))^exp(-improvement(x) (since + j)), m = `multiplier(x)` times the factor of the cohort, and
@@ -30,7 +31,7 @@ class Mortality(TreeRecord):
     - `first_age`: the first age of all index axes "age"; ages have length G.
     - `table`: index [2, ages of the table]; empty for the other kind. `gompertz`: index [2, 3],
       columns alpha, beta, makeham; empty for "table".
-    - `multiplier`: on q, index [2, G]. `improvement`: per year, index [2, G].
+    - `multiplier`: a factor on q, index [2, G]. `improvement`: per year, index [2, G].
     - `since`: years of improvement from the table's year to time 0.
     """
 
@@ -61,7 +62,8 @@ class FundMembers(TreeRecord):
 
     - `status`: ACTIVE, DEFERRED, PENSIONER, SPOUSE; `sex`: MALE, FEMALE.
     - `age`: exact ages in years at time 0 (fractions if the case requests them).
-    - `number`: members, index [C]. `pension`: accrued per member and year, index [C]. `salary`:
+    - `number`: members, index [C]. `pension`: accrued pension per member and year, index [C].
+      `salary`:
       per member and year, index [C] (0 for those who are not active).
     - `service`: [C] years until now, for reports and for `Plan.max_service`.
     - `mortality`: factor on the members' q, index [C]; None if the table has none.
@@ -81,8 +83,9 @@ class FundMembers(TreeRecord):
 class CashFlows(TreeRecord):
     """The actuary's vector of expected nominal payments, for a case without members.
 
-    - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
-    - `normal_cost`: money per step at time 0, grows with wages, index []; `salary`: per year.
+    - `amount`: the amount of each row, index [n]; `step`: [n] the step in which it is paid.
+    - `normal_cost`: money per step at time 0, which grows with wages, index []; `salary`: salaries
+      per year.
     """
 
     amount: CaseInput

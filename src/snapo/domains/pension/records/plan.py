@@ -9,14 +9,14 @@ from snapo.problem.record import TreeRecord, field
 
 
 class Indexation(TreeRecord):
-    """Increases once a year in calendar month `month`: the month of pensions in payment, and of all
-    other rights equally if the plan has no `Revaluation`.
+    """Increases of pensions in payment once a year in the calendar month `month`; if the plan has
+    no `Revaluation`, all other rights increase equally.
 
     "none"; "fixed": by `rate`, a part of the payments themselves (see `people.fixed_increases`);
     "full": price growth since the last time; "capped": the same within `floor` and
-    `cap` (per year); "conditional": the capped one times a ramp, 0 at `lower_ratio` and 1 at
-    `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging` months
-    (1 to 12). Cuts: if the policy ratio lies below `required_ratio`, pensions are cut by
+    `cap` (per year); "conditional": the capped increase times a ramp, which is 0 at `lower_ratio`
+    and 1 at `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging`
+    months (1 to 12). Cuts: if the policy ratio lies below `required_ratio`, pensions are cut by
     (1 - ratio / required_ratio) / `cut_years`; no cuts if `cut_years` is 0.
 
     `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`, `rate`: index [].
@@ -36,7 +36,7 @@ class Indexation(TreeRecord):
 
 class Revaluation(TreeRecord):
     """Increases of rights before payment, by fixed rates on the dates of `Indexation`: `deferred`
-    of deferred members until their pension begins, `active` of actives in service. Index []."""
+    for deferred members until their pension begins, `active` for active members. Index []."""
 
     deferred: CaseInput
     active: CaseInput
@@ -53,17 +53,18 @@ class CashPlan(TreeRecord):
 
 
 class Contribution(TreeRecord):
-    """The payment of each step; C = normal cost + recovery, then limits, and then `schedule`.
+    """The contribution of each step: normal cost plus recovery, then limits, and then `schedule`.
 
-    - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
-      plus `spread_factor` per year times (liability - assets), surplus is spread too;
+    - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost": the normal cost only;
+      "spread": normal cost plus `spread_factor` per year times (liability - assets), which a
+      surplus makes negative;
       "target": normal cost plus the gap to `target_ratio` times the liability, as level payments
-      in periods of `level_steps`; if that is None, the gap over `recovery_years` a year.
+      in periods of `level_steps`; if that is None, the gap divided by `recovery_years` each year.
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.
     - `floor`, `cap`: share of salaries; `sponsor_limit`: maximum money per year, grows with wages.
-      Each applies only where its flag is set. All `CaseInput`s index [].
-    - `schedule`: paid in addition, without limits; None if the case has none.
+      Each limit applies only if its flag is set. All `CaseInput`s have the index [].
+    - `schedule`: payments in addition, without limits; None if the case has none.
     """
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = field(static=True)
@@ -84,23 +85,25 @@ class Contribution(TreeRecord):
 
 
 class PensionPlan(TreeRecord):
-    """Terms of the scheme: a pension of career average.
+    """Terms of the scheme: a career-average pension.
 
     - `revaluation`: the revaluation of rights before payment; None: they grow as pensions in
       payment do.
 
     - `timing`: payments at the start ("advance") or end ("arrears") of a step, benefits and
       contributions equally.
-    - `retirement_age`: whole or fractional years, no gradient (a date). `accrual_rate`: pension
-      per year of service as a share of (salary - `offset`), index []; `offset`: money, index [].
-    - `spouse_share`: of the member's pension, index []; `married_share`: index [];
-      `spouse_age_gap`: years by which wives are younger than their husbands, whoever of the two
-      is the member: a woman's husband is older by the gap (the reverse if negative), no gradient.
-    - `age_basis`: "nearest" or "last" birthday or "exact"; `fractional_ages`: between
-      birthdays "constant-force", "uniform" deaths.
+    - `retirement_age`: whole or fractional years; it determines a date and has no gradient.
+      `accrual_rate`: pension per year of service as a share of (salary - `offset`), index [];
+      `offset`: money, index [].
+    - `spouse_share`: share of the member's pension, index []; `married_share`: index [];
+      `spouse_age_gap`: years by which wives are younger than their husbands (older if negative),
+      whichever of the two is the member; it has no gradient.
+    - `age_basis`: "nearest" or "last" birthday or "exact"; `fractional_ages`: between birthdays
+      "constant-force", "uniform" deaths.
     - `open`: every active who retires or dies is replaced by an entrant of `entry_age` with the
-      same salary, so that payroll in wages of today stays constant. Closed: no one enters, actives
-      go on accruing. `accruing` False: no new accrual (frozen plan).
+      same salary, so that payroll in wages of today stays constant. In a closed plan no one enters,
+      and active members continue to accrue. With `accruing` False there is no new accrual (frozen
+      plan).
     - `max_service`: years after which accrual ends. `expenses`: money per year, index [].
     """
 
@@ -126,13 +129,14 @@ class PensionPlan(TreeRecord):
 class Liability(TreeRecord):
     """The valuation of payments at any time.
 
-    - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
+    - `basis` "risk-free": the simulated curve; "spread": this curve plus `rate`; "fixed": `rate`
       for all terms. `rate`: index [], `annual` or continuous; an annual spread is added to annual
       rates of today's curve, term by term, and the resulting continuous spreads are held.
-    - `loading`: for expenses, index []: reserves are 1 + `loading` times the value of the payments.
+    - `loading`: the loading for expenses, index []: reserves are (1 + `loading`) times the value
+      of the payments.
     - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (real
-      curve; basis "fixed" then takes `rate` as real), "capped" payments that follow them within
-      the cap and the floor of the plan's indexation, as the options they are (`people.lpi`).
+      curve; basis "fixed" then takes `rate` as real), "capped" payments that follow prices within
+      the cap and the floor of the plan's indexation, valued as options (`people.lpi`).
     """
 
     basis: Literal["risk-free", "spread", "fixed"] = field(static=True)

@@ -14,8 +14,9 @@ from .people import FundMembers
 class PotRules:
     """The state of the law; see the comments in `regulation/dutch_wtp.toml`.
 
-    - `largest`: the solidarity reserve's size, a share of all assets; `from_contributions`,
-      `from_excess_return`: at most these shares of a year's go into it.
+    - `largest`: the largest solidarity reserve, as a share of all assets; `from_contributions`,
+      `from_excess_return`: the largest shares of a year's contributions and excess return that are
+      paid into it.
     """
 
     since: str
@@ -32,9 +33,9 @@ class Pots(TreeRecord):
     - `fill_contribution`, `fill_return`: the shares of contributions and of a year's positive
       excess return, see `pots.sharing`, that go into it; `release`: the share of it that a year may
       take at most to restore pensions in payment. All index [].
-    - `protection`: the share of its pot that a cohort is given the return of its annuity on, and
-      that of cash on the rest; `exposure`: the weight of its pot in the excess return; by age,
-      index [T, C].
+    - `protection`: the share of a cohort's pot that earns the return of its annuity, while the
+      rest earns the return of cash; `exposure`: the weight of the pot in the excess return; both
+      by age, index [T, C].
     """
 
     rules: PotRules

@@ -15,9 +15,10 @@ MARKETS = ("developed", "emerging")
 class Rules:
     """One state of the law; see the comments in `regulation/dutch_ftk.toml`.
 
-    - `since`: the day from which it holds. `term` [k] years with the `factors` {"rise", "fall",
-      "real_rise", "real_fall": [k]} of annual zero rates.
-    - `falls`, `currencies`, `spreads`, `correlations`: by name, shares and rates as fractions.
+    - `since`: the day from which it is in force. `term` [k]: years, with the `factors` {"rise",
+      "fall", "real_rise", "real_fall": [k]} on annual zero rates.
+    - `falls`, `currencies`, `spreads`, `correlations`: {name: number}, where shares and rates are
+      fractions.
     """
 
     since: str
@@ -38,8 +39,8 @@ class Regulation:
     """The rules of a case, and the figures that they need in addition to its balance sheet.
 
     - `ratios`: funding ratios at the ends of the last months, the newest last; without any, the
-      policy ratio is today's. `insurance_risk` (S6) share of the liability, `active_risk` (S10)
-      share of the assets.
+      policy ratio is today's. `insurance_risk` (S6): a share of the liability; `active_risk`
+      (S10): a share of the assets.
     """
 
     rules: Rules
@@ -52,10 +53,11 @@ class Regulation:
 class Funding:
     """Bases side by side; see the comments in `regulation/uk_funding.toml`.
 
-    - `since`, `source`: of the rules in force at the valuation date.
-    - `margins`: {basis: margin of annual rates over the curve}, of technical provisions first.
-    - `significant_maturity`: years of duration. `recovery_years` of the plan; None: the longest
-      of the rules, `longest` before and `mature` at significant maturity.
+    - `since`, `source`: date and source of the rules in force on the valuation date.
+    - `margins`: {basis: margin of annual rates over the curve}, with technical provisions first.
+    - `significant_maturity`: a duration in years. `recovery_years`: the length of the recovery
+      plan; None for the longest that the rules allow, `longest` before and `mature` at significant
+      maturity.
     """
 
     since: str

@@ -27,7 +27,7 @@ PROVISIONS, LOW, BUY_OUT = "Technical provisions", "Low dependency", "Buy-out"
 
 @dataclass(frozen=True)
 class Basis:
-    """One basis: `margin` over the curve; `liability` and `surplus` (assets minus it), money;
+    """One basis: `margin` over the curve; `liability` and `surplus` (assets minus it), in money;
     `ratio` assets over it; `duration` years."""
 
     name: str
@@ -40,8 +40,9 @@ class Basis:
 
 @dataclass(frozen=True)
 class Recovery:
-    """Level payments of `payment` a year, money, at the end of each of `years` years, with the
-    deficit on technical provisions as their value; their `total`; all 0 without a deficit."""
+    """Level payments of `payment` a year, in money, at the end of each of `years` years; their
+    value is the deficit on technical provisions. `total`: their sum. All are 0 without a
+    deficit."""
 
     deficit: float
     years: float

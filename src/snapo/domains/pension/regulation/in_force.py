@@ -23,11 +23,10 @@ def in_force(
     day: datetime.date,
     made: Callable[[dict[str, Any]], AnyRules],
 ) -> AnyRules:
-    """`made` of the newest version on `day` of the rules `name`, those of the package or a file.
+    """The version of the rules `name` that is in force on `day`, converted by `made`; the rules are
+    those of the package or a file.
 
-    **Arguments:**
-
-    - `local`: {name: file} of the rules that come with the package.
+    **Arguments:** - `local`: {name: file} of the rules that come with the package.
 
     **Raises:** `CaseError` if the file is missing or incomplete, or has no rules for the day.
     """
@@ -39,10 +38,15 @@ def in_force(
         versions = tables_of(section.file.parent / name, text)["version"]
         available = [(version["from"], version) for version in versions if version["from"] <= day]
     except FileNotFoundError:
-        message = f"there is no such file, nor rules of this name ({', '.join(local)})"
+        message = (
+            f"there is no such file, and the package has no rules of this name, only "
+            f"{', '.join(local)}"
+        )
         raise section.error("rules", name, message) from None
     except (KeyError, TypeError, UnicodeDecodeError) as error:
-        message = f"a TOML file with tables [[version]], each with a date from, is needed ({error})"
+        message = (
+            f"it must be a TOML file with tables [[version]], each with a date `from` ({error})"
+        )
         raise section.error("rules", name, message) from None
     if not available:
         raise section.error("rules", name, f"no version is in force on {day}")
@@ -73,7 +77,10 @@ def read_regulation(
         return None
     rules = in_force(section, table.rules, OWN, day, _rules)
     if len(table.policy_ratios) > rules.averaging_months:
-        message = f"the policy ratio is that of {rules.averaging_months} months: specify no more"
+        message = (
+            f"the policy ratio is the mean of {rules.averaging_months} months: specify at "
+            f"most that many"
+        )
         raise section.error("policy_ratios", len(table.policy_ratios), message)
     ratios = tuple(table.policy_ratios)
     return Regulation(rules, ratios, table.insurance_risk, table.active_risk)
@@ -84,7 +91,9 @@ def _rules(data: dict[str, Any]) -> Rules:
     term = np.array(rates["term"], float)
     factors = {name: np.array(rates[name], float) for name in FACTORS}
     if any(factor.shape != term.shape for factor in factors.values()) or np.any(np.diff(term) <= 0):
-        raise ValueError("rates: one factor for each term, and terms that rise, are needed")
+        raise ValueError(
+            "rates: there must be one factor for each term, and the terms must increase"
+        )
 
     def numbers(name: str, keys: tuple[str, ...]) -> dict[str, float]:
         return {key: float(data[name][key]) for key in keys}

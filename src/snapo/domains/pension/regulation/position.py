@@ -23,7 +23,8 @@ from .bases import Due, due
 
 @dataclass(frozen=True)
 class Losses:
-    """Losses of own funds by risk, money; `falling`: whether falling rates are the worse ones."""
+    """Losses of own funds by risk, in money; `falling`: whether falling rates are the worse
+    case."""
 
     rates: float
     equity: float
@@ -87,9 +88,9 @@ CLOSE = 1e-12  # of the liability
 
 @dataclass(frozen=True)
 class Stand:
-    """`losses` on the required assets; `required` and `minimum` own funds, money; the ratios
-    `required_ratio`, `minimum_ratio` and `policy_ratio` to the liability; the date and the source
-    of the rules."""
+    """The `losses` on the required assets; the `required` and `minimum` own funds, in money; the
+    ratios `required_ratio`, `minimum_ratio` and `policy_ratio` to the liability; the date and the
+    source of the rules."""
 
     losses: Losses
     required: float
@@ -103,8 +104,9 @@ class Stand:
 
 @dataclass(frozen=True)
 class RecoveryCourse:
-    """By year, up to the end of the recovery period or of the horizon: the `share` of paths whose
-    policy ratio is at least the required one of today, and its `median`; `allowed` years."""
+    """For each year up to the end of the recovery period or of the horizon: the `share` of paths
+    whose policy ratio is at least today's required ratio, and the `median` of the policy ratio;
+    `allowed`: the years that a recovery plan may take."""
 
     years: tuple[int, ...] = ()
     share: tuple[float | None, ...] = ()
@@ -122,8 +124,9 @@ class Shocked(NamedTuple):
 
 
 def stand(case: PensionCase, inputs: dict[str, Any]) -> Stand:
-    """The standard model with the present mix on invested assets of liability plus required funds,
-    until both agree (annex 3, article 2); swaps keep their share of the assets."""
+    """The result of the standard model with the present mix. The invested assets are the liability
+    plus the required funds, iterated until both agree (annex 3, article 2); swaps keep their share
+    of the assets."""
     regulation, case = regulation_of(case), replace(case, scenarios=None)
     paid = due(case, inputs)
     moves = [shocked(case, inputs, paid, name) for name in ("rise", "fall")]
@@ -206,7 +209,7 @@ def _prices(case: PensionCase, inputs: dict[str, Any]) -> Callable[[np.ndarray, 
 
 
 def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
-    """[X] net exposure to each currency, money."""
+    """[X] net exposure to each currency, in money."""
     hedged = case.currencies.hedge_ratio
     share = 1 - (hedged.used() if hedged.values.size else np.zeros(len(case.currencies.names)))
     exposed = np.zeros(len(case.currencies.names))

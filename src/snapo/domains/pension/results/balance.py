@@ -29,10 +29,11 @@ FARTHEST = 2000  # basis points up to which the headroom of collateral is looked
 
 @dataclass(frozen=True)
 class CurveLadder:
-    """Change of value for +1 bp at each node of a curve [nodes], money: assets, swaps, liability.
+    """Change of value for +1 bp at each node of a curve [nodes], in money, for assets, swaps and
+    liability.
 
     - `tenor` [nodes], years; `quote`: the kind of its rates.
-    - `real_assets`, `real_liability`: the part that follows the price index, so real rates;
+    - `real_assets`, `real_liability`: the part that follows the price index, and so real rates;
       empty for break-evens.
     """
 
@@ -48,7 +49,7 @@ class CurveLadder:
 
 @dataclass(frozen=True)
 class ClassTrade:
-    """Weights of a class now, of the policy and their bounds; the trade and its cost, money."""
+    """Weights of a class now, of the policy and their bounds; the trade and its cost, in money."""
 
     name: str
     now: Number
@@ -61,7 +62,7 @@ class ClassTrade:
 
 @dataclass(frozen=True)
 class SwapTrade:
-    """Notionals of a swap now and of the policy, and their difference, money."""
+    """Notionals of a swap now and of the policy, and their difference, in money."""
 
     tenor: str
     now: Number
@@ -81,11 +82,12 @@ class TradeList:
 class Headroom:
     """The move of rates, in basis points, that uses up all eligible assets as collateral.
 
-    - `eligible`: before the move. `pv01`: gain of the swaps of rates for a fall by 1 bp.
-    - `headroom`: None if swaps do not move with rates at all, and where no move up to `FARTHEST`
-      uses the assets up: then `enough` is true.
-    - `direction`: "rise", or "fall" where swaps in sum pay the fixed rate.
-    - `required`: by the case.
+    - `eligible`: the eligible assets before the move. `pv01`: gain of the swaps of rates for a fall
+      by 1 bp.
+    - `headroom`: the move; None if swaps do not move with rates at all, or if no move up to
+      `FARTHEST` uses up the assets, so that `enough` is true.
+    - `direction`: "rise", or "fall" if the swaps together pay the fixed rate.
+    - `required`: the move that the case requires.
     """
 
     eligible: Number = np.nan

@@ -41,7 +41,7 @@ FUNDING = OutcomeMeasure(
 PENSION = OutcomeMeasure(
     "pension",
     "Mean pension over today's",
-    "Pension over today's, mean of the worst 5 %",
+    "Pension divided by today's, mean of the worst 5 %",
     "Probability of less than today's",
 )
 

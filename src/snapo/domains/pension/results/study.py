@@ -116,7 +116,10 @@ def about(case: PensionCase) -> dict[str, Any]:
             f"weights.{i}": f"{class_.name}, share of the assets"
             for i, class_ in enumerate(case.assets.classes)
         }
-        | {"theta": "indexation so far", "fresh": "rights accrued, over those of the baseline"},
+        | {
+            "theta": "indexation so far",
+            "fresh": "rights accrued, divided by those of the baseline",
+        },
         "headline": headline_name(objective_of(case)),
         "units": {"funding": "assets over liability"}
         | dict.fromkeys(("contribution", "benefit", "expenses", "cost"), case.currency),
@@ -168,7 +171,7 @@ def in_classes(note: str, case: PensionCase) -> str:
 def _unbounded(case: PensionCase) -> str:
     """The reason why the value of a fund is not bounded from above; empty if it is."""
     if case.pots is not None:
-        return "no bound from above is known for a fund of personal pots"
+        return "there is no upper bound for a fund of personal pots"
     if case.scenarios is not None:
         return "ready-made scenarios have no prices of risk, which a bound needs"
     try:

@@ -37,8 +37,9 @@ SIGNIFICANT = 2.0  # standard errors from which one of two counts as better
 class KeptShares:
     """Shares of batches that keep all limits, with standard errors, on the same batches.
 
-    - `value`: the value of the policy; `baseline`: the baseline of the best fixed recipe; `gain`:
-      their difference; `given`: of the recipe of the case. `better`: "policy", "recipe", or "" if
+    - `value`: the share under the policy; `baseline`: the share under the best fixed recipe;
+      `gain`: their difference; `given`: the share under the recipe of the case. `better`:
+      "policy", "recipe", or "" if
       the difference is not significant.
     """
 
@@ -72,8 +73,8 @@ class KeptShares:
 class ControlCourse:
     """A control after each decision, at `time` in s since its unit's start.
 
-    - `policy`, `policy_low`, `policy_high`: median and band over batches; `given`: of the best
-      fixed recipe; `given`: of the recipe of the case.
+    - `policy`, `policy_low`, `policy_high`: median and band over batches; `values`: the values of
+      the best fixed recipe; `given`: those of the recipe of the case.
     """
 
     input: str
@@ -253,7 +254,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     ]
     head = [("", ""), ("Probability of all limits", "%"), ("", "")]
     batches = number(result.paths.get("evaluate"), 0)
-    caption = f"On the same {batches} fresh batches, exact limits"
+    caption = f"On the same {batches} fresh batches, with exact limits"
     clear = Mark(certain, "yes" if certain else "no")
     blocks: list[Block] = [
         Text(run.result.verdict),
@@ -309,9 +310,9 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
     return [
         Table(head, shares, "Rules on the same batches, paired"),
         Table([(name, "") for name in local], settings, "Settings of the rules", 2),
-        Text("“First settings” are those of the case or of a tuning formula; the rule "
-             "without this label was trained from these, with its recipe, in as many steps as the "
-             "policy."),
+        Text("“First settings” are those of the case or of a tuning formula. The rule without "
+            "this label was trained from these settings together with its recipe, in as many "
+            "steps as the policy."),
     ]  # fmt: skip
 
 

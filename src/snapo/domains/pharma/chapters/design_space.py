@@ -33,8 +33,9 @@ class SpaceMap:
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
-    - `levels`: the levels of contours; `required`: probability. `box`: the largest inside, None if
-      the set point itself does not do. `ends`: the boundary of the space along the lines of the
+    - `levels`: the levels of contours; `required`: probability. `box`: the largest box inside the
+      space, None if the set point itself is outside. `ends`: the boundary of the space along the
+      lines of the
       map.
     """
 
@@ -147,16 +148,18 @@ def _in_words(result: SpaceMap) -> Text:
     text = (
         f"At {percent(share, 0)} of the points of the map all limits hold with a probability of "
         f"{number(result.required)} or more; {number(result.samples, 0)} batches per point, the "
-        f"same draws at every point, uncertain by at most {widest} (95 %). At "
+        f"same draws at every point. The probability is uncertain by at most {widest} (95 %). At "
         f"{percent(certain, 0)} of the points this is so even at the lower end of the 95 % "
         "interval, within the dotted line of the map."
     )
     few = [level for level in result.levels if result.samples < draws_for(level)]
     if few:
-        needed = " and ".join(f"{number(draws_for(level), 0)} for {level:g}" for level in few)
+        needed = " and ".join(
+            f"{number(draws_for(level), 0)} draws for the contour at {level:g}" for level in few
+        )
         text += (
-            f" With so few draws not every contour can be certain: that needs {needed} at a point, "
-            "all of them within the limits."
+            f" With so few draws not every contour can be certain: that needs at least {needed} "
+            f"at every point, all of them within the limits."
         )
     if result.box is None:
         return Text(text + " No box around the set point has the required probability.")

@@ -331,7 +331,8 @@ def _points(tests: Validation) -> Chart:
                lambda axes: pictures.residuals(axes, share), 200)  # fmt: skip
     worst = number(float(np.abs(share).max()), 2)
     caption = (
-        "Measured minus predicted over the half width of the interval, in the order of the data: "
+        "Measured minus predicted, divided by the half-width of the interval, in the order of "
+        "the data: "
         f"inside from −1 to 1; the largest is {worst}."
     )
     return Chart(svg, caption)

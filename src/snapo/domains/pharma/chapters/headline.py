@@ -185,11 +185,14 @@ def _facts(run: RunFiles) -> list[tuple[str, str, str]]:
     if matrix and matrix.ranking and matrix.ranking[0].attribute:
         first = matrix.ranking[0]
         share, attribute = percent(first.share, 0), first.attribute
-        note = f"its normal range uses {share} of the margin that batches leave to {attribute}"
+        note = (
+            f"its normal range uses {share} of the margin of {attribute} that the variation "
+            f"of the batches leaves"
+        )
         if first.outside:
             note = f"{attribute} is beyond its limit"
         elif first.spent:
-            note = f"for {attribute}, of which its variation uses all of the margin"
+            note = f"the variation of the batches uses all of the margin of {attribute}"
         facts.append(("Most critical parameter", first.parameter, note))
     if space and space.box:
         volume = percent(space.box.volume, 0)
@@ -302,7 +305,7 @@ def _made_with(run: RunFiles, case: Statement, made: Making) -> Table | Missing:
     rows += [(f"SHA-256 of {name}", text) for name, text in (made.hashes or {}).items()]
     if not rows:
         return Missing("This run has no record of seed, versions and hashes.")
-    return Table([], rows, "How to get these numbers again", 2)
+    return Table([], rows, "How to reproduce these numbers", 2)
 
 
 MAKING = Chapter(

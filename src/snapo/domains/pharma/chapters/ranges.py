@@ -66,9 +66,9 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
         f"({number(result[0].samples, 0)} batches per point). An edge names the attribute "
-        "that fails outside it; “studied range” if none does. Certain and possible: as far as "
-        "the lower, or the upper, end of the 95 % interval of the probability is above the "
-        "required one."
+        "that fails outside it; “studied range” if none does. A range is certain as far as the "
+        "lower end of the 95 % interval of the probability is above the required one, and "
+        "possible as far as the upper end is."
     )
     return [Table([(name, "") for name in names], rows, caption, 4)]
 
@@ -122,7 +122,7 @@ def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
         "the effects of one parameter at both ends of the other's normal range."
     )
     if len(result) > SHOWN:
-        caption += f" The {SHOWN} pairs with the smallest margin of {len(result)}."
+        caption += f" Of {len(result)} pairs the {SHOWN} with the smallest margin."
     return [Table([(name, "") for name in head], rows, caption, frozenset({0, 2, 5, 6}))]
 
 

@@ -89,8 +89,8 @@ class CriticalityTable:
     of its normal range, by the nominal model, in the attribute's unit.
 
     - `low`, `high`: 5 % and 95 % of it over the variation that the case states.
-    - `share`, `share_low`, `share_high`: of the room to the nearest limit at the set point, the
-      size of the change; NaN without a limit, infinite on or beyond it.
+    - `share`, `share_low`, `share_high`: the size of the change, as a share of the distance to the
+      nearest limit at the set point; NaN without a limit, infinite on or beyond it.
     - `draws`: the draws of the variation.
     """
 
@@ -224,8 +224,8 @@ def _criticality(case: Statement, result: CriticalityTable) -> Table:
     ]
     caption = (
         "Which parameter moves which attribute: half the change as the parameter goes over its "
-        "normal range, as a share of the margin to the nearest limit; in brackets 5 to 95 % of it "
-        f"over {number(result.draws, 0)} draws of the variation"
+        "normal range, as a share of the margin to the nearest limit; in brackets its 5 % and 95 "
+        "% quantiles over {number(result.draws, 0)} draws of the variation"
     )
     return Table([("Parameter", ""), *((name, "") for name in case.attribute_names)], rows, caption)
 

@@ -35,7 +35,8 @@ CLOSED = 1e-10  # relative gap of a balance
 
 @dataclass(frozen=True)
 class Balance:
-    """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 if all are 0.
+    """`relative`: (inflow + made - outflow - accumulation) divided by the largest of them; 0 if
+    all are 0.
 
     Material that has not entered a unit counts as accumulation. It cannot be negative, so the
     balance of a unit that takes more than its feed does not close.

@@ -182,7 +182,7 @@ def best_recipe(
     return first, tuned(first, repeated, "best recipe, trained on")[1]
 
 
-TOO_LONG = "a step of a process is more than the native engine takes"
+TOO_LONG = "a step of a process is larger than the native engine supports"
 
 
 class ClosedLoop:

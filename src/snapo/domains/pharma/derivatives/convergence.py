@@ -126,7 +126,8 @@ def convergence(process: PharmaProcess, inputs=None, tolerance: float = 1e-10) -
     the case is tested.
 
     `tolerance` is that of the adaptive solution, or the case's if that is tighter. If units hold
-    their steps, its derivatives are differences of its values: through an implicit solver with
+    their steps, the derivatives of the adaptive solution are differences of its values: through an
+    implicit solver with
     error control the adjoint takes minutes to compile.
     """
     numerics = process.case.numerics

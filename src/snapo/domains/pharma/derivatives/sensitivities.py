@@ -23,9 +23,9 @@ BEYOND = 1e6  # above any share of a room
 class MatrixForms(NamedTuple):
     """Q attributes by P parameters.
 
-    - `raw`: attribute's unit per case's unit of the parameter.
+    - `raw`: in the attribute's unit per case's unit of the parameter.
     - `scaled`: change of the attribute over half the normal operating range.
-    - `share`: `scaled` over the distance to the nearest limit; NaN if the attribute has no
+    - `share`: `scaled` divided by the distance to the nearest limit; NaN if the attribute has no
       limit, infinite if it is on or beyond it.
     - `zero`: whether an entry is zero because nothing connects the two: exactly 0.0.
     """
@@ -67,8 +67,8 @@ def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spr
     """Parameters by criticality, the most critical first.
 
     Room is the distance to the nearest limit minus `VARIATION` standard deviations of the batches
-    around the set point. `outside`: the attribute is beyond its limit already, `spent`: its its
-    variation takes all the room; a share has then no meaning.
+    around the set point. `outside`: the attribute is beyond its limit already, `spent`: the
+    variation of the batches takes all the room; a share has then no meaning.
     """
     room = AttributeLimits.of(case).distance(matrix.values)
     left = (room - VARIATION * varied.total)[:, None]

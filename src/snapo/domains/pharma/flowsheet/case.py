@@ -62,7 +62,7 @@ class PharmaCase:
     - `pairs`: pairs of parameter names for second derivatives of every attribute.
     - `held`: names of `CaseInput`s that are not inputs.
     - `parts`: names of those parts of a run that are wanted, () for all.
-    - `control`, `design_space`, `estimation`, `optimise`: None if it does not ask for them.
+    - `control`, `design_space`, `estimation`, `optimise`: None if the case does not ask for them.
     """
 
     file: Path

@@ -34,7 +34,7 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
             local = units.get(name, "1")
             metadata = f"{value:.6g}" + ("" if local == "1" else f" {local}")
             hint = HINTS.get(name.partition(".")[2], "")
-            return f"{name} is {metadata}, which cannot be{hint}"
+            return f"{name} is {metadata}, which is impossible{hint}"
         if name.endswith(".at_largest") and value > AT_LARGEST:
             return (
                 f"{name} is {value:.3g}: the grid of sizes ends too early, and at most "
@@ -45,6 +45,6 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
 
 
 HINTS = {
-    "time": ": the voids of the cake have more room than the liquid of the slurry",
+    "time": ": the voids of the cake hold more than the liquid of the slurry",
     "supersaturation": ": the solubility there is below 0",
 }

@@ -37,7 +37,7 @@ class ProcessRun(NamedTuple):
       the domain's unit}; `attributes`: {name: number in the case's unit}.
     - `trajectories`: {unit: {"time": [n] s, state: [n]}}, states as in `Unit.states`.
     - `status`: "ok"; "unit: did not converge at t s", with the error estimate of a held step that
-      it refuses; "unit: the steps are too long …"; or which measure has a value that cannot be.
+      it refuses; "unit: the steps are too long …"; or the measure whose value is impossible.
     - `errors`: {unit on held steps: the largest error estimate of a step, relative}.
     - `loops`: {units of a loop, as text: (relative change in one more turn, rounds of Newton)}.
     """

@@ -58,8 +58,8 @@ class Stream(TreeRecord):
     - `inner_size`, `inner_density`: d32 in m and density in kg/m3 of the crystals inside granules,
       to which moments, density and shape then refer; 0 if crystals are not granulated.
     - `numbers`: [N] crystals in each cell of the `grid`; [0] if there is none.
-    - `grid`: `NO_CRYSTALS` of a clear liquid; None if only the moments are known.
-    - `inner_numbers`, `inner_grid`: the same of the crystals inside granules; None if they are
+    - `grid`: `NO_CRYSTALS` for a clear liquid; None if only the moments are known.
+    - `inner_numbers`, `inner_grid`: the same for the crystals inside granules; None if they are
       not counted.
     """
 

@@ -46,7 +46,8 @@ class ParameterFit:
     - `residuals`: [n], in standard deviations of the measurement; `chi2`: their sum of squares,
       of `freedom` = n - P degrees of freedom; `tail`: its p-value, NaN if only the ratios of
       errors are known. `measured`, `fitted_values`: [n].
-    - `condition`: largest over smallest singular value, variables scaled by their bounds.
+    - `condition`: ratio of the largest to the smallest singular value, with variables scaled by
+      their bounds.
     - `unidentified`: directions that the data do not determine, as text.
     - `minima`: [M, P] other numbers that fit as well, with their `minima_chi2`, [M]; `starts`: from
       how many points the search began.

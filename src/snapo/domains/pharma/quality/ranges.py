@@ -74,7 +74,8 @@ class AcceptableRange:
     `low`, `high`: None if the set point itself fails. `low_edge`, `high_edge`: "" if the
     studied range ends before any limit. `certain`: ends between which every tested point passes
     even at the lower end of its 95 % interval; `possible`: up to the first point that fails even at
-    the upper end; None if the set point does. `holds_normal`, `sure_normal`: whether the normal
+    the upper end; None if the set point itself fails. `holds_normal`, `sure_normal`: whether the
+    normal
     range lies inside, and inside `certain`.
     """
 

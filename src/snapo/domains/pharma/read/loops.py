@@ -40,11 +40,13 @@ class LoopTable(CaseTable):
         "state that the loop controls", allowed="the state of one of [[control.measurements]]"
     )
     setpoint: Any = doc(
-        "setpoint over the time", None, 'quantities evenly over the time, as ["20 g/L", "9 g/L"]'
+        "setpoint over the time",
+        None,
+        'quantities, evenly spaced over the time, such as ["20 g/L", "9 g/L"]',
     )
     gain: Any = quantity("gain, by default tuned", '"-0.5 K/(kg/m^3)"', None)
     integral_time: Any = quantity("integral time, by default tuned", '"10 min"', None)
-    inner: dict | None = doc("inner loop of a cascade", None, "the table inner of a cascade")
+    inner: dict | None = doc("inner loop of a cascade", None, "the table `inner` of a cascade")
 
 
 class InnerTable(CaseTable):

@@ -47,7 +47,7 @@ class ProfileTable(CaseTable):
         allowed='a list of quantities, such as ["313 K", "278 K"]',
     )
     at: Any = doc(
-        "times of the nodes, by default evenly",
+        "times of the nodes, by default evenly spaced",
         None,
         "shares of the unit's duration, rising from 0 to 1",
     )
@@ -139,7 +139,8 @@ def case_input(
 ) -> CaseInput:  # fmt: skip
     """Numbers of a case with their metadata; used in order unless there is an `index`.
 
-    `local`: the case's unit. Temperatures are moved by a kelvin, all else by a share of itself.
+    `local`: the case's unit. Temperatures are moved by a kelvin, and all other numbers by a share
+    of their value.
     """
     low, high = (TEMPERATURE if unit == "K" else bounds).closed
     size = float(np.max(np.abs(values), initial=0.0))

@@ -108,7 +108,11 @@ def _term(
     except UnitError as error:
         raise section.error("unit", table.unit, str(error)) from None
     if change.offset:
-        raise section.error("unit", table.unit, "a term needs a unit with a true zero")
+        raise section.error(
+            "unit",
+            table.unit,
+            "the unit of a term must have its zero where the quantity is zero, such as K",
+        )
     return Term(name, entry, table.unit, 1 / change.scale, table.weight)
 
 
@@ -131,7 +135,9 @@ def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[
         if not low <= start <= high:
             value = f"{(start - change.offset) / change.scale:.10g}"
             value += "" if local == "1" else f" {local}"
-            message = f"the number in the case, {value}, must be within the bounds: it is the start"
+            message = (
+                f"the number in the case, {value}, is the start, and must be within the bounds"
+            )
             raise section.error("low", [table.low, table.high], message)
         several = len(numbers.givens[name].labels) > 1
         label = f"{name}[{entry}]" if several else name
@@ -147,13 +153,13 @@ def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
     section = TableContext(file, "goal", [])
     names = [attribute.name for attribute in attributes]
     if table.kind == "probability" and "attribute" in raw:
-        message = 'kind "probability" is of all limits together and has no such key'
+        message = 'kind "probability" is for all limits together and has no such key'
         raise section.error("attribute", table.attribute, message)
     if table.kind != "probability" and table.attribute not in names:
         hint = suggest(table.attribute, names, "attribute")
         raise section.error("attribute", table.attribute, f"there is no such attribute; {hint}")
     if table.kind == "cvar" and table.sense == "minimise":
-        message = 'kind "cvar" is the mean of the lowest values, which only makes sense to maximise'
+        message = 'kind "cvar" is the mean of the lowest values, so it can only be maximised'
         raise section.error("sense", table.sense, message)
     sense: Any = 1 if table.sense == "maximise" else -1
     return Goal(table.kind, table.attribute, sense, table.level, table.penalty)

@@ -50,7 +50,7 @@ def read_parameters(file, raw: list[dict], numbers: EntryNumbers, notes) -> tupl
             if other.name == parameter.name:
                 raise section.error("name", other.name, "another parameter has this name")
             if (other.input, other.entry) == (parameter.input, parameter.entry):
-                raise section.error("of", item["of"], f"parameter {other.name} is this number too")
+                raise section.error("of", item["of"], f"parameter {other.name} has the same number")
         parameters.append(parameter)
     return tuple(parameters)
 
@@ -167,7 +167,12 @@ def _attribute(
     except UnitError as error:
         raise section.error("unit", table.unit, str(error)) from None
     if change.offset:
-        raise section.error("unit", table.unit, "a quality attribute needs a unit with a true zero")
+        raise section.error(
+            "unit",
+            table.unit,
+            "the unit of a quality attribute must have its "
+            "zero where the quantity is zero, such as K",
+        )
     local = basis(table.unit) or own_basis(table.measure)
     limits = {
         key: None
@@ -178,7 +183,7 @@ def _attribute(
     # A limit written in the attribute's unit keeps its digits through both conversions.
     low, high = (None if x is None else float(f"{x:.14g}") for x in limits.values())
     if low is not None and high is not None and not low < high:
-        message = f"the lower limit, {low:g} {table.unit}, must lie below it"
+        message = f"it must be above the lower limit, {low:g} {table.unit}"
         raise section.error("high", table.high, message)
     if (low is not None or high is not None) and not table.citation.strip():
         raise section.error("citation", None, "a limit needs a source, or a note that you set it")
@@ -219,7 +224,9 @@ def read_uncertainty(
             unit = numbers.unit(*entry)
             distribution = read_distribution(section, table.distribution, unit)
             if distribution.kind == "lognormal" and numbers.value(entry) <= 0:
-                message = f'"lognormal" needs a nominal value above 0; {table.of} has another'
+                message = (
+                    f'"lognormal" needs a nominal value above 0, which {table.of} does not have'
+                )
                 raise section.error("distribution", table.distribution, message)
             check_drawn(section, table.distribution, distribution, numbers, entry)
             which.append(entry)

@@ -109,7 +109,9 @@ def by_pint(unit: str, target: str, difference: bool = False) -> Conversion:
     local = _exact(_parse(unit), domain)
     if _gaps(local, domain):
         requested = _dimension(domain) + ("" if target in PURE else f", {target}")
-        raise UnitError(f"{unit_text(unit)} is {_dimension(local)}, and this is {requested}")
+        raise UnitError(
+            f"{unit_text(unit)} is {_dimension(local)}, but the quantity is {requested}"
+        )
     registry = _registry()
     if local.dimensionality != domain.dimensionality:  # by round-off: pint compares it bit by bit
         factors: list[Any] = [registry.get_base_units(item)[0] for item in (local, domain)]
@@ -160,12 +162,11 @@ def check_basis(unit: str, local: str) -> None:
     if not metadata or metadata == local:
         return
     if not local:
-        raise UnitError(f"this number has no basis: write it without {metadata}")
+        raise UnitError(f"this number is not a share with a basis: write it without {metadata}")
     more = ", which needs response factors" if metadata == "a/a" else ""
     raise UnitError(
-        f"{unit} is {BASES[metadata]}{more}, and this is {BASES[local]}; write it by "
-        f"{BASES[local]}, as in "
-        f"% {local}"
+        f"{unit} is by {BASES[metadata]}{more}, but this number is by {BASES[local]}; write it "
+        f"as in % {local}"
     )
 
 

@@ -51,7 +51,7 @@ class DistributionTable(CaseTable):
 
     kind: Literal["normal", "lognormal", "uniform"] = doc("distribution around the value")
     spread: Any = doc(
-        "standard deviation, or half of the width of a uniform one",
+        "standard deviation, or half of the width of a uniform distribution",
         allowed='a number, or a quantity such as "0.5 K"',
     )
 
@@ -61,7 +61,7 @@ class ParameterTable(CaseTable):
 
     name: TextKey = doc("name of the parameter", allowed="a name")
     of: TextKey = doc(
-        "number of the case that it is",
+        "number of the case to which it refers",
         allowed='a number of the case, such as "crystalliser.temperature[1]"',
     )
     range: list[Any] = pair("range that is studied", 'quantities such as ["303 K", "323 K"]')
@@ -71,7 +71,7 @@ class ParameterTable(CaseTable):
         None,
         '{ kind = "normal", spread = "0.5 K" }',
     )
-    control: bool = doc("whether the parameter is controlled, and no material attribute", True)
+    control: bool = doc("whether the parameter is controlled; false for a material attribute", True)
     source: TextKey = doc("origin of the range", allowed="a sentence on the origin of the range")
 
 
@@ -85,7 +85,9 @@ class AttributeTable(CaseTable):
     high: Any = quantity("upper limit", '"100 um"', None)
     citation: str = doc("source of the limits", "", "the source of the limit, a sentence")
     margin: Any = quantity(
-        "small difference, by default 2 % of the distance between the limits", '"1 um"', None
+        "a difference that counts as small, by default 2 % of the distance between the limits",
+        '"1 um"',
+        None,
     )
 
 
@@ -144,7 +146,7 @@ class ControlTable(CaseTable):
     manipulated: list[dict] = tables("controls that the policy decides", "[[control.manipulated]]")
     measurements: list[dict] = tables("states that the policy observes", "[[control.measurements]]")
     steps: dict[str, Annotated[int, whole("", 1, 1000)]] = doc(
-        "number of decisions in a unit; others keep their recipe",
+        "number of decisions in a unit; other units keep their recipe",
         allowed="decisions per unit, such as { crystalliser = 12 }",
     )
     substeps: int = whole("integration steps within one decision", 1, 64, default=32)
@@ -156,12 +158,14 @@ class GoalTable(CaseTable):
     """`[goal]`"""
 
     kind: Literal["mean", "cvar", "probability"] = doc("maximised statistic", "probability")
-    attribute: str = doc("attribute of a mean or CVaR", "", "the name of an attribute")
+    attribute: str = doc("attribute whose mean or CVaR is the goal", "", "the name of an attribute")
     sense: Literal["maximise", "minimise"] = doc(
         "whether the attribute is maximised or minimised", "maximise"
     )
     level: float = within("level of the CVaR, the mean of the worst 1 - level", PROBABILITY, 0.95)
-    penalty: float = within("deduction for every margin of violation", Range(0.0), 1.0)
+    penalty: float = within(
+        "penalty for every margin by which a limit is violated", Range(0.0), 1.0
+    )
 
 
 class DesignSpaceTable(CaseTable):
@@ -261,7 +265,9 @@ class PharmaTable(CaseTable):
     purpose: str = doc("purpose of the model", "", "a sentence on the purpose of the model")
     assumptions: list[str] = doc("additional assumptions", [], "sentences for the report")
     held: list[TextKey] = doc(
-        "numbers without a sensitivity", [], "numbers of the case that get no sensitivity"
+        "numbers without a sensitivity",
+        [],
+        "numbers of the case for which no sensitivity is computed",
     )
     fitted: TextKey | None = doc(
         "fitted numbers, with their covariance, instead of those of the case",
@@ -269,7 +275,7 @@ class PharmaTable(CaseTable):
         'the file "fitted.csv" of a run with [estimation]',
     )
     reference_temperature: Any = quantity(
-        "temperature at which prefactors are rate constants, by default infinite",
+        "temperature at which prefactors are the rate constants, by default infinite",
         '"313.15 K"',
         None,
     )
@@ -294,7 +300,7 @@ class PharmaTable(CaseTable):
     control: dict | None = subtable("control by a policy within a batch", "control", None)
     goal: dict = subtable("goal of the policy", "goal", {})
     design_space: dict | None = subtable(
-        "ranges that meet all limits with a probability", "design_space", None
+        "ranges in which all limits are met with the required probability", "design_space", None
     )
     estimation: dict | None = subtable("fit of numbers to measured batches", "estimation", None)
     optimise: dict | None = subtable("recipe that is optimised", "optimise", None)

@@ -45,9 +45,9 @@ class Ramp(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """`recipe`: x are the decisions, constraints those of `bounds` and then two of each of
-    `ramps`. `before`: the goal at the start; `endpoints`: the goal at the end from each start.
-    `mode`: how it was differentiated; `compiling`, `solving`: seconds.
+    """`recipe`: its x are the decisions, and its constraints those of `bounds`, then two for each
+    of `ramps`. `before`: the goal at the start; `endpoints`: the goal at the end from each start.
+    `mode`: how the goal was differentiated; `compiling`, `solving`: seconds.
     """
 
     recipe: Recipe
@@ -63,7 +63,8 @@ class Optimum(NamedTuple):
 def optimise(process: PharmaProcess, seed: int = 0) -> Optimum:
     """Chooses the decisions of the case's `[optimise]`; all limits are constraints.
 
-    Several starts: the best of those that meet the conditions, else the best of all.
+    With several starts the result is the best of those that meet the conditions, else the best of
+    all.
     """
     case = process.case
     ask = case.optimise

@@ -35,7 +35,8 @@ class Conditions(NamedTuple):
     - `stationarity`: the largest entry of the residual of grad f with multipliers of the right
       sign; `violation`: the largest violation of a constraint. Both are relative: goal over
       `scale`.
-    - `low`, `high`: [n] multipliers of the bounds; `equal` [k] (of any sign), `above` [m].
+    - `low`, `high`: [n] multipliers of the bounds; `equal` [k], `above` [m]: multipliers of the
+      equalities (of any sign) and of the inequalities.
     """
 
     stationarity: float
@@ -51,8 +52,9 @@ class Conditions(NamedTuple):
 
 
 class Recipe(NamedTuple):
-    """`x` [n] and the `value` there; `gradient` [n]; the `conditions`, whose `residual` decides
-    whether it `converged`; `constraints` [k + m] at x; the work done; `message`: why it stopped."""
+    """The point `x` [n], the `value` and the `gradient` [n] there; the `conditions`, whose
+    `residual` determines whether the search `converged`; `constraints` [k + m] at x; the work
+    done; `message`: why the search stopped."""
 
     x: np.ndarray
     value: float
@@ -85,8 +87,9 @@ class Stopped(Exception):
 class TracedRecipe:
     """A traceable function of x [n] (and of further arguments) to [K] numbers, compiled once.
 
-    A call returns the numbers and their derivative [K, n] with respect to x; the last one is
-    remembered, since optimisers ask for values and derivatives one after the other. `compiling`:
+    A call returns the numbers and their derivative [K, n] with respect to x. The result of the
+    last call is remembered, since optimisers request values and derivatives one after the other.
+    `compiling`:
     seconds.
     """
 
@@ -147,7 +150,9 @@ class BestSoFar:
             return
         self._last = count
         if not np.isfinite(values).all():
-            raise Stopped(f"the function is not a number after {count} evaluations, so it stopped")
+            raise Stopped(
+                f"the function is not a number after {count} evaluations, so the search stopped"
+            )
         rest = values[1:]
         wrong = np.concatenate([[0.0], np.abs(rest[: self.equalities]), -rest[self.equalities :]])
         violation = float(wrong.max())
@@ -184,10 +189,11 @@ def best(
     tolerance: float = TOLERANCE,
     limits: SearchLimits = SearchLimits(),
 ) -> Recipe:
-    """Makes the traceable `function(x)` large (`sense` -1: small) within bounds, with
+    """Maximises the traceable `function(x)` (with `sense` -1: minimises it) within bounds, with
     `equality(x)` = 0 and `inequality(x)` >= 0 (arrays, of order one), to a `tolerance` of the
-    first-order conditions. If it ends before that, at one of the `limits` or because the function
-    is NaN, it is the best point evaluated, not `converged`, and `message` is the reason."""
+    first-order conditions. If the search ends before that, at one of the `limits` or because the
+    function is NaN, the result is the best evaluated point, not `converged`, and `message` is the
+    reason."""
     parts, count = [item for item in (function, equality, inequality) if item is not None], 0
     if equality is not None:
         with jax.enable_x64(True):
@@ -210,8 +216,9 @@ def optimum(
     tolerance: float = TOLERANCE,
     limits: SearchLimits = SearchLimits(),
 ) -> Recipe:
-    """The best point of a function whose first number is the goal; the next `equalities` shall be
-    0, and all others not below it. `scale`: the size of the goal (of order one without it)."""
+    """The best point of a function whose first number is the goal; the next `equalities` numbers
+    must be 0, and all others at least 0. `scale`: the size of the goal; by default it is of order
+    one."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     before = traced.evaluations
     monitor = BestSoFar(traced, limits, equalities)
@@ -247,7 +254,7 @@ def _short_of(conditions: Conditions, tolerance: float, stopped: str) -> str:
     """The reason why a point does not count as the best one."""
     why = stopped or "the solver ended"
     return (
-        f"{why} short of the tolerance {tolerance:.1g}: stationarity "
+        f"{why} before the tolerance {tolerance:.1g} was reached: stationarity "
         f"{conditions.stationarity:.2g}, violation {conditions.violation:.2g}"
     )
 

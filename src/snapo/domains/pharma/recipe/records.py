@@ -9,8 +9,8 @@ class Decision:
     """One decision: one entry of one `CaseInput`.
 
     - `name`: "crystalliser.temperature[1]"; `input`, `entry`: the `CaseInput` and the position.
-    - `unit`: the case's; domain value = `scale` * case's + `offset`.
-    - `low`, `high`, `start`: in the domain's unit; the start is the case's number.
+    - `unit`: the case's unit; domain value = `scale` * case's value + `offset`.
+    - `low`, `high`, `start`: bounds and start in the domain's unit; the start is the case's number.
     """
 
     name: str
@@ -33,7 +33,8 @@ class Term:
     """`weight` times a measure, or times a number of the case, in the user's `unit`.
 
     - `of`: "unit.measure" or "unit.field"; `entry`: the position in the `CaseInput`'s values, None
-      for a measure. `scale`: case's unit = `scale` times the domain's (0 is 0 in both).
+      for a measure. `scale`: number in the case's unit = `scale` times that in the domain's (0 is
+      0 in both).
     """
 
     of: str
@@ -47,10 +48,10 @@ class Term:
 class Optimise:
     """Goal = sum of `terms`, divided by the sum of `per` if there is one; at the nominal model.
 
-    - `sense`: 1 to make it large, -1 to make it small.
-    - `reserve`: the attributes stay this many margins within their limits, and `deviations`: this
-      many standard deviations of the batches about the case's recipe.
-    - `starts`: the case's recipe, and random ones within the bounds.
+    - `sense`: 1 to maximise the goal, -1 to minimise it.
+    - `reserve`, `deviations`: how many margins, and how many standard deviations of the batches
+      around the case's recipe, the attributes stay within their limits.
+    - `starts`: the number of starting points: the case's recipe, and random ones within the bounds.
     """
 
     sense: Literal[-1, 1]

@@ -20,22 +20,24 @@ LATE = 1e-9  # of a unit's duration: round-off of a time that is asked for
 class Numerics:
     """The method that integrates over time.
 
-    - `method`: "mesh", fixed steps between the breaks that events and profile nodes set, or
-      "adaptive", error-controlled to `tolerance` (relative; absolute is that of scaled states).
-    - `steps`: fixed steps per unit and break interval; `open`: whether as many more are taken as
-      the nominal batch needs. `refine`: whether the run repeats value and
-      gradient with twice as many and reports the difference.
-    - `max_steps`: of the adaptive solver, after which the unit's status contains the time reached.
-    - `along`: whether derivatives on the mesh are computed with every step, which suits many
-      batches in parallel, and not for all steps at once, which is fast for one.
-    - `own_steps`: whether a run whose held steps are refused gets separate steps in the same
-      trace, which takes twice as long to compile.
+    - `method`: "mesh", fixed steps between the breaks at events and profile nodes, or "adaptive",
+      error-controlled to `tolerance` (relative; the absolute tolerance is for scaled states).
+    - `steps`: fixed steps for each unit and interval between breaks; `open`: whether more steps are
+      taken if the nominal batch needs them. `refine`: whether the run repeats value and gradient
+      with twice as many steps and reports the difference.
+    - `max_steps`: the maximum of the adaptive solver, after which the unit's status contains the
+      time reached.
+    - `along`: whether derivatives on the mesh are computed step by step, which is better for many
+      batches in parallel, instead of for all steps at once, which is faster for one batch.
+    - `own_steps`: whether a run whose held steps are refused gets separate steps in the same trace,
+      which takes twice as long to compile.
     - `stiff`: on a mesh, which units without an event take Rosenbrock steps: "none", those for
       which explicit steps are "measured" to be too long or that need error control, or "all".
       `stiff_tolerance`: the tolerance of the choice of their steps at the nominal inputs.
     - `loop_tolerance`: largest relative change of a tear stream in one more iteration of its loop;
-      `loop_rounds`: of Newton's method, after which the run's status names the loop.
-    - `held`: {unit: shares of its duration at which those steps begin and end}.
+      `loop_rounds`: the maximum number of iterations of Newton's method, after which the run's
+      status names the loop.
+    - `held`: {unit: shares of its duration at which its Rosenbrock steps begin and end}.
     """
 
     method: Literal["mesh", "adaptive"]
@@ -66,13 +68,14 @@ class Numerics:
 class Dynamics(NamedTuple):
     """y' = rate(y, drive(controls)) over `duration` s, y of order one.
 
-    - `start`: [m]; `controls`: profiles and their values, in the order in which `drive` takes
-      them: `drive(*values)` maps arrays of any shape to [..., D], outside the time loop.
+    - `start`: [m]; `controls`: profiles and their values, in the order in which `drive` takes them:
+      `drive(*values)` maps arrays of any shape to [..., D], outside the time loop.
     - `event`: share of the duration at which the solution has a kink, or None.
-    - `states`: from y and the control values at one time to {state: value}.
-    - `finish`: from y and the control values at the end.
-    - `stiff`: whether an implicit solver is due.
-    - `to_dose`: from y to m3 that wait to be dosed, at the flow that is the last of the controls.
+    - `states`: a function of y and the control values at one time that returns {state: value}.
+    - `finish`: a function of y and the control values at the end.
+    - `stiff`: whether an implicit solver is needed.
+    - `to_dose`: a function of y that returns the m3 that are still to be dosed, at the flow that is
+      the last of the controls.
     """
 
     start: Float[Array, " m"]

@@ -28,8 +28,8 @@ OWN, MORE = 2, 100  # steps tried for a stiff run: twice the nominal ones plus t
 
 
 class Solved(NamedTuple):
-    """The `final` y, the control values at the end, the time `reached` in s (the duration on
-    success), and the trajectory, if requested; `error`: the largest estimate of a step's error,
+    """The `final` y, the control values at the end, the time `reached` in s (the duration if all
+    went well), and the trajectory, if requested; `error`: the largest error estimate of a step,
     relative to its state, or None."""
 
     final: Float[Array, " m"]

@@ -21,8 +21,9 @@ GRADING = 3  # power of the grading: the error of derivatives falls like that of
 class PiecewiseTime(NamedTuple):
     """A unit's time, broken into K pieces at the nodes of its profiles and at its event.
 
-    `breaks`: [K + 1] shares of the duration. `source`: [K] number of the interval of `edges` in
-    which the piece lies. `grading`: [K, 3] 1 at the row of `local_points` that the piece follows.
+    `breaks`: [K + 1] shares of the duration. `source`: [K] number of the interval of `edges` that
+    contains the piece. `grading`: [K, 3] 1 at the row of `local_points` by which the piece is
+    graded.
     `edges`: all nodes of the unit's profiles.
     """
 
@@ -47,8 +48,8 @@ class PiecewiseTime(NamedTuple):
 class Mesh(NamedTuple):
     """n steps over one unit's time, in shares of its duration.
 
-    `stages`: [n, 3] start, middle and end of each step. `piecewise`: the pieces that these steps
-    divide.
+    `stages`: [n, 3] start, middle and end of each step. `piecewise`: the pieces that are divided
+    into these steps.
     """
 
     stages: Float[Array, "n 3"]
@@ -90,7 +91,8 @@ def local_points(n: int) -> Float[np.ndarray, "3 n+1"]:
 def break_up(edges: np.ndarray, event: Float[Array, ""] | None) -> PiecewiseTime:
     """The pieces between the edges, and on both sides of an event at a share of the duration.
 
-    Their number does not depend on where the event is: next to an edge, a piece has length zero.
+    Their number does not depend on where the event is: if the event is at an edge, one piece has
+    length zero.
     """
     number = np.arange(len(edges) - 1 + (event is not None))
     if event is None:

@@ -21,7 +21,8 @@ class Profile:
     - `share`: "linear": [N] times of the nodes as shares of the unit's duration, 0 to 1, strictly
       rising from 0 to 1. "constant": [N + 1] edges of the pieces. One constant piece is a number.
     - `value`: index [N], in the quantity's unit.
-    - `ramp`: most change per second, None without limit; open loop it is checked and reported.
+    - `ramp`: the largest change per second, None without limit; in open loop it is checked and
+      reported.
     """
 
     kind: Literal["linear", "constant"]
@@ -33,10 +34,9 @@ class Profile:
 def values_in(
     profile: Profile, value: Float[Array, " N"], piece: Int[Array, "..."], share
 ) -> Float[Array, "..."]:
-    """The profile at shares of the duration that lie in its pieces number `piece`.
-
-    The piece is an argument, not searched for: at a jump both sides can be requested, and the
-    adjoint to the nodes is a gather.
+    """The profile at shares of the duration, each in the piece with the number in `piece`. The
+    piece is an argument and is not searched for: at a jump both sides can be requested, and the
+    adjoint with respect to the nodes is a gather.
     """
     if profile.kind == "constant":
         return jnp.broadcast_to(value[piece], jnp.shape(share))
@@ -83,11 +83,11 @@ def saturation_share(
 ) -> Float[Array, ""]:
     """The first share of the duration at which `excess(temperature)` is not above zero.
 
-    `excess` is solubility minus concentration; until then nothing happens, so that the
-    concentration is the initial one. 0 if the start is saturated, 1 if it never crosses
-    (no derivative in both), an edge where a jump of the profile crosses. In between: a bracket
-    repeatedly divided into sixteen, without derivatives; then two Newton steps, which carry the
-    first and second derivatives.
+    `excess` is solubility minus concentration; before that share nothing crystallises, so that the
+    concentration is the initial one. The result is 0 if the start is saturated, 1 if `excess`
+    stays above zero (both without a derivative), and an edge if `excess` crosses zero at a jump of
+    the profile. Otherwise a bracket is repeatedly divided into sixteen parts, without derivatives;
+    two Newton steps follow, which have the first and second derivatives.
     """
     if profile.kind == "constant":
         crossed = excess(value) <= 0

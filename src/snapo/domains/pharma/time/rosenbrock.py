@@ -139,10 +139,9 @@ def push(drive: Callable[..., Array], start: list[Array], end: list[Array]) -> P
 def rosenbrock(
     rate: Rate, y: Float[Array, " m"], step: Float[Array, ""], push: Push, scanned: bool = True
 ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, "m m"]]:
-    """y after a step of `step` seconds, the estimate of its error, and df/dy where it began.
-
-    `scanned`: the stages are a loop, which compiles several times faster; the native engine takes
-    them written out.
+    """y after a step of `step` seconds, the estimate of its error, and df/dy at its start.
+    `scanned`: whether the stages are a loop, which compiles several times faster; the native
+    engine needs them written out.
     """
     now = push.at[0]
     jacobian = jax.jacfwd(rate)(y, now)

@@ -16,8 +16,8 @@ FIRST = 1e-6  # share of the duration that is tried first
 
 
 class ChosenSteps(NamedTuple):
-    """`end`: the ends of the steps as shares of the duration, the first `count` of which are valid;
-    `fastest`: 1/s, the fastest response of any state, from the norms of df/dy."""
+    """`end`: the ends of the steps as shares of the duration; only the first `count` are valid.
+    `fastest`: the fastest response of any state in 1/s, from the norms of df/dy."""
 
     end: Float[Array, " most"]
     count: Array
@@ -25,9 +25,9 @@ class ChosenSteps(NamedTuple):
 
 
 def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
-    """Steps of which each has an error of at most `tolerance`; `maximum` are tried.
-
-    If they do not reach the end, the last one is the point that they reached. Without derivatives.
+    """Steps each of which has an error of at most `tolerance`; at most `maximum` are tried. If
+    they do not reach the end, the last number is the point that they reached. The result has no
+    derivatives.
     """
     nodes = jnp.asarray(edges_of(tuple(profile for profile, _ in problem.controls)))
 
@@ -64,9 +64,9 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
 
 
 def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
-    """`maximum` steps for the problem at hand, in a trace; those that are not needed have no
+    """`maximum` steps for the present problem, in a trace; steps that are not needed have no
     length. If they do not reach the end, one further step does, which is refused by its error
-    estimate. No derivatives."""
+    estimate. The result has no derivatives."""
 
     def endpoints(start, duration):
         return choose(problem._replace(start=start, duration=duration), tolerance, maximum - 1).end

@@ -61,8 +61,9 @@ def limit_of(tolerance: float) -> float:
 
 
 class Stepped(NamedTuple):
-    """`final` y [m], NaN if a step was refused; `states`: [n + 1, m] or None; `share`
-    of the duration at which the refused step begins, else 1; `error`: the largest of a step."""
+    """`final`: y [m] at the end, NaN if a step was refused; `states`: [n + 1, m] or None; `share`:
+    the share of the duration at which the refused step begins, else 1; `error`: the largest error
+    of a step."""
 
     final: Float[Array, " m"]
     states: Float[Array, "n+1 m"] | None

@@ -55,12 +55,15 @@ from .operation import Inlet, Timed
 class Crystalliser(Timed):
     """Batch crystalliser; anti-solvent is dosed in proportion to the flow `dosing`.
 
-    - `initial_concentration`: replaces that of the feed (of a single crystalliser), or None.
+    - `initial_concentration`: replaces the concentration of the feed (for a single crystalliser),
+      or None.
     - `separate`: whether seed and nuclei have separate moments.
-    - `edges`: [N + 1] m of N cells over the crystals' size, where these are followed by finite
-      volumes; crystals of the feed are then counted on the same grid. None: by the moments 0 to 5.
-    - `basis`: "solution": concentrations are per volume of liquid, which crystals make less by
-      their own; "suspension": per volume of both together, as for few crystals.
+    - `edges`: [N + 1] the edges in m of N cells over the crystals' size, if finite volumes are
+      used; crystals of the feed are then counted on the same grid. None if the moments 0 to 5 are
+      used.
+    - `basis`: with "solution" concentrations are per volume of liquid, which is smaller by the
+      volume of the crystals; with "suspension" per volume of both together, an approximation for
+      few crystals.
     """
 
     solute: str = species_key("species that crystallises", "the name of a species")
@@ -105,7 +108,7 @@ class Crystalliser(Timed):
     )
     assumptions = (
         "Crystals are pure; impurities come from the liquor retained in the cake.",
-        "A stream holds one population of crystals, of one density and shape.",
+        "A stream contains one population of crystals, of one density and shape.",
     )
 
     @classmethod

@@ -23,9 +23,9 @@ from .operation import Inlet, Instant
 class Filter(Instant):
     """Filter and wash at constant pressure.
 
-    - `wash_ratio`: W. `wash`: "exponential": exp(-efficiency W) of a solute stays; "dispersion":
-      Lapidus-Amundson with the Peclet number `peclet`.
-    - `resistance`: None: from porosity and d32 by Carman and Kozeny.
+    - `wash_ratio`: W. `wash`: with "exponential" exp(-efficiency W) of a solute stays; "dispersion"
+      is the formula of Lapidus and Amundson with the Peclet number `peclet`.
+    - `resistance`: None if it follows from porosity and d32 by Carman and Kozeny.
     """
 
     area: CaseInput = AREA("filter area", example="200 cm^2")
@@ -37,7 +37,9 @@ class Filter(Instant):
         "resistance of the filter medium"
     )
     porosity: CaseInput = UnitQuantity(range=POROSITY)("porosity of the cake")
-    saturation: CaseInput = UnitQuantity(range=SHARE)("share of the cake's voids that keeps liquor")
+    saturation: CaseInput = UnitQuantity(range=SHARE)(
+        "share of the cake's voids in which liquor stays"
+    )
     resistance: CaseInput | None = UnitQuantity("m/kg", POSITIVE, example="1e11 m/kg")(
         "specific resistance of the cake", None
     )
@@ -154,10 +156,11 @@ class Filter(Instant):
 
 
 def displacement(ratio, peclet) -> Float[Array, ""]:
-    """Lapidus and Amundson (1952): the share left at the outlet after `ratio` void volumes.
+    """The share left at the outlet after `ratio` void volumes, by Lapidus and Amundson (1952).
 
     1 - (erfc(a) + e^Pe erfc(b)) / 2, a = (1 - W) / 2 sqrt(Pe / W), b = (1 + W) / 2 sqrt(Pe / W);
-    e^Pe erfc(b) is written exp(-a^2) erfcx(b), which does not overflow. 1 without wash.
+    e^Pe erfc(b) is written exp(-a^2) erfcx(b), which does not overflow. The share is 1 without a
+    wash.
     """
     washed = ratio > 0
     w = jnp.where(washed, ratio, 1.0)

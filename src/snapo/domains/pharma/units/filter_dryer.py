@@ -25,8 +25,9 @@ from .tray_dryer import HEAT_TRANSFER, TrayDryer
 
 @dataclass(frozen=True, eq=False)
 class Nutsche(Filter):
-    """The filter of a filter-dryer; reslurry washes leave (s / (s + W))^n of a solute, s being the
-    share of the voids that keeps liquor and W the wash liquid per void volume of each of n."""
+    """The filter of a filter-dryer; reslurry washes leave (s / (s + W))^n of a solute, where s is
+    the share of the voids in which liquor stays, W the wash liquid per void volume of one wash,
+    and n the number of washes."""
 
     pressure: CaseInput = PRESSURE(
         "pressure difference of filtration", alias="filter_pressure", range=POSITIVE
@@ -36,7 +37,7 @@ class Nutsche(Filter):
         type=Literal["reslurry", "dispersion", "exponential"],
     )
     wash_ratio: CaseInput = UnitQuantity(range=NOT_NEGATIVE)(
-        "wash liquid per void volume, of a wash"
+        "wash liquid per void volume, for one wash"
     )
     washes: CaseInput | None = UnitQuantity(range=Range(1.0, 20.0))(
         "number of reslurry washes", 1.0
@@ -121,7 +122,11 @@ class FilterDryer(TrayDryer):
         wash = self.nutsche.equations()
         if self.nutsche.washes is not None:
             wash[-1] = "of a solute (s/(s + W))ⁿ stays after n reslurry washes of W void volumes"
-        return [*wash, "a wash runs at the last rate of filtration", *super().equations()]
+        return [
+            *wash,
+            "wash liquid flows at the rate of filtration at its end",
+            *super().equations(),
+        ]
 
     def dynamics(self, network, inlets, inputs):
         """The dynamics of drying the cake that filtration and washing leave."""

@@ -31,13 +31,13 @@ NEWTON = 12  # steps for the gas that reacts by an order that is neither 0 nor 1
 class Hydrogenation(Timed):
     """Batch of liquid under a gas.
 
-    `henry`: He = p / c* at `reference`; `enthalpy`: the enthalpy of dissolution, if it is negative,
-    c* falls with temperature.
+    `henry`: He = p / c* at `reference`; `enthalpy`: the enthalpy of dissolution; if it is
+    negative, c* falls with temperature.
     """
 
     duration: CaseInput = TIME("reaction time", example="3 h")
     temperature: Profile = ABSOLUTE.profile("temperature of the reactor")
-    gas: int = species_key("species of the gas", "the species that is the gas")
+    gas: int = species_key("species of the gas", "name of the species that is the gas")
     pressure: Profile = PRESSURE.profile("partial pressure of the gas")
     transfer: CaseInput = RATE("kL a of the gas", range=POSITIVE, example="0.05 1/s")
     henry: CaseInput = UnitQuantity("Pa*m3/kmol", POSITIVE, example="3.4e7 Pa*L/mol")(
@@ -48,7 +48,7 @@ class Hydrogenation(Timed):
     )
     reference: float = ABSOLUTE.number("temperature of Henry's constant", "298.15 K")
     dissolved: Literal["dynamic", "pseudo-steady"] = key(
-        doc("whether dissolved gas is a state, or in balance with its use", "dynamic")
+        doc("whether dissolved gas is a state, or in balance with its consumption", "dynamic")
     )
 
     type = "hydrogenation"
@@ -59,7 +59,7 @@ class Hydrogenation(Timed):
         ("c", "concentration"),
         ("r", "rates of reaction"),
         ("ν", "stoichiometry"),
-        ("kLa", "transfer of the gas per volume"),
+        ("kLa", "kLa, the transfer coefficient of the gas per volume"),
         ("p", "partial pressure of the gas"),
         ("He", "Henry's constant"),
     )

@@ -70,8 +70,9 @@ class Steady(NamedTuple):
 class Msmpr(Instant):
     """Continuous crystalliser of `volume` m3, fed evenly over its feed's duration.
 
-    - `nucleation`: at `reference_growth` and `reference_suspension`, with the powers i and j.
-    - `edges`: [N + 1] m of cells on which the product's crystals are counted, or None.
+    - `nucleation`: the rate at `reference_growth` and `reference_suspension`, with the powers i and
+      j.
+    - `edges`: [N + 1] the edges in m of cells in which the product's crystals are counted, or None.
     - `basis`: the basis of concentrations, as for a batch crystalliser.
     """
 
@@ -85,7 +86,9 @@ class Msmpr(Instant):
         "nucleation at the reference"
     )
     reference_growth: CaseInput = GROWTH("growth to which nucleation refers", example="0.1 um/s")
-    reference_suspension: CaseInput = CONCENTRATION("suspended crystals to which nucleation refers")
+    reference_suspension: CaseInput = CONCENTRATION(
+        "mass of suspended crystals to which the nucleation rate refers"
+    )
     growth_power: CaseInput = POWER("power of growth in nucleation", 1.0)
     suspension_power: CaseInput = POWER(
         "power of the suspended crystals in nucleation", 1.0, range=SHARE
@@ -143,7 +146,7 @@ class Msmpr(Instant):
 
     def equations(self):
         return [
-            "G n′ = (n_in − n)/τ, n(0) = B/G; n = n₀ exp(−L/(G τ)) of a clear feed",
+            "G n′ = (n_in − n)/τ, n(0) = B/G; n = n₀ exp(−L/(G τ)) for a clear feed",
             "M_T = ρ kᵥ μ₃ = M_T,in + " + BALANCE[self.basis],
             "G = g S^a; B = B_r (G/G_r)^i (M_T/M_r)^j",
             f"solubility c*: {self.solubility.kind} in temperature",
@@ -236,8 +239,8 @@ class Msmpr(Instant):
         """Crystals in each cell per m3, with the third moment of all of them.
 
         The number of nuclei decreases as exp(-L / (G tau)). Crystals `fed`, per m3 on their `grid`,
-        are spread evenly over the sizes of their cell; a share exp(-x) of them stays over x of L /
-        (G tau), in that cell and in later ones.
+        are spread evenly over the sizes of their cell; a share exp(-x) of them remains over an
+        interval x of L / (G tau), in that cell and in later ones.
         """
         if self.edges is None:
             return jnp.zeros(0)

@@ -31,10 +31,11 @@ class Inlet(NamedTuple):
     """A port that must be fed, by exactly one connection.
 
     - `crystals`: "refused" if the unit takes only liquids; "needed"; "counted" if they are needed
-      with their numbers on a grid; else "allowed". `grid`: crystals must be counted on it.
-    - `dosed`: the shape over time in which the unit takes its inlet in; None for all at the start
-      or evenly.
-    - `lasting`: whether the unit runs continuously, over its feed's duration.
+      with their numbers on a grid; else "allowed". `grid`: the grid on which crystals must be
+      counted.
+    - `dosed`: the shape over time of the flow into the unit; None if all enters at the start, or
+      evenly.
+    - `lasting`: whether the unit runs continuously, over the duration of its feed.
     """
 
     name: str
@@ -45,9 +46,10 @@ class Inlet(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The results of a unit; `reached` of `duration` s (equal if all went well; both 0 for a unit
-    without time), its `track`, and from the track's rows to states; `error` as in `Solved`;
-    `rough`: s from which the steps of a mesh were too long, None if that was not examined."""
+    """The results of a unit: the time `reached` of `duration` s (equal if all went well; both 0
+    for a unit without time), its `track`, and the function from rows of the track to states;
+    `error` as in `Solved`; `rough`: the time in s from which the steps of a mesh were too long,
+    None if that was not examined."""
 
     finish: LedgerFinish
     duration: Float[Array, ""]
@@ -60,12 +62,12 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unit(ABC):
-    """The contract of a unit operation with reading, flowsheet, balances and report.
+    """The interface of a unit operation to reading, flowsheet, balances and report.
 
-    - `type`: its word in the file; `variant`: its `kind`, if that selects a class of the type, else
-      "". `title`: its name in the report.
-    - `table`: `[units.NAME]`, of its declared fields and `more_keys`. `reacts`: whether it reads
-      the case's reactions.
+    - `type`: its word in the file; `variant`: its `kind`, if the kind selects a class of the type,
+      else "". `title`: its name in the report.
+    - `table`: the table `[units.NAME]`, made of its declared fields and `more_keys`. `reacts`:
+      whether it reads the case's reactions.
     - `symbols`: the symbols of the equations, each with its meaning; `assumptions`: sentences for
       the report.
     """
@@ -174,8 +176,8 @@ class Timed(Unit):
 
     @property
     def steps_transfer(self) -> bool:
-        """Whether all batches can use the steps that error control chooses for the nominal
-        batch: few states, no event. Otherwise each batch chooses its own steps."""
+        """Whether all batches can use the steps that error control chooses for the nominal batch.
+        This requires few states and no event. Otherwise each batch chooses its own steps."""
         return False
 
     def fastest(self, network: FlowNetwork, feeds: tuple[Feed, ...]) -> float:

@@ -50,9 +50,9 @@ class Reactor(Timed):
     """Reactor of the case's network.
 
     - `kind`: "batch"; "semi-batch" (the stream at `dose` enters over the duration, in proportion to
-      the flow `dosing`); "stirred" (continuous, `volume` m3); "plug-flow" (residence time V / flow;
-      `cells` stirred tanks in series, None for a tube without mixing along it, of so many
-      `elements`). A continuous reactor ends with its feed at the latest.
+      the flow `dosing`); "stirred" (continuous, `volume` m3); "plug-flow" (residence time V /
+      flow; `cells` stirred tanks in series, or with None a tube without mixing along its length,
+      computed in `elements`). A continuous reactor ends with its feed at the latest.
     - `filled`: the content of a continuous reactor at the start: its feed, or only the solvent.
     - Continuous kinds deliver the mixed outflow over the duration.
     - `temperature`: with a `jacket`, its first value is the initial temperature.
@@ -67,7 +67,13 @@ class Reactor(Timed):
     dosing: Profile | None = FLOW.profile("flow that is dosed", None)
     jacket: Jacket | None = inner("heat balance with a jacket", Jacket, None)
     cells: int | None = key(
-        whole("stirred cells in series of a plug flow, by default a tube", 1, 1000, default=None)
+        whole(
+            "number of stirred tanks in series that a plug-flow reactor is; by default it is a "
+            "tube without mixing",
+            1,
+            1000,
+            default=None,
+        )
     )
     filled: Literal["feed", "solvent"] = key(doc("content at the start", "feed"))
     elements: int = ELEMENTS

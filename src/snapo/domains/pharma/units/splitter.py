@@ -42,8 +42,8 @@ class Splitter(Instant):
         "share": (
             Any,
             doc(
-                "share of the stream in every outlet but the last",
-                allowed="shares of all outlets but the last, from 0 to 1",
+                "share of the stream in every outlet except the last",
+                allowed="shares of all outlets except the last, from 0 to 1",
             ),
         ),
     }
@@ -59,7 +59,7 @@ class Splitter(Instant):
         raw = table.share if isinstance(table.share, list) else [table.share]
         name = f"{read.name}.share"
         if len(raw) != len(ports) - 1:
-            message = f"it must be {len(ports) - 1} shares, of all outlets but the last"
+            message = f"it must be {len(ports) - 1} shares, one for each outlet except the last"
             raise section.error("share", table.share, message)
         text = "share of the stream"
         share = several(section, name, "share", raw, "1", ports[:-1], SHARE, text)

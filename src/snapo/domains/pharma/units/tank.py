@@ -54,7 +54,8 @@ class Tank(Instant):
     def equations(self):
         return [
             "amounts and moments add up; temperature by volume",
-            "flows run over the longest of their durations; with a batch among them, one batch",
+            "flows are mixed over the longest of their durations; if one of them is a batch, the "
+            "mixture is a batch",
         ]
 
     def deliver(self, network, inlets, inputs):
@@ -66,10 +67,9 @@ AMOUNTS = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "soli
 
 def mixed(streams: tuple[Stream, ...]) -> Stream:
     """The sum of the amounts, over the longest of their durations, or as one batch if one of them
-    is a batch; temperatures are weighted by volume, that is with equal heat capacities per volume.
-
-    Crystals must be of one kind: density and shape come from the streams with crystals. They
-    stay counted if all are counted on one grid.
+    is a batch; temperatures are weighted by volume, as if heat capacities per volume were equal.
+    Crystals must be of one kind: density and shape come from the streams with crystals. The
+    mixture has counted crystals if all are counted on one grid.
     """
     total = {name: sum(getattr(stream, name) for stream in streams) for name in AMOUNTS}
     times = jnp.stack([item.duration for item in streams])

@@ -44,7 +44,10 @@ class Thickener(Instant):
         return {"crystals": "kg/m3"}
 
     def equations(self):
-        return ["crystals, with a share of the liquor: thick; the rest of it: liquor"]
+        return [
+            "outlet thick: crystals with a share of the liquor; outlet liquor: the rest of "
+            "the liquor"
+        ]
 
     def deliver(self, network, inlets, inputs):
         """Its measure: kg of crystals per m3 of the underflow."""

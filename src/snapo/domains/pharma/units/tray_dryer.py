@@ -83,7 +83,9 @@ class Liquid(TableRecord):
             raise read.section.error("unit", table.unit, str(error)) from None
         a, b, c = table.antoine
         if b <= 0:
-            message = "it must be B above 0: vapour pressure rises with temperature"
+            message = (
+                "its second number, B, must be above 0: vapour pressure rises with temperature"
+            )
             raise read.section.error("antoine", table.antoine, message)
         zero = ZERO_CELSIUS if table.scale == "degC" else 0
         numbers, name = np.array([a + np.log10(scale), b, c - zero]), f"{read.name}.antoine"

@@ -132,9 +132,10 @@ class WetMill(Timed):
 
 
 def shares(volumes: Float[Array, " N"], fragments) -> Float[Array, "N N"]:
-    """[i, j] crystals that appear in cell i when one breaks in cell j; `volumes`: the volumes of
-    the cells' crystals, rising. Columns add up to `fragments` except for sizes below the first
-    cell, and weighted by the volumes to the volume that broke."""
+    """[i, j] the number of crystals that appear in cell i when one breaks in cell j; `volumes`:
+    the volumes of the cells' crystals, rising. Columns add up to `fragments` except for sizes
+    below the first cell; weighted by the volumes they add up to the volume of the broken
+    crystal."""
     power = (2 - fragments) / (fragments - 1)
     parent = volumes[None, :]
     # A fragment of relative size x: numbers below it, and volume below it over the parent's.

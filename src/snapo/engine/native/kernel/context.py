@@ -128,10 +128,10 @@ class Function:
 class Build:
     """The common state of the functions of a kernel while they are generated.
 
-    - `shared`: the programs of the pieces that are computed once for all paths; `first`: the first
-      of their outputs that have the same number.
+    - `shared`: the programs of the pieces that are computed once for all paths; `first`: for each
+      output, the first output that is the same number.
     - `work`, `chunk`: the bytes of scratch memory that one thread needs for arrays between two
-      regions and for waiting rows: the maximum over all functions.
+      regions, and for rows that wait to be summed; both are the maximum over all functions.
     """
 
     traced: Traced

@@ -98,7 +98,8 @@ AHEAD = 2  # rows of tape that are fetched before they are needed
 
 
 def fetch_ahead(s: KernelSweep, ops: list[Op], tape: Layout, rows: int) -> None:
-    """Lets dot products fetch the tape `rows` ahead, to write; negative: behind, to read.
+    """Lets dot products fetch the tape from memory: `rows` ahead for writing, or with negative
+    `rows` behind for reading.
 
     Processors do not predict rows that descend, and a long tape is not in the cache.
     """
@@ -112,9 +113,9 @@ def fetch_ahead(s: KernelSweep, ops: list[Op], tape: Layout, rows: int) -> None:
 class Transposed:
     """A phase's joint program, and the numbers of its outputs and inputs that have cotangents.
 
-    - `cotangents`: the inputs of the program, those of the outputs `moving`; the last one has the
-      bound of clipping and the share that is kept.
-    - `back`: the cotangents that are computed, those of the inputs `active`.
+    - `cotangents`: those inputs of the program that are cotangents of the outputs `moving`; the
+      last one has the bound of clipping and the share that is kept.
+    - `back`: the computed cotangents, those of the inputs `active`.
     """
 
     program: Program
@@ -195,7 +196,8 @@ def _pass_back(s: KernelSweep, values: EmittedValues, transposed: Transposed) ->
 
 
 def run(build: Build) -> None:
-    """`run(context, first block, last block)`: every block forward, and in an adjoint kernel back.
+    """The function `run(context, first block, last block)`: it runs every block forward, and in an
+    adjoint kernel also backward.
 
     A horizon whose tape would be too long is divided into segments: the carry at each segment's
     start is saved on the way forward, and on the way back a segment goes forward again, with a

@@ -35,7 +35,7 @@ def test_an_incomplete_kind_is_an_error():
     with pytest.raises(TypeError, match="no columns colour"):
         register(Unpriced)
 
-    with pytest.raises(TypeError, match="the kind 'cash' is Cash"):
+    with pytest.raises(TypeError, match="the kind 'cash' is already that of Cash"):
         register(type("Again", (Cash,), {"risk": "none"}))
 
 
@@ -45,7 +45,9 @@ def test_a_kind_says_what_its_regulator_sees_in_it():
     tokens = {"kind": "token", "description": "tokens"}
     with pytest.raises(TypeError, match="Token: a kind of asset class needs risk"):
         register(type("Token", (Priced,), tokens))
-    with pytest.raises(TypeError, match="Token: there is no risk 'unheard': developed, emerging"):
+    with pytest.raises(
+        TypeError, match="Token: there is no risk 'unheard'; the risks are developed, emerging"
+    ):
         register(type("Token", (Priced,), tokens | {"risk": "unheard"}))
     assert "token" not in KINDS
     assert {name: kind.risk for name, kind in KINDS.items() if kind.risk != "none"} == {

@@ -46,8 +46,8 @@ def test_every_case_has_its_words(name, tmp_path):
 def test_the_expectation_of_life_shows_deaths_that_are_twice_as_many(tmp_path):
     data = {key: entry for key, entry in CASES["index-linked"].items() if entry is not None}
     twice = data | {"mortality": data["mortality"] | {"multiplier": 1.9}}
-    assert "expectation of life at 65: men 19.2 years, women 22.9" in said(tmp_path, **data)
-    assert "expectation of life at 65: men 13.5 years, women 16.9" in said(tmp_path, **twice)
+    assert "life expectancy at 65: men 19.2 years, women 22.9" in said(tmp_path, **data)
+    assert "life expectancy at 65: men 13.5 years, women 16.9" in said(tmp_path, **twice)
 
 
 @pytest.mark.prove

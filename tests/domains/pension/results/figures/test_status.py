@@ -118,7 +118,7 @@ def test_check_prints_three_lines():
         "million, 11.1% of payroll"
     )
     assert paid == (
-        "payments of today, a year: benefits EUR 12.5 million, expenses EUR 900.0 thousand, "
+        "payments today, per year: benefits EUR 12.5 million, expenses EUR 900.0 thousand, "
         "increase 0.18%: EUR 22.8 thousand of benefits and EUR 581.9 thousand of liability"
     )
 

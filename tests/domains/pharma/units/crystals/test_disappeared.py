@@ -36,7 +36,9 @@ def test_a_seed_of_one_size(shrunk, gone):
     said = disappeared(track, Rates(growth, np.zeros_like(TIME)), 0.0)
     assert bool(said) == gone
     if gone:
-        assert "shrink by 2" in said and "the smallest at the start have 20 um" in said
+        assert (
+            "shrink by 2" in said and "the smallest ones at the start have a size of 20 um" in said
+        )
         assert said.endswith('use method = "finite-volumes"')
 
 

@@ -58,10 +58,11 @@ class Scene(NamedTuple):
 class Now(NamedTuple):
     """A step of the market, as used by returns.
 
-    `shock` [Z] the Gaussian vector, `volatility` [g] of the factors, `index_volatility` of prices,
-    `cash` the log return of cash, `factors` [g] of rates and expected inflation and `spread` [R]
-    ln(s / mean) before the step, `foreign` [X] log returns of the unhedged share of each currency,
-    None without currencies.
+    `shock` [Z]: the Gaussian vector; `volatility` [g]: volatility of the factors;
+    `index_volatility`: volatility of prices; `cash`: the log return of cash; `factors` [g]:
+    factors of rates and expected inflation before the step; `spread` [R]: ln(s / mean) before the
+    step; `foreign` [X]: log returns of the unhedged share of each currency, None without
+    currencies.
     """
 
     shock: Array
@@ -74,17 +75,17 @@ class Now(NamedTuple):
 
 
 class AssetMixture(NamedTuple):
-    """Holdings made of bonds: `log` [q] returns of the bonds over cash, Gaussian, and the weights
-    `share` [k, q] of a holding's gain over cash, share @ expm1(log); fixed before the step."""
+    """Holdings made of bonds: `log` [q] are the Gaussian log returns of the bonds over cash.
+    `share` [k, q] are the weights of the bonds in each holding, fixed before the step; its gain
+    over cash is share @ expm1(log)."""
 
     share: Array
     log: Array
 
 
 class AssetClass(AssetRow, ABC):
-    """The behaviour of one kind of asset classes, which sets the attributes of `AssetRow` and
-
-    - `columns`: those of `SPECIAL` that it has; `without`: the reason why it has no others.
+    """The behaviour of one kind of asset classes. A kind sets the attributes of `AssetRow`, and -
+    `columns`: the columns of `SPECIAL` that it has; `without`: the reason why it has no others.
     """
 
     columns: ClassVar[tuple[str, ...]]
@@ -169,9 +170,14 @@ def register(kind: AnyKind) -> AnyKind:
     if unknown := set(kind.columns) - set(SPECIAL):
         raise TypeError(f"{kind.__name__}: there are no columns {', '.join(sorted(unknown))}.")
     if kind.risk not in RISKS:
-        raise TypeError(f"{kind.__name__}: there is no risk {kind.risk!r}: {', '.join(RISKS)}.")
+        raise TypeError(
+            f"{kind.__name__}: there is no risk {kind.risk!r}; the risks are {', '.join(RISKS)}."
+        )
     if kind.kind in KINDS:
-        raise TypeError(f"{kind.__name__}: the kind {kind.kind!r} is {KINDS[kind.kind].__name__}.")
+        raise TypeError(
+            f"{kind.__name__}: the kind {kind.kind!r} is already that of "
+            f"{KINDS[kind.kind].__name__}."
+        )
     KINDS[kind.kind] = kind
     return kind
 

@@ -138,7 +138,7 @@ class CouponBond(Maturing):
     def read(cls, row: Row, names: AssetNames) -> dict[str, Any]:
         text = row.cells.setdefault("coupon", "").strip()
         if not text:
-            raise row.error("coupon", f'a rate per year or "{PAR}" is needed')
+            raise row.error("coupon", f'it must be a rate per year or "{PAR}"')
         coupon = AT_PAR if text == PAR else row.number("coupon", 0.0, 1.0)
         return super().read(row, names) | {"coupon": coupon}
 

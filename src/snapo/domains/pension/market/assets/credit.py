@@ -23,9 +23,9 @@ from .bond import Maturing
 
 
 class CreditTerms(NamedTuple):
-    """Terms of the k classes: `reach` [k, f] of the underlying bond; `duration` in years,
-    `mean_spread`, `volatility` and `variance` of the spread's zeta, `carry` per unit of spread and
-    step, `reverting` the share of u lost in a step."""
+    """Terms of the k classes: `reach` [k, f]: that of the underlying bond; `duration`: in years;
+    `mean_spread`: the mean spread; `volatility`, `variance`: those of the spread's zeta; `carry`:
+    per unit of spread and step; `reverting`: the share of u that is lost in a step."""
 
     reach: Array
     duration: Array

@@ -19,11 +19,11 @@ AT_PAR = np.nan  # the coupon of a bond whose value is its principal when it is 
 
 
 class Payments(NamedTuple):
-    """Payments of k holdings for a principal of 1, static.
+    """Payments of k holdings for a principal of 1; all fields are static.
 
-    - `steps` [J]: when they are due, in steps from the purchase, rising.
-    - `coupon` [k]: the rate per year, or `AT_PAR`. `period` [k, J]: the years for which a coupon is
-      due. `principal` [k, J]: 1 if the principal is due.
+    - `steps` [J]: when payments are due, in steps from the purchase, rising.
+    - `coupon` [k]: the rate per year, or `AT_PAR`. `period` [k, J]: the length in years for which a
+      coupon is paid. `principal` [k, J]: 1 if the principal is due.
     """
 
     steps: np.ndarray

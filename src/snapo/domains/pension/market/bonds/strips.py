@@ -21,8 +21,9 @@ from .payments import Payments, amounts, coupons
 
 
 class StripTerms(NamedTuple):
-    """Terms of the q payments, by date and currency, `reach` [q, f] (see `constant_maturity`); of
-    the J dates `slope` [J, g], by which ln P falls per unit of each factor."""
+    """Terms of the q payments, one for each date and currency: `reach` [q, f] (see
+    `constant_maturity`). For the J dates: `slope` [J, g], by which ln P falls per unit of each
+    factor."""
 
     reach: Array
     slope: Array

@@ -59,7 +59,7 @@ class ShortRate(TreeRecord):
                 return parts * count
             if len(parts) != count:
                 stated = [part.written for part in parts]
-                message = f'kind "{cls.kind}" needs {count} of them, one per factor'
+                message = f'kind "{cls.kind}" needs one number for each factor: {count}'
                 raise section.error(key, stated[0] if len(stated) == 1 else stated, message)
             return parts
 

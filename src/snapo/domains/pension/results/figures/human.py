@@ -22,16 +22,17 @@ TENORS = (1, 10, 30)  # years at which rates are reported
 
 
 class Human(NamedTuple):
-    """The figures, on today's curve and of the models before any simulation.
+    """Figures that follow from today's curve and from the models, before any simulation.
 
     - `assets`, `liability`: money; `funding`: their ratio, None without a liability.
-    - `duration`: the duration of the liability; `asset_duration`: the duration of assets with swaps
-      over assets; years, of a parallel shift of the curve. `hedge_ratio`: the change of assets and
-      swaps over that of the liability for that shift; None if the liability does not follow the
-      curve. `inflation_hedge_ratio`: the same for a rise of all break-evens, nominal rates held.
+    - `duration`: the duration of the liability; `asset_duration`: the duration of assets with
+      swaps, relative to assets; both in years, for a parallel shift of the curve. `hedge_ratio`:
+      the change of assets and swaps divided by that of the liability for this shift; None if the
+      liability does not follow the curve. `inflation_hedge_ratio`: the same for a rise of all
+      break-evens, with nominal rates held fixed.
     - `rate`, `rate_volatility`: continuous zero rates, and the standard deviation of their change
-      in a year at the pace of today; by `TENORS`. `rate_volatility` is empty under supplied
-      scenarios.
+      in a year at today's volatility, for each of `TENORS`. `rate_volatility` is empty under
+      supplied scenarios.
     - `returns`: {class: geometric return per year over the horizon}, on the path without shocks;
       under supplied scenarios the mean of the training paths.
     """
@@ -73,7 +74,7 @@ def human(case: PensionCase, inputs: dict[str, Any], figures: LiabilityFigures) 
 
 
 def _parallel(case: PensionCase, values: dict[str, Any], curve: MarketCurve) -> float:
-    """d (assets and swaps today) / d shift of all quotes of `curve`, money."""
+    """d (assets and swaps today) / d shift of all quotes of `curve`, in money."""
     name, quotes = curve.rate.name, curve.rate.values
 
     def value(shift):

@@ -33,7 +33,7 @@ def _accrual(case: PensionCase) -> str:
         return "none, the plan is frozen"
     if case.members is None:
         cost = case.cash_flows is not None and case.cash_flows.normal_cost.used() > 0
-        return "in proportion to the cash flows, by the normal cost" if cost else "none"
+        return "in proportion to the cash flows, with the given normal cost" if cost else "none"
     if not plan.accrual_rate.values.size:
         return "none, the plan has no accrual_rate"
     offset = float(plan.offset.used()) if plan.offset.values.size else 0.0
@@ -81,7 +81,10 @@ def _rule(rule: Indexation) -> str:
         return f"{_percent(rule.rate)} a year"
     if rule.kind == "conditional":
         low, high = float(rule.lower_ratio.used()), float(rule.upper_ratio.used())
-        return f"{between()}, from none at a policy ratio of {low:.0%} to all of it at {high:.0%}"
+        return (
+            f"{between()}, from nothing at a policy ratio of {low:.0%} to the full increase "
+            f"at {high:.0%}"
+        )
     return {"none": "none", "full": FULL}.get(rule.kind) or between()
 
 
@@ -102,7 +105,7 @@ def _mortality(case: PensionCase) -> str:
         text += ", without improvement"
     inputs = input_values(case)
     men, women = (life_expectancy(case, inputs, sex, AT_AGE) for sex in (MALE, FEMALE))
-    return f"{text}; expectation of life at {AT_AGE}: men {men:.1f} years, women {women:.1f}"
+    return f"{text}; life expectancy at {AT_AGE}: men {men:.1f} years, women {women:.1f}"
 
 
 def _valuation(case: PensionCase) -> str:

@@ -85,7 +85,8 @@ def lines(case: PensionCase) -> list[str]:
         f"{counted(len(case.assets.classes), 'class')}, {case.buckets} swap "
         f"tenor{'s' * (case.buckets != 1)}",
         f"scenarios: {'supplied' if case.scenarios else SCENARIOS[case.measure]}",
-        f"{inputs_line([entry.value.size for entry in inputs.values()])}; {len(case.held)} held",
+        f"{inputs_line([entry.value.size for entry in inputs.values()])}; {len(case.held)} held "
+        f"fixed",
         *_human(case, result.human),
         *_status(case, input_values(case), result.figures.liability),
         *in_words(case),
@@ -121,9 +122,9 @@ def _human(case: PensionCase, result: Human) -> list[str]:
         f"rates, continuous: {_by_tenor(result.rate)}",
     ]
     if result.rate_volatility:
-        summary.append(f"volatility of rates, a year: {_by_tenor(result.rate_volatility)}")
+        summary.append(f"volatility of rates, per year: {_by_tenor(result.rate_volatility)}")
     grown = ", ".join(f"{name} {entry:.1%}" for name, entry in result.returns.items())
-    summary.append(f"returns a year, without shocks: {grown}")
+    summary.append(f"returns per year, without shocks: {grown}")
     return summary
 
 
@@ -149,7 +150,7 @@ def _status(case: PensionCase, inputs: dict[str, Any], liability: float) -> list
         cost, earned, increase = "", " as earned", ""
     text.append(f"{cost}today's contribution is {of_payroll(now.contribution)}")
     paid = f"benefits {money(now.benefits)}{earned}, expenses {money(now.expenses)}{increase}"
-    return [*text, f"payments of today, a year: {paid}"]
+    return [*text, f"payments today, per year: {paid}"]
 
 
 def _group(group: StatusGroup, money: Callable[[float], str]) -> str:

@@ -47,7 +47,9 @@ def _size(case: PensionCase, human: Human) -> Iterator[str]:
         )
     if human.liability and _outside(human.duration, DURATION):
         years = f"below {DURATION[0]:g} or above {DURATION[1]:g}"
-        yield f"the duration of the liability is {human.duration:.3g} years, seldom {years}"
+        yield (
+            f"the duration of the liability is {human.duration:.3g} years, which is rarely {years}"
+        )
     if human.hedge_ratio is not None and _outside(human.hedge_ratio, HEDGE):
         yield (
             f"assets and swaps move {human.hedge_ratio:.3g} times as far with rates as the "
@@ -61,15 +63,16 @@ def _market(case: PensionCase, human: Human) -> Iterator[str]:
         low = RATE_VOLATILITY[0] if tenor <= 10 else 0.0
         if _outside(volatility, (low, RATE_VOLATILITY[1])):
             yield (
-                f"the volatility of the {tenor}-year rate is {volatility:.2%} a year, seldom below "
-                f"{low:.1%} or above {RATE_VOLATILITY[1]:.1%}: see rates.volatility (0.008 is "
+                f"the volatility of the {tenor}-year rate is {volatility:.2%} a year, which is "
+                f"rarely below {low:.1%} or above {RATE_VOLATILITY[1]:.1%}: see rates.volatility "
+                f"(0.008 is "
                 "0.8 % a year) and mean_reversion"
             )
     for name, mean in human.returns.items():
         if _outside(mean, RETURN):
             yield (
-                f"{name} grows by {mean:.1%} a year without shocks, usually not "
-                f"{_percent(RETURN)}: see its mean, return_kind and prices of risk"
+                f"{name} grows by {mean:.1%} a year without shocks, which is unusual (not "
+                f"{_percent(RETURN)}): see its mean, return_kind and prices of risk"
             )
 
 
@@ -88,13 +91,13 @@ def _unpaid(case: PensionCase, human: Human) -> Iterator[str]:
     if paid.kind == "none":
         reason = 'contributions are of kind "none"'
     elif closed and paid.has_cap:
-        reason = "the cap is a share of salaries, and there are none"
+        reason = "the cap is a share of salaries, but the plan has no salaries"
     elif closed and not responds:
-        reason = f'contributions of kind "{paid.kind}" follow salaries, and there are none'
+        reason = f'contributions of kind "{paid.kind}" depend on salaries, but there are none'
     else:
         return
     yield (
-        f"the fund is {human.funding:.1%} funded, {target:.0%} is the aim, and there are no "
+        f"the funding ratio is {human.funding:.1%}, the target is {target:.0%}, but there are no "
         f"contributions: {reason}. Payments agreed in money go into plan.contribution.schedule, a "
         "limit in money into sponsor_limit"
     )
@@ -114,9 +117,9 @@ def _rolling(case: PensionCase, human: Human) -> Iterator[str]:
     if growth >= 1:
         yield (
             f"the gap to a funding ratio of {target:.0%} bears interest of {np.expm1(rate):.1%} a "
-            f"year, and recovery_years = {years:g} pays no more than {1 / years:.1%} of the "
-            'rest: it is never closed. plan.contribution.recovery = "level" ends it after these '
-            "years"
+            f"year, and recovery_years = {years:g} pays only {1 / years:.1%} of the "
+            "remaining gap a year: the gap is never closed. "
+            'plan.contribution.recovery = "level" closes it after these years'
         )
 
 

@@ -42,11 +42,13 @@ class Pace(NamedTuple):
     """Payments of the first step, as money per year.
 
     - `accrual`: the value of the rights that are earned, on the basis of the liability.
-    - `contribution`: by the rule and with its limits; `agreed` payments in money are in it.
-    - `benefits`, `expenses`: paid. `payroll`: salaries.
-    - `increase`: a share, net of cuts, for a year in which prices grow at the one-year break-even;
-      if increases are fixed, the fixed rate. `raised`: its part of a year's benefits;
-      `liability_raised`: its part of the liability, 0 if the payments contain it.
+    - `contribution`: the contribution by the rule and its limits, including the `agreed` payments
+      in money.
+    - `benefits`, `expenses`: the payments. `payroll`: salaries.
+    - `increase`: the increase net of cuts, as a share, for a year in which prices grow at the
+      one-year break-even; if increases are fixed, the fixed rate. `raised`: the increase of a
+      year's benefits, in money; `liability_raised`: the increase of the liability, in money, 0 if
+      the payments contain it.
     """
 
     accrual: float

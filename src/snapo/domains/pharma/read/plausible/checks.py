@@ -53,7 +53,9 @@ def check_decided(case: PharmaCase) -> None:
                 f"{name}: a policy decides fields that change over time: {', '.join(profiles)}"
             )
         elif name in needed:
-            message = f"{name} comes before a unit in which a policy decides or measures over time"
+            message = (
+                f"{name} comes before a unit in which the policy decides or measures over time"
+            )
         else:
             continue
         raise CaseError(str(case.file), f"control.manipulated[{i}].of", item.input, message)
@@ -69,7 +71,7 @@ def check_moved(case: PharmaCase) -> None:
     moved += [("uncertainty", name) for name in case.uncertainty.inputs]
     for where, name in moved:
         if name in case.held:
-            message = "this number is among those `held`, which do not move"
+            message = "this number is in the list `held`, whose numbers do not move"
             raise CaseError(str(case.file), f"{where}.of", name, message)
 
 
@@ -97,7 +99,7 @@ def check_amounts(
         if group.torn and not all(flows):
             message = (
                 f"a batch reaches the loop {group.loop}, which is solved at its steady state: "
-                "every feed of it needs a duration, and its units take flows"
+                f"every feed of the loop needs a duration, because its units take only flows"
             )
             raise CaseError(str(file), "connections", None, message)
     for unit in units:
@@ -125,8 +127,7 @@ def check_amounts(
 
 
 def check_spans(case: PharmaCase, spans: Sequence[tuple[str, str, float]]) -> None:
-    """Refuses ranges of numbers, studied or decided, for which a unit would use more than its feed.
-
+    """Refuses studied or decided ranges of numbers for which a unit would use more than its feed.
     `spans`: position in the case, name of the number, and its highest value.
     """
     flows, file = _lasting(case.feeds, case.units, case.connections), case.file
@@ -153,8 +154,8 @@ def _check_end(file, where: str, unit: Unit, inlet: Inlet, runs: float, flows: f
 def _check_shape(file, where: str, unit: Unit, dosing: Profile) -> None:
     if dosing.value.values.size == 1:
         message = (
-            "a flow of one value is set by the volume of its feed and the duration of "
-            f"{unit.name}, which may vary instead"
+            "a constant flow follows from the volume of its feed and the duration of "
+            f"{unit.name}; vary one of these instead"
         )
         raise CaseError(str(file), where, dosing.value.name, message)
 
@@ -210,24 +211,26 @@ def _steep(profile: Profile, duration: float) -> list[str]:
 
 
 RANGES = (
-    Plausible(200.0, 500.0, "processes in liquids mostly run from 200 to 500 K", unit="K"),
-    Plausible(800.0, 5000.0, "crystals mostly have 800 to 5000 kg/m^3", unit="kg/m3",
+    Plausible(200.0, 500.0, "processes in liquids usually run from 200 to 500 K", unit="K"),
+    Plausible(800.0, 5000.0, "the density of crystals is usually 800 to 5000 kg/m^3", unit="kg/m3",
               endings=(".density",)),
-    Plausible(0.25, 0.75, "cakes mostly have 0.25 to 0.75", unit="1", endings=(".porosity",)),
-    Plausible(0.01, 1.5, "a sphere has 0.52 and a cube 1", unit="1", endings=(".shape",)),
-    Plausible(1.0, 6.048e5, "units mostly run from seconds to a week; is it in hours or minutes?",
+    Plausible(0.25, 0.75, "the porosity of a cake is usually 0.25 to 0.75", unit="1",
+              endings=(".porosity",)),
+    Plausible(0.01, 1.5, "it is 0.52 for a sphere and 1 for a cube", unit="1", endings=(".shape",)),
+    Plausible(1.0, 6.048e5, "units usually run from seconds to a week; is it in hours or minutes?",
               unit="s", endings=(".duration", ".time")),
-    Plausible(1e-9, 0.01, "crystals and films mostly measure nanometres to millimetres", unit="m",
+    Plausible(1e-9, 0.01, "the size of crystals and films is usually nanometres to "
+        "millimetres", unit="m",
               endings=(".size", "_size", ".film")),
-    Plausible(1e3, 1e6, "energies of activation and heats are mostly 1 to 1,000 kJ/mol",
+    Plausible(1e3, 1e6, "energies of activation and heats are usually 1 to 1,000 kJ/mol",
               unit="J/mol", by_size=True),
     Plausible(1e-9, 60.0, "water itself is 55 mol/L", unit="kmol/m3"),
     Plausible(1.0, 1e9, "100,000 Pa are 1 bar", unit="Pa"),
     Plausible(1e-6, 1e3, "water has 0.001 Pa*s", unit="Pa*s"),
-    Plausible(1e-14, 1e-3, "in liquids it is mostly about 1e-9 m^2/s", unit="m2/s"),
+    Plausible(1e-14, 1e-3, "in liquids it is usually about 1e-9 m^2/s", unit="m2/s"),
     Plausible(1e-9, 1e4, "1 L is 0.001 m3", unit="m3"),
     Plausible(1e-12, 1e-3, "1 um/s is 1e-6 m/s", unit="m/s"),
-    Plausible(1.0, 1e6, "a molar mass is in g/mol: water has 18", unit="g/mol"),
+    Plausible(1.0, 1e6, "a molar mass is in g/mol: that of water is 18", unit="g/mol"),
 )  # fmt: skip
 PACKED = 0.5  # of the volume: a slurry with more seed than this does not move
 POINTS = 65  # between the lowest and the highest temperature
@@ -290,7 +293,7 @@ def _check_feed(file, feed: Feed, network: FlowNetwork) -> None:
     total = dissolved + float(feed.solvent.values[0])
     if total > LIQUID.high:
         message = (
-            f"solvent and dissolved species weigh {total:.6g} kg in a cubic metre, and at most "
+            f"solvent and dissolved species weigh {total:.6g} kg in a cubic metre, but at most "
             f"{LIQUID.high:g} are allowed"
         )
         raise CaseError(str(file), f"feeds.{feed.name}", None, message)

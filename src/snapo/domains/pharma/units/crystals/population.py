@@ -33,14 +33,16 @@ UNITS = NUMBER * SIZE ** np.arange(MOMENTS)
 
 
 class Population(NamedTuple):
-    """Crystals per first volume, as m numbers in SIZE and NUMBER.
+    """Crystals per initial volume, as a state of m numbers in SIZE and NUMBER.
 
-    - `start`: [m]; `seed`: mu3 of the seed that was added, scaled.
-    - `moments`: from [m] to the scaled moments 0 to 5 of all crystals.
-    - `slope`: from [m], growth in SIZE/s and births in NUMBER/m3/s to [m] per s.
-    - `numbers`: from [m] to the crystals in each cell, in NUMBER; [0] where they are not counted.
-    - `states`, `measures`: from [m] to further figures of the sizes, over time
-      and at the end, in the domain's units.
+    - `start`: [m] the initial state; `seed`: the scaled mu3 of the seed that was added.
+    - `moments`: the scaled moments 0 to 5 of all crystals, as a function of the state.
+    - `slope`: the change of the state per s, [m], as a function of the state, growth in SIZE/s and
+      births in NUMBER/m3/s.
+    - `numbers`: the crystals in each cell, in NUMBER, as a function of the state; [0] if they are
+      not counted.
+    - `states`, `measures`: further figures of the sizes, over time and at the end, in the domain's
+      units, as functions of the state.
     """
 
     start: Float[Array, " m"]
@@ -75,9 +77,9 @@ def by_moments(
     seed: Float[Array, " 6"],
     fed: Float[Array, " 6"],
 ) -> Population:
-    """`seed` and the `fed` crystals as moments, m^k/m3; `nuclei_size` in m, None if it is 0.
-    The state: scaled moments of all crystals, or with `separate` those of seed and feed, then those
-    of nuclei. `shape`: kv."""
+    """The population by moments. `seed` and the `fed` crystals are moments in m^k/m3;
+    `nuclei_size` is in m, None if it is 0. The state has the scaled moments of all crystals, or
+    with `separate` those of seed and feed, then those of nuclei. `shape`: kv."""
     units = fixed(UNITS)
 
     def grow(moments, growth, source) -> list[Array]:
@@ -136,7 +138,7 @@ def size_measures(volume: Float[Array, " N"], edges: np.ndarray) -> dict[str, Ar
 def quantiles(
     volume: Float[Array, " N"], edges: np.ndarray, shares: tuple[float, ...]
 ) -> Float[Array, " S"]:
-    """Sizes below which these shares of the volume lie; 0 without crystals.
+    """The sizes below which the crystals have these shares of the volume; 0 without crystals.
 
     Between edges the volume rises along the monotone cubic of Fritsch and Carlson (1980), so
     that a quantile's derivative does not jump where it passes an edge.
@@ -224,8 +226,8 @@ def by_finite_volumes(
 def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"]:
     """The gain of a density across each cell, limited; 0 in the first and in the last cell.
 
-    With F and B its gain by the forward and the backward difference:
-    F B (F + B) / (F^2 + B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and
+    With F and B, the gain by the forward and by the backward difference, it is F B (F + B) / (F^2
+    + B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and
     Astrophysics 108, 1982). It equals F if F = B. Its size is at most 1.21 times the smaller of F
     and B if they have the same sign, and a fifth of it if not. Van Leer's has a kink where F or B
     changes its sign: with it, central differences over 0.02 K of a cooling crystalliser were 0.7 %
@@ -240,14 +242,13 @@ def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"
 
 SURFACE = 0.01  # of all crystals' surface that may belong to some which are gone
 MAXIMUM = 1000  # points in time
-REMEDY = 'with moments no crystal disappears; use method = "finite-volumes"'
+REMEDY = 'the method "moments" lets no crystal disappear; use method = "finite-volumes"'
 
 
 def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:
-    """Crystals that dissolve along a `track` by moments with its `rates`, as text; "" if few do.
-
-    Of the crystals at the start those are the smallest below which two in a hundred lie, if
-    their sizes are lognormal with the track's first moments.
+    """A text on crystals that would dissolve completely along a `track` by moments with its
+    `rates`; "" if few do. The smallest crystals at the start are those at the 2 % quantile of a
+    lognormal distribution with the track's first moments.
     """
     time, growth = track["time"], np.asarray(rates.growth)
     born = np.append(0.0, _steps(np.asarray(rates.nucleation), time))
@@ -255,8 +256,8 @@ def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) 
     smallest, shrunk = _smallest(*(track[f"mu{k}"][0] for k in range(3))), -length.min()
     if 0 < smallest <= shrunk:
         return (
-            f"crystals shrink by {1e6 * shrunk:.3g} um, and the smallest at the start have "
-            f"{1e6 * smallest:.3g} um: {REMEDY}"
+            f"crystals shrink by {1e6 * shrunk:.3g} um, but the smallest ones at the start have a "
+            f"size of {1e6 * smallest:.3g} um: {REMEDY}"
         )
     # Nuclei of an interval count as born at its end.
     selected = np.unique(np.linspace(0, len(time) - 1, MAXIMUM).astype(int))
@@ -269,7 +270,10 @@ def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) 
     complete = track["mu2"][selected]
     share = np.max(surface / np.where(complete > 0, complete, np.inf))
     if share > SURFACE:
-        return f"crystals that have dissolved hold {share:.2g} of the surface: {REMEDY}"
+        return (
+            f"crystals that should have dissolved completely have {share:.2g} of the surface: "
+            f"{REMEDY}"
+        )
     return ""
 
 

@@ -21,11 +21,9 @@ ROUNDED = 0.01  # moments of crystals of one size, each rounded to three digits,
 
 @dataclass(frozen=True, eq=False)
 class Seed(TableRecord):
-    """Crystals at the start: `loading` of a `size`; or `moments`, index [6].
-
-    One of the two is None; moments are m^k/m3, k = 0..5.
-    `size` is the mean by number and `spread` the standard deviation as a share of it, of a
-    lognormal distribution; None if all are of one size.
+    """Crystals at the start: `loading` with `size`, or `moments`, index [6], in m^k/m3 for k =
+    0..5; the other is None. `size` is the mean by number of a lognormal distribution, and `spread`
+    its standard deviation as a share of the mean; None if all crystals have one size.
     """
 
     loading: CaseInput | None = CONCENTRATION("seed per volume", None, example="0.02 kg/m^3")
@@ -66,10 +64,11 @@ class Seed(TableRecord):
 
 
 def seed_moments(seed: Seed, inputs: dict[str, Any], shape, density) -> Float[Array, " 6"]:
-    """m^k/m3 of the seed: as in the case, or for `loading` kg/m3 of crystals of mean `size`.
+    """The moments of the seed in m^k/m3: as in the case, or for `loading` kg/m3 of crystals of
+    mean `size`.
 
     Lognormal with standard deviation `spread` times the mean: mu_k = N size^k s^(k (k - 1) / 2),
-    s = 1 + spread^2. Without spread all are of one size.
+    s = 1 + spread^2. Without spread all crystals have one size.
     """
     if seed.moments is not None:
         return use(inputs, seed.moments)
@@ -82,9 +81,9 @@ def seed_moments(seed: Seed, inputs: dict[str, Any], shape, density) -> Float[Ar
 
 
 def seed_numbers(seed: Seed, inputs, shape, density, edges: np.ndarray) -> Float[Array, " N"]:
-    """Crystals of a lognormal seed in each cell; together they weigh its loading.
-
-    `size` is the mean by number, `spread` the standard deviation in units of it.
+    """The number of crystals of a lognormal seed in each cell; together they have the mass of its
+    loading. `size` is the mean by number, and `spread` the standard deviation as a share of the
+    mean.
     """
     assert seed.loading is not None and seed.size is not None and seed.spread is not None
     variance = jnp.log1p(use(inputs, seed.spread) ** 2)

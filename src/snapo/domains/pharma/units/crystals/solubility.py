@@ -101,9 +101,9 @@ def _matrix(meaning: str, text: str, default: Any = ...) -> Any:
 class Mixture(TableRecord):
     """A solute, number 0, in n - 1 solvents.
 
-    - `density`: the density of solvent per volume of solution. `a` and `alpha`: "1", `b`: K; index
-      [n (n - 1)], off the diagonals row by row. `liquid`: [n - 1] shares by mole; `ratio`: molar
-      mass of the solute over theirs.
+    - `density`: the density of solvent per volume of solution. `a` and `alpha` in "1", `b` in K:
+      index [n (n - 1)], the entries off the diagonal row by row. `liquid`: [n - 1] shares of the
+      solvents by mole; `ratio`: molar mass of the solute divided by that of the solvents.
     """
 
     melting: CaseInput = ABSOLUTE("melting point of the crystals", None, example="443.6 K")
@@ -189,7 +189,7 @@ class Mixture(TableRecord):
                 (*read.section.keys, key, int(i), int(j)) for i, j in zip(*apart)
             )
             if raw is None:
-                where = (NoPosition(f"the case has no {key}, which is then 0"),) * len(numbers)
+                where = (NoPosition(f"the case has no {key}, so it is 0"),) * len(numbers)
             return case_input(
                 f"{read.name}.{key}", numbers, labels, unit, meaning=f"{key} of NRTL",
                 positions=where,
@@ -275,9 +275,9 @@ class Solubility(TableRecord):
     - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K minus `zero`
       (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
     - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)).
-    - "nrtl": of a `mixture` in equilibrium with the pure crystal.
-    - `antisolvent`: (b1, b2), index [2] or [0]: ln c* gains b1 w + b2 w^2, w the anti-solvent's
-      mass fraction of the solute-free liquid.
+    - "nrtl": that of a `mixture` in equilibrium with the pure crystal.
+    - `antisolvent`: (b1, b2), index [2] or [0]: b1 w + b2 w^2 is added to ln c*, where w is the
+      mass fraction of anti-solvent in the liquid without solute.
     """
 
     kind: SolubilityKind
@@ -306,7 +306,7 @@ class Solubility(TableRecord):
         "antisolvent": (
             list[float] | None,
             doc(
-                "b1 and b2: ln c* gains b1 w + b2 w^2 at the mass fraction w of anti-solvent",
+                "b1 and b2: b1 w + b2 w^2 is added to ln c* at the mass fraction w of anti-solvent",
                 None,
                 "two numbers",
                 min_length=2,

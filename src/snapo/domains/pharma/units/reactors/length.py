@@ -22,9 +22,9 @@ FASTEST = {1: 2.0, 4: 6.5}
 
 
 class Along(NamedTuple):
-    """n = elements x points along the tube. `positions`: [n] of 0 to 1; `weights`: [n] shares of
-    the volume; `slopes`: [points, points] so that slopes @ (u - upstream) is u_z times the length
-    of an element."""
+    """The n = elements x points along the tube. `positions`: [n] from 0 to 1; `weights`: [n]
+    shares of the volume; `slopes`: [points, points], with which slopes @ (u - upstream) is u_z
+    times the length of an element."""
 
     elements: int
     positions: Float[np.ndarray, " n"]

@@ -42,13 +42,15 @@ RATIO, PART = UnitQuantity(range=POSITIVE), UnitQuantity(range=INSIDE)
 class Granulation(Timed):
     """High-shear wet granulation.
 
-    - Ratios are by mass; `nuclei_size`: the size of the sphere of mean volume.
-    - `coalescence`: b at the saturation 1 and `reference_speed`.
+    - Ratios are by mass; `nuclei_size`: the size of a sphere of the mean volume.
+    - `coalescence`: b at the saturation 1 and the speed `reference_speed`.
     """
 
     duration: CaseInput = TIME("time of wet massing", example="10 min")
     speed: Profile = SPEED.profile("tip speed of the impeller", example="8 m/s")
-    excipient: int = species_key("species of the excipient", "the species that is the excipient")
+    excipient: int = species_key(
+        "species of the excipient", "name of the species that is the excipient"
+    )
     excipient_ratio: CaseInput = RATIO(
         "mass of excipient per mass of drug", range=Range(0.0, 1000.0)
     )
@@ -61,7 +63,9 @@ class Granulation(Timed):
     nuclei_spread: CaseInput = RATIO(
         "spread of ln(size) of the first granules", 0.0, range=Range(0.0, 2.0)
     )
-    coalescence: CaseInput = RATE("rate of coalescence at the references", example="0.01 1/s")
+    coalescence: CaseInput = RATE(
+        "rate of coalescence at saturation 1 and the reference speed", example="0.01 1/s"
+    )
     saturation_power: CaseInput = POWER("power of the saturation in the rate of coalescence", 0.0)
     consolidation: CaseInput = RATE("rate at which porosity falls", example="0.005 1/s")
     porosity: CaseInput = PART("porosity of the first granules")
@@ -196,8 +200,9 @@ class Granulation(Timed):
 
 
 def lognormal(count, third, ratio) -> Float[Array, " 6"]:
-    """Moments 0 to 5 of lognormal sizes: `count` of them, moment 3 `third`, and `ratio` of the
-    moments 6 and 0 to the square of moment 3, which is exp(9 spread^2)."""
+    """Moments 0 to 5 of lognormal sizes with the number `count`, the third moment `third`, and the
+    `ratio` of the product of the moments 6 and 0 to the square of moment 3, which is exp(9
+    spread^2)."""
     square = _spread(ratio) ** 2
     middle = jnp.log(third / count) / 3 - 1.5 * square
     k = np.arange(MOMENTS)

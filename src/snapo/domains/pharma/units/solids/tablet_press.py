@@ -55,13 +55,13 @@ class TabletPress(Instant):
     """Press, and the tests of its tablets.
 
     - `yield_pressure` and `rearrangement`, or `kawakita_a` and `kawakita_b`.
-    - `bonding`: k of exp(-k porosity); `disintegration`: at `reference_porosity`, times
-      (reference / porosity)^`porosity_power`.
+    - `bonding`: k in exp(-k porosity); `disintegration`: the mean time at `reference_porosity`; at
+      other porosities it is multiplied by (reference / porosity)^`porosity_power`.
     """
 
-    drug: int = species_key("species of the drug", "the species that is the drug")
+    drug: int = species_key("species of the drug", "name of the species that is the drug")
     weight: CaseInput = WEIGHT("weight of a tablet", example="300 mg")
-    label: CaseInput = WEIGHT("drug in a tablet as labelled")
+    label: CaseInput = WEIGHT("mass of drug in a tablet according to its label")
     diameter: CaseInput = LENGTH("diameter of a flat tablet", example="10 mm")
     pressure: CaseInput = PRESSURE("pressure of compaction", example="150 MPa")
     true_density: CaseInput = UnitQuantity("kg/m3", DENSITY, example="1450 kg/m^3")(
@@ -101,7 +101,7 @@ class TabletPress(Instant):
         ("d, h", "diameter and thickness of a tablet"),
         ("σ", "tensile strength"),
         ("F", "breaking force"),
-        ("X, s", "mean and deviation of the content, of the label"),
+        ("X, s", "mean and deviation of the content, as shares of the label"),
         ("τ", "mean time of disintegration"),
         ("r", "radius of the drug's crystals"),
     )
