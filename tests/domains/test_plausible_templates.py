@@ -9,7 +9,7 @@ from snapo.study.domain import CaseRequest, RunsCode, find, installed, load
 ROOT = Path(__file__).parents[2]
 TEMPLATES = [(kind, size) for kind in installed() for size in find(kind, "KIND").templates]
 # Each says something else: what was read, or what a policy needs.
-OTHER = ("is closed", "are closed", "has no memory")
+OTHER = ("is extrapolated", "are extrapolated", "has no memory")
 
 
 @pytest.mark.parametrize(("kind", "size"), TEMPLATES)

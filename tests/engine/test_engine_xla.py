@@ -326,7 +326,7 @@ def test_what_is_asked_wrongly_is_refused():
         DOUBLE.values(TOY, None, SCHEDULE, DRAWS, SMOOTH)
     with pytest.raises(ValueError, match="actions have shape"):
         DOUBLE.values(TOY, None, SCHEDULE, DRAWS, SMOOTH, actions=np.zeros((T, PATHS, 1)))
-    with pytest.raises(ValueError, match="leaves the horizon"):
+    with pytest.raises(ValueError, match="extends beyond the horizon"):
         DOUBLE.values(TOY, POLICY, SCHEDULE, DRAWS, SMOOTH, window=Window(4, T))
 
 

@@ -242,7 +242,7 @@ def test_messages(tmp_path):
     first, *_ = valued(tmp_path / "a", "swing", few)
     with pytest.raises(CaseError, match="use --cash for the cash flow"):
         explained_change(first, first, silent, flows={})
-    with pytest.raises(CaseError, match="no decision lies between"):
+    with pytest.raises(CaseError, match="there is no decision between"):
         explained_change(first, first, silent, cash=1.0)
     nominated = few | {"contract.nomination": {"days": 1}}
     with pytest.raises(CaseError, match=r"contract.nomination: snapo explain needs flows"):

@@ -107,5 +107,5 @@ def test_conjugates_are_the_most_over_a_grid():
 
 
 def test_other_objectives_are_refused():
-    with pytest.raises(ValueError, match="bounded from above for a utility"):
+    with pytest.raises(ValueError, match="has an upper bound for a utility"):
         conjugate(CVaR("funding_ratio", 0.95))

@@ -70,7 +70,7 @@ def sample() -> dict:
     rows = [row | {"label": label, "effect": 1e-4} for label in ladder["label"]]
     family = row | {"effect": 6e-4, "count": 6}
     equity = family | {"input": "asset_mean", "effect": 0.02, "count": 2, "group": "premium"}
-    life = "all death rates fall until the expectation of life at 65 is a year longer"
+    life = "all death rates fall until its life expectancy at 65 is a year longer"
     life = {"input": "year_of_life", "move": "1 year", "effect": -0.03, "words": life}
     policies = [
         {"key": key, "name": name, "value": value, "equivalent": ratio, "lead": lead}
@@ -408,7 +408,7 @@ def test_a_node_stands_in_the_bucket_of_its_name(folder):
 def test_a_year_of_life_is_told_and_defined(folder):
     html = write_report(folder).read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
     assert html.count("Year of life") >= 3  # picture, table and definition
-    assert "until the expectation of life at 65 is a year longer" in html
+    assert "until its life expectancy at 65 is a year longer" in html
 
 
 @pytest.mark.prove
