@@ -138,7 +138,7 @@ def test_remarks_of_check_are_notes_of_a_run(tmp_path):
 def test_a_closed_plan_in_deficit_that_gets_nothing_is_told_so(tmp_path):
     unpaid = DOMAIN.check(read_case(closed(tmp_path / "closed")))
     (note,) = [each for each in unpaid if each.startswith("note: ")]
-    assert "funded" in note
+    assert "the funding ratio is" in note
     assert "the cap is a share of salaries, but the plan has no salaries" in note
     assert "plan.contribution.schedule" in note
 
