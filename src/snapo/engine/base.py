@@ -319,19 +319,12 @@ def cast(tree: PyTree, dtype) -> PyTree:
     def convert(leaf):
         if not eqx.is_array_like(leaf) or isinstance(leaf, bool | int | float | complex):
             return leaf
-        if not jnp.issubdtype(leaf.dtype, jnp.floating):
-            return jnp.asarray(leaf)
-        return jnp.asarray(np.asarray(leaf, dtype) if _on_host(leaf) else leaf, dtype)
+        array = np.asarray(leaf) if isinstance(leaf, np.ndarray | np.generic) else leaf
+        if jnp.issubdtype(array.dtype, jnp.floating):
+            return jnp.asarray(array, dtype)
+        return jnp.asarray(array)
 
     return jax.tree.map(convert, tree)
-
-
-def _on_host(leaf: Any) -> bool:
-    """Whether NumPy can read an array where it is; JAX compiles a conversion for every shape."""
-    if isinstance(leaf, jax.core.Tracer):
-        return False
-    devices = leaf.devices() if isinstance(leaf, jax.Array) else ()
-    return len(devices) < 2 and all(device.platform == "cpu" for device in devices)
 
 
 def checked(

@@ -4,9 +4,7 @@ import json
 import math
 from dataclasses import asdict, replace
 
-import equinox as eqx
 import jax
-import numpy as np
 import pytest
 from tests.solver.twelve import Regulator, policy, problem
 
@@ -17,16 +15,10 @@ from snapo.solver.learning.settings import TrainingPlan, resolve_auto
 from snapo.solver.train import Training
 
 
-def of_zeros(recipe, interface):
-    """The policy that a recipe makes, with zeros for its weights: nothing is compiled."""
-    made = eqx.filter_eval_shape(recipe.for_problem, interface, jax.random.key(0))
-    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), made)
-
-
 def numbers(horizon: int, hidden=(32, 32)) -> tuple[int, int]:
     of = problem(Regulator)
     of = replace(of, simulator=Regulator(horizon=horizon))
-    made = of_zeros(snapo.MLP(hidden=hidden), of.interface)
+    made = snapo.MLP(hidden=hidden).for_problem(of.interface, jax.random.key(0))
     found = resolve_auto(Training(), of, made)
     return found.steps, found.paths
 
@@ -41,7 +33,7 @@ def test_a_short_horizon_has_more_steps_and_a_long_one_with_a_large_network_fewe
 
 def test_the_rate_follows_the_steps_and_the_width_unless_one_of_them_is_given():
     of = problem(Regulator)
-    made = of_zeros(snapo.MLP(hidden=(128, 128)), of.interface)
+    made = snapo.MLP(hidden=(128, 128)).for_problem(of.interface, jax.random.key(0))
     narrow, wide = (resolve_auto(Training(), of, each) for each in (policy(of), made))
     # Half of the steps that a horizon of 20 has room for, 4,800, ten times 240.
     assert narrow.learning_rate == pytest.approx(0.01 * 10**0.5)
@@ -127,11 +119,12 @@ def test_hidden_layers_grow_with_the_numbers_that_are_decided():
 @pytest.mark.parametrize("count, hidden", [(1, 32), (12, 64), (40, 128)])
 def test_so_do_the_networks_of_residuals_and_of_recurrent_policies(count, hidden):
     interface = Interface(snapo.Box(-math.inf, math.inf, count), 3)
-    residual = of_zeros(snapo.Residual(snapo.Constant()), interface)
-    recurrent = of_zeros(snapo.GRU(), interface)
+    key = jax.random.key(0)
+    residual = snapo.Residual(snapo.Constant()).for_problem(interface, key)
+    recurrent = snapo.GRU().for_problem(interface, key)
     assert residual.hidden == (hidden, hidden) and residual.network.weights[1].shape[0] == hidden
-    assert recurrent.memory == hidden // 2 and recurrent.for_problem(interface, None) is recurrent
-    assert of_zeros(snapo.GRU(hidden=5), interface).memory == 5
+    assert recurrent.memory == hidden // 2 and recurrent.for_problem(interface, key) is recurrent
+    assert snapo.GRU(hidden=5).for_problem(interface, key).memory == 5
     assert snapo.GRU().memory == 0
 
 
