@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import Counter, deque
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -45,6 +46,39 @@ def test_killed_workers_lose_nothing(tmp_path):
     assert all(table[job] == job + b"!" for job in (*jobs, *once))
     poison = table[b"poison:"]
     assert isinstance(poison, Lost) and "BrokenProcessPool" in poison.reason
+
+
+DRIVER = """
+import os, time
+from snapo.book.executors import _process
+if __name__ == "__main__":
+    print(_process(0).submit(os.getpid).result(), flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.prove
+def test_a_worker_ends_with_its_driver(tmp_path):
+    """kill -9 of the driver: its worker would wait for ever, with all its memory."""
+    (tmp_path / "driver.py").write_text(DRIVER)
+    command = [sys.executable, str(tmp_path / "driver.py")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as driver:
+        assert driver.stdout is not None
+        worker = int(driver.stdout.readline())
+        assert _alive(worker)
+        driver.kill()
+    ended = time.monotonic() + 20
+    while _alive(worker) and time.monotonic() < ended:
+        time.sleep(0.1)
+    assert not _alive(worker)
+
+
+def _alive(process):
+    """Whether a process runs; one that has ended may still wait for its parent."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
 
 
 def test_an_exception_is_a_loss_too():

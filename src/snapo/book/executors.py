@@ -10,6 +10,7 @@ import logging
 import multiprocessing
 import os
 import sys
+import threading
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from functools import partial
 from typing import Any
@@ -51,12 +52,20 @@ def _process(core: int) -> Executor:
 
 
 def _started(core: int) -> None:
-    """A worker keeps to one core, for its kernels and for XLA, and keeps its memory."""
+    """A worker keeps to one core, for its kernels and for XLA, keeps its memory, and ends with its
+    driver: if that is killed, nothing else would end it."""
     from snapo.study.prepare import keep_memory
 
+    if (driver := multiprocessing.parent_process()) is not None:
+        threading.Thread(target=_end_with, args=(driver,), daemon=True).start()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     keep_memory()
+
+
+def _end_with(driver: Any) -> None:
+    driver.join()
+    os._exit(1)
 
 
 def _named(where: str) -> list[WorkerPool]:

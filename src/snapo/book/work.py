@@ -58,7 +58,7 @@ from .stress import StressMove
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
-LARGE = 1 << 30  # bytes of memory at which a worker drops compiled code
+UNTIDY, LARGE = 700, 1000  # MB at which a worker returns free memory; at which it drops code too
 
 
 def compute(data: bytes) -> bytes:
@@ -97,12 +97,15 @@ def _memory() -> float:
 
 
 def _keep_small() -> None:
-    """A worker that has grown large drops its compiled code, which the disk still has."""
+    """A worker that has grown returns free memory; a large one drops its compiled code first, which
+    the disk still has."""
     with suppress(OSError):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
-        if pages * resource.getpagesize() > LARGE:
+        size = pages * resource.getpagesize() >> 20
+        if size > LARGE:
             forget_kernels()
             jax.clear_caches()
+        if size > UNTIDY:
             gc.collect()
             return_memory()
 

@@ -101,8 +101,8 @@ def path_totals(
     for block in chunks(source, paths, problem.simulator):
         block = block[block >= first]
         if block.size:
-            rollout = bound.values(policy, source.draws(block, problem.simulator), smooth)
-            _keep(rollout, block, paths, totals)
+            draws = source.draws(block, problem.simulator)
+            _keep(bound.values(policy, draws, smooth), block, paths, totals)
     return totals
 
 
@@ -129,6 +129,7 @@ def totals_and_decisions(
         if decisions is not None and record:
             few = in_a_row(np.flatnonzero(local))
             decisions[:, in_a_row(block[local])] = np.asarray(rollout.record["action"])[:, few]
+        del rollout  # or its memory is kept during the next call
     return totals, decisions
 
 

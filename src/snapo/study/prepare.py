@@ -31,9 +31,10 @@ OPTIONAL = (
     ("gamma", "gamma", "gamma by product"),
 )
 
-# Options of glibc's memory: the number of separate mappings, the free bytes that it returns, and
-# the number of pools. What a thread frees stays in its pool, where other threads cannot use it.
-MAX_MAPPED, TRIM_FROM, MAX_POOLS = -4, -1, -8  # M_MMAP_MAX, M_TRIM_THRESHOLD, M_ARENA_MAX
+# Options of glibc (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD, M_ARENA_MAX): the bytes from which an
+# array is mapped apart, the free bytes that are returned, and the number of pools. What a thread
+# frees stays in its pool, where other threads cannot use it; large arrays leave holes in a pool.
+MAPPED_FROM, TRIM_FROM, MAX_POOLS = -3, -1, -8
 
 if TYPE_CHECKING:
     from snapo.engine import Workers
@@ -106,7 +107,7 @@ def keep_memory() -> None:
     to give them new pages is saved. Threads share two pools, so that less is kept.
     """
     if (set_option := _of_glibc("mallopt")) is not None:
-        set_option(MAX_MAPPED, 0)
+        set_option(MAPPED_FROM, 16 << 20)
         set_option(TRIM_FROM, 2**31 - 1)
         set_option(MAX_POOLS, 2)
 
