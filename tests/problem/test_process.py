@@ -78,11 +78,11 @@ def test_at_time_zero_the_price_is_the_forward_price():
     process = Schwartz((0, 1, 3))
     inputs = type("Inputs", (), {"forward": jnp.array([5.0, 6.0, 7.0])})
     inputs.volatility, inputs.mean_reversion = jnp.asarray(0.4), jnp.asarray(0.0)
-    schedule = process.prepare(inputs)
-    state = process.initial(schedule.constants, jnp.ones(1))
+    schedule = jax.jit(lambda: process.prepare(inputs))()
+    state = jax.jit(process.initial)(schedule.constants, jnp.ones(1))
     now = at(schedule.steps, 0)
-    assert float(process.level(schedule.constants, now, state)) == 5.0
-    assert float(process.innovation(schedule.constants, now, state)) == 0.0
+    for function, exact in ((process.level, 5.0), (process.innovation, 0.0)):
+        assert float(jax.jit(function)(schedule.constants, now, state)) == exact
     # Without reversion the factor is a Brownian motion: two units of time at once.
     assert_allclose(at(schedule.steps, 1).next_shock[0, 0], np.sqrt(2), rtol=1e-6)
 
