@@ -342,9 +342,7 @@ class Integers(Actions):
 
 
 @compiled_sooner
-def squashed(
-    action: Actions, raw: Float[Array, "... size"], smooth: Any
-) -> Float[Array, "... size"]:
-    """`action.squash` of many unbounded numbers at once, compiled as a whole."""
+def squashed(action: Actions, raw: Any, smooth: Any) -> Float[Array, "... size"]:
+    """`action.squash` of many unbounded numbers [..., size] at once, compiled as a whole."""
     rows = jax.vmap(lambda row: action.squash(row, smooth))(raw.reshape(-1, action.size))
     return rows.reshape(raw.shape)
