@@ -3,6 +3,7 @@
 import ast
 import doctest
 import re
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -38,32 +39,34 @@ def relative(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
+@cache
 def prose(page: Path) -> str:
     """A page without its blocks of code."""
     return re.sub(r"^(```+).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
 
 
+@cache
 def places(page: Path) -> set[str]:
     """The targets that headings make, as code hosts name them."""
     heads = re.findall(r"^#+ (.+)$", prose(page), re.M)
     return {re.sub(r"[^\w\- ]", "", head.lower()).strip().replace(" ", "-") for head in heads}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_links_lead_somewhere(page):
-    for link in LINK.findall(prose(page)):
-        if re.match(r"\w+:", link):
-            continue
-        path, _, place = link.partition("#")
-        target = (page.parent / path).resolve() if path else page
-        assert target.exists(), f"{relative(page)}: {link}"
-        if place and target.suffix == ".md":
-            assert place in places(target), f"{relative(page)}: {link}"
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for link in LINK.findall(prose(page)):
+            if re.match(r"\w+:", link):
+                continue
+            path, _, place = link.partition("#")
+            target = (page.parent / path).resolve() if path else page
+            assert target.exists(), f"{relative(page)}: {link}"
+            if place and target.suffix == ".md":
+                assert place in places(target), f"{relative(page)}: {link}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_code_that_is_named_exists(page):
-    for code in re.findall(r"`([^`\n]+)`", prose(page)):
+def test_code_that_is_named_exists():
+    named_code = re.compile(r"`([^`\n]+)`")
+    for page, code in ((each, code) for each in PAGES for code in named_code.findall(prose(each))):
         if re.fullmatch(r"[\w/.]+/[\w.]+\.(py|md|toml|js|css)", code):
             homes = [page.parent, *HOMES]
             found = [each for each in homes if (each / code).exists()]
@@ -88,6 +91,7 @@ def named(words: list[str]) -> bool:
     return True
 
 
+@cache
 def defined(file: Path) -> set[str]:
     """The names at the top of a module."""
     found = set()
@@ -120,12 +124,12 @@ def test_every_page_is_on_the_site():
             assert page.stem in listed, relative(page)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_columns_of_tables_have_heads(page):
+def test_columns_of_tables_have_heads():
     """A reader of a screen, and a reader in a hurry, needs the head of every column."""
-    lines = prose(page).splitlines()
-    heads = [head for head, rule in pairwise(lines) if re.match(r"\|(?:-+\|)+$", rule)]
-    assert not [head for head in heads if re.search(r"\|\s*\|", head)]
+    for page in PAGES:
+        lines = prose(page).splitlines()
+        heads = [head for head, rule in pairwise(lines) if re.match(r"\|(?:-+\|)+$", rule)]
+        assert not [head for head in heads if re.search(r"\|\s*\|", head)], relative(page)
 
 
 def test_the_readme_is_short():
@@ -154,7 +158,8 @@ def test_examples_of_docstrings_run():
     assert seen > 20 and not runner.failures
 
 
-@pytest.mark.parametrize("page", PAGES, ids=relative)
-def test_large_brackets_have_their_side(page):
+def test_large_brackets_have_their_side():
     r"""The site's equations are made by docutils, which knows `\bigl` and `\bigr`, not `\big`."""
-    assert not re.findall(r"\\[bB]igg?[^a-zA-Z]", page.read_text(encoding="utf-8"))
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert not re.findall(r"\\[bB]igg?[^a-zA-Z]", text), relative(page)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from .tree import MODULES, PLAIN, TEXTS, TREES, Name, edges, importers, room, short
+from .tree import MODULES, PLAIN, Name, edges, importers, room, short, texts, trees
 
 HERE = Path(__file__).parent
 SMALL = 70  # lines of a module that could be a part of the only one that imports it
@@ -51,7 +51,9 @@ def limits() -> dict[str, int]:
 def lines() -> list[str]:
     """Lines of the package's source."""
     return [
-        f"{short(name)} {i}" for name, text in TEXTS.items() for i in range(len(text.splitlines()))
+        f"{short(name)} {i}"
+        for name, text in texts().items()
+        for i in range(len(text.splitlines()))
     ]
 
 
@@ -64,7 +66,7 @@ def files() -> list[str]:
 @figure
 def empty_init_files() -> list[str]:
     """`__init__` files of one line or none."""
-    return [short(n) for n in MODULES if n not in PLAIN and len(TEXTS[n].splitlines()) <= 1]
+    return [short(n) for n in MODULES if n not in PLAIN and len(texts()[n].splitlines()) <= 1]
 
 
 @figure
@@ -83,7 +85,7 @@ def single_importer() -> list[str]:
 @figure
 def single_importer_small() -> list[str]:
     """Those of them that are shorter than a chapter."""
-    sizes = {short(name): len(text.splitlines()) for name, text in TEXTS.items()}
+    sizes = {short(name): len(text.splitlines()) for name, text in texts().items()}
     return [entry for entry in single_importer() if sizes[entry.split(" <- ")[0]] < SMALL]
 
 
@@ -106,7 +108,7 @@ def circles() -> list[str]:
 def _defined() -> dict[str, set[Name]]:
     """{a class or an alias of a type: the modules that define it}."""
     found: dict[str, set[Name]] = defaultdict(set)
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for node in tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 found[node.name].add(name)
@@ -139,7 +141,7 @@ def names_with_several_meanings_across_rooms() -> list[str]:
 def _read_keys() -> tuple[list[str], list[str]]:
     """The keys by which sections read what parts measured, and the keys of rows within."""
     keys, rows = [], []
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for node in ast.walk(tree):
             if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
                 continue
@@ -184,7 +186,7 @@ def row_keys() -> list[str]:
 def ranges_written_twice() -> list[str]:
     """Numbers of a case whose range stands in an annotation and again in words."""
     found = []
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         if NOT_CASES & set(name[1:2]):
             continue
         for node in ast.walk(tree):
@@ -207,7 +209,7 @@ def _glossary() -> list[tuple[str, str, str, str]]:
 def _tokens() -> tuple[Counter, str]:
     """How often every identifier stands in the package, and all of its prose."""
     identifiers, prose = Counter(), []
-    for text in TEXTS.values():
+    for text in texts().values():
         for token in tokenize.generate_tokens(io.StringIO(text).readline):
             if token.type == tokenize.NAME and not keyword.iskeyword(token.string):
                 identifiers[token.string] += 1

@@ -1,9 +1,17 @@
 """The figures of the house may only fall: whoever makes one smaller lowers its limit with it."""
 
 import pytest
+from tests.house import tree
 from tests.house.figures import FIGURES, limits
 
 SLACK = 0.98  # a figure below this share of its limit asks for a lower one
+
+
+@pytest.fixture(scope="module", autouse=True)
+def trees_are_given_back():
+    """They are larger than anything else in the process."""
+    yield
+    tree.trees.cache_clear()
 
 
 def test_every_figure_has_a_limit():

@@ -1,4 +1,8 @@
-"""The modules of the package, and what each imports: shared by the figures of this folder."""
+"""The modules of the package, and what each imports: shared by the figures of this folder.
+
+Nothing is read before it is asked for: every process of the tests imports this module, and the
+trees of all sources are millions of objects.
+"""
 
 import ast
 from collections import defaultdict
@@ -19,15 +23,25 @@ def module(file: Path) -> Name:
 
 
 MODULES = {module(file): file for file in sorted(HOME.rglob("*.py"))}
-TEXTS = {name: file.read_text(encoding="utf-8") for name, file in MODULES.items()}
-TREES = {name: ast.parse(text) for name, text in TEXTS.items()}
 PLAIN = [name for name, file in MODULES.items() if file.name != "__init__.py"]
+
+
+@cache
+def texts() -> dict[Name, str]:
+    """{module: its source}."""
+    return {name: file.read_text(encoding="utf-8") for name, file in MODULES.items()}
+
+
+@cache
+def trees() -> dict[Name, ast.Module]:
+    """{module: its syntax tree}."""
+    return {name: ast.parse(text) for name, text in texts().items()}
 
 
 def imported(name: Name) -> Iterator[Name]:
     """All modules that a module imports, late and for type checkers too."""
     package = name[:-1] if name in PLAIN else name
-    for node in ast.walk(TREES[name]):
+    for node in ast.walk(trees()[name]):
         if isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
             stem = (*base, *(node.module.split(".") if node.module else ()))

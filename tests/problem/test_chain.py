@@ -148,6 +148,7 @@ INPUTS = (
     HeatInputs(Input([1.5, 1.6, 1.8]), Input(0.2)),
     GrowInputs(Input([0.3, 0.4, 0.2, 0.1])),
 )
+CHAIN = Chain([Heat(), Grow()], [move])
 POLICY = Linear(np.random.default_rng(0).normal(size=(2, 5)) * 0.3)
 
 
@@ -160,10 +161,16 @@ def run(simulator, inputs, names=("cost", "peak", "width", "end"), paths=16):
     return result, pull_back(simulator, inputs, [result.schedule])
 
 
+@pytest.fixture(scope="module")
+def whole():
+    """Totals and derivatives of the chain whose outputs of one name are added."""
+    return run(CHAIN, INPUTS)
+
+
 @pytest.mark.prove
-def test_two_stages_equal_one_simulator_by_hand():
+def test_two_stages_equal_one_simulator_by_hand(whole):
     """Same arithmetic in another order: equal to 1e-12."""
-    chained, moved = run(Chain([Heat(), Grow()], [move]), INPUTS)
+    chained, moved = whole
     # Stage one reads one normal of two: the draws are those of noise_size 2 in both.
     written, expected = run(ByHand(), INPUTS)
     for name in ("cost", "peak", "width", "end"):
@@ -174,15 +181,14 @@ def test_two_stages_equal_one_simulator_by_hand():
         np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-13)
 
 
-def test_inputs_of_both_stages_against_central_differences():
+def test_inputs_of_both_stages_against_central_differences(whole):
     """Step 1e-5: truncation about 1e-10, round-off 1e-16 / 1e-5, so 1e-8 relative is ample."""
-    chain = Chain([Heat(), Grow()], [move])
-    _, moved = run(chain, INPUTS)
+    _, moved = whole
 
     def value(inputs):
-        schedule = prepare(chain, inputs)
-        draws = Pseudo(3).draws(np.arange(16), chain)
-        totals = ENGINE.values(chain, POLICY, schedule, draws, Exact()).totals
+        schedule = prepare(CHAIN, inputs)
+        draws = Pseudo(3).draws(np.arange(16), CHAIN)
+        totals = ENGINE.values(CHAIN, POLICY, schedule, draws, Exact()).totals
         return sum(total.mean() for total in totals.values())
 
     for get, name in [
@@ -200,10 +206,10 @@ def test_inputs_of_both_stages_against_central_differences():
             )
 
 
-def test_names_keep_outputs_apart_and_mappings_name_the_inputs():
+def test_names_keep_outputs_apart_and_mappings_name_the_inputs(whole):
     chain = Chain([Heat(), Grow()], [move], names=("heat", "grow"))
     inputs = {"heat": INPUTS[0], "grow": INPUTS[1]}
-    together, _ = run(Chain([Heat(), Grow()], [move]), INPUTS)
+    together, _ = whole
     names = ("heat.cost", "grow.cost", "heat.peak", "grow.width", "heat.end")
     apart, moved = run(chain, inputs, names)
     assert set(apart.totals) == set(names)

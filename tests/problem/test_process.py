@@ -1,6 +1,7 @@
 """Exogenous dynamics: the ready factor price against closed forms, and one of a user's own."""
 
 import importlib.util
+from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -40,11 +41,11 @@ class TwoFactors(FactorPrice):
 def states(process, schedule, count, seed=0):
     """[T, count, F] states of simulated paths."""
     noise = np.random.default_rng(seed).normal(size=(len(TIMES), count, process.noise_size))
-    found = [jax.vmap(lambda z: process.initial(schedule.constants, z))(noise[0])]
+    found = [jax.jit(jax.vmap(lambda z: process.initial(schedule.constants, z)))(noise[0])]
+    move = jax.vmap(partial(process.step, schedule.constants), in_axes=(None, 0, 0))
+    move = jax.jit(move)
     for t in range(len(TIMES) - 1):
-        now = at(schedule.steps, t)
-        move = jax.vmap(lambda s, z, now=now: process.step(schedule.constants, now, s, z))
-        found.append(move(found[-1], noise[t + 1]))
+        found.append(move(at(schedule.steps, t), found[-1], noise[t + 1]))
     return np.array(found)
 
 
@@ -53,14 +54,11 @@ def test_factors_have_their_exact_covariance_over_any_interval():
     """Cov(f_i, f_j) = rho (1 - exp(-(a_i + a_j) t)) / (a_i + a_j), whatever the steps between."""
     count, process = 200_000, TwoFactors()
     with jax.enable_x64(True):
-        schedule = process.prepare(jnp.array([10.0, 11.0, 12.0, 13.0]))
+        schedule = jax.jit(process.prepare)(jnp.array([10.0, 11.0, 12.0, 13.0]))
         found = states(process, schedule, count)
-        levels = [
-            jax.vmap(lambda s, t=t: process.level(schedule.constants, at(schedule.steps, t), s))(
-                found[t]
-            )
-            for t in range(len(TIMES))
-        ]
+        level = jax.vmap(partial(process.level, schedule.constants), in_axes=(None, 0))
+        level = jax.jit(level)
+        levels = [level(at(schedule.steps, t), found[t]) for t in range(len(TIMES))]
     for t, time in enumerate(TIMES):
         fast, slow = -np.expm1(-10 * time) / 10, time
         cross = -0.5 * -np.expm1(-5 * time) / 5
@@ -80,11 +78,11 @@ def test_at_time_zero_the_price_is_the_forward_price():
     process = Schwartz((0, 1, 3))
     inputs = type("Inputs", (), {"forward": jnp.array([5.0, 6.0, 7.0])})
     inputs.volatility, inputs.mean_reversion = jnp.asarray(0.4), jnp.asarray(0.0)
-    schedule = process.prepare(inputs)
-    state = process.initial(schedule.constants, jnp.ones(1))
+    schedule = jax.jit(lambda: process.prepare(inputs))()
+    state = jax.jit(process.initial)(schedule.constants, jnp.ones(1))
     now = at(schedule.steps, 0)
-    assert float(process.level(schedule.constants, now, state)) == 5.0
-    assert float(process.innovation(schedule.constants, now, state)) == 0.0
+    for function, exact in ((process.level, 5.0), (process.innovation, 0.0)):
+        assert float(jax.jit(function)(schedule.constants, now, state)) == exact
     # Without reversion the factor is a Brownian motion: two units of time at once.
     assert_allclose(at(schedule.steps, 1).next_shock[0, 0], np.sqrt(2), rtol=1e-6)
 

@@ -1,5 +1,6 @@
 """Noise is a function of seed, path, step and component, and standard normal."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,16 +41,28 @@ def drawn(scenarios, paths, simulator=SHAPE, dtype="float64", first=0, length=No
     """All noise: initial [N, K0] and steps [T, N, K], drawn as an engine draws it."""
     draws = scenarios.draws(np.asarray(paths), simulator)
     length = simulator.horizon - first if length is None else length
-
-    def one(draws):
-        steps = draws.steps(jnp.asarray(first), length)
-        noise = jax.vmap(lambda s: draws.noise(s, simulator.noise_size, jnp.dtype(dtype)))(steps)
-        return draws.initial(simulator.initial_noise_size, jnp.dtype(dtype)), noise
-
+    sizes = simulator.initial_noise_size, simulator.noise_size, length
     with jax.enable_x64(dtype == "float64"):
         placed = jax.tree.map(jnp.asarray, draws)
-        initial, steps = jax.jit(jax.vmap(one, in_axes=(draws.axes(),), out_axes=(0, 1)))(placed)
+        initial, steps = placed_noise(placed, jnp.asarray(first), sizes, dtype)
         return np.asarray(initial), np.asarray(steps)
+
+
+@eqx.filter_jit
+def placed_noise(draws, first, sizes, dtype):
+    """Initial noise and that of `length` steps from `first` on; `sizes` are K0, K and `length`."""
+    size, step_size, length = sizes
+
+    def one(draws):
+        steps = draws.steps(first, length)
+        noise = jax.vmap(lambda s: draws.noise(s, step_size, jnp.dtype(dtype)))(steps)
+        return draws.initial(size, jnp.dtype(dtype)), noise
+
+    return jax.vmap(one, in_axes=(draws.axes(),), out_axes=(0, 1))(draws)
+
+
+words_of = jax.jit(threefry)
+normal_of = jax.jit(normal, static_argnums=1)
 
 
 def test_words_are_those_of_jax():
@@ -58,7 +71,7 @@ def test_words_are_those_of_jax():
 
     rng = np.random.default_rng(0)
     key, x, y = (rng.integers(0, 2**32, n, dtype=np.uint32) for n in (2, 50, 50))
-    ours = np.concatenate(threefry(jnp.asarray(key), jnp.asarray(x), jnp.asarray(y)))
+    ours = np.concatenate(words_of(key, x, y))
     theirs = threefry_2x32(jnp.asarray(key), jnp.concatenate([x, y]))
     np.testing.assert_array_equal(ours, np.asarray(theirs))
 
@@ -78,7 +91,7 @@ def test_normals_are_the_inverse_of_the_distribution_function(dtype, tolerance):
     ).astype(np.uint64)
     words = np.concatenate([m, m + 2**31]).astype(np.uint32)
     with jax.enable_x64(dtype == "float64"):
-        z = np.asarray(normal(jnp.asarray(words), dtype))
+        z = np.asarray(normal_of(words, dtype))
     assert z.dtype == dtype
     upper = -special.ndtri((m + 0.5) / 2.0**32)
     expected = np.concatenate([upper, -upper])
@@ -98,11 +111,9 @@ def test_components_come_from_the_contracted_words():
     _, steps = drawn(Pseudo(3, antithetic=False), range(4))
     for path, step in ((0, 0), (3, 5)):
         counter = np.uint32([2 * step, 2 * step + 1])
-        words = threefry(
-            jnp.asarray(draws.keys[0]), jnp.full(2, path, jnp.uint32), jnp.asarray(counter)
-        )
+        words = np.asarray(words_of(draws.keys[0], np.full(2, path, np.uint32), counter))
         with jax.enable_x64(True):
-            expected = normal(jnp.stack([words[0][0], words[1][0], words[0][1]]), "float64")
+            expected = normal_of(words.T.ravel()[:3], "float64")
         np.testing.assert_allclose(steps[step, path], expected, rtol=1e-15)  # compiled: 4 ulp
 
 

@@ -1,5 +1,7 @@
 """A policy whose network adds nothing is valued without it, with the same bits."""
 
+from functools import cache
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -17,15 +19,21 @@ KINDS = (
 )
 
 
-def setup_of(kind: str, tmp_path):
+@pytest.fixture(scope="module")
+def setup_of(tmp_path_factory):
     """The setup of a small case, whose policy begins from the fitted value."""
-    loaded = load(MINIATURES[kind].write(tmp_path))
-    return loaded.domain.study(loaded.case, Options()).setup()
+
+    @cache
+    def made(kind: str):
+        loaded = load(MINIATURES[kind].write(tmp_path_factory.mktemp(kind)))
+        return loaded.domain.study(loaded.case, Options()).setup()
+
+    return made
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_bits_of_paths_are_those_with_the_network(kind, tmp_path):
-    setup = setup_of(kind, tmp_path)
+def test_the_bits_of_paths_are_those_with_the_network(kind, setup_of):
+    setup = setup_of(kind)
     problem, policy, engine = setup.problem, setup.policy, Native("float64")
     assert policy.network is not None and policy.simplest.network is None
     draws = problem.sources.evaluation.draws(np.arange(64), problem.simulator)
@@ -41,15 +49,15 @@ def test_the_bits_of_paths_are_those_with_the_network(kind, tmp_path):
         np.testing.assert_array_equal(one.record["action"], other.record["action"])
 
 
-def test_a_network_that_adds_something_stays(tmp_path):
-    policy = setup_of("gas-storage", tmp_path).policy
+def test_a_network_that_adds_something_stays(setup_of):
+    policy = setup_of("gas-storage").policy
     bias = policy.network.biases[-1]
     other = eqx.tree_at(lambda x: x.network.biases[-1], policy, bias.at[0].set(1e-30))
     assert other.simplest is other
 
 
-def test_the_gradient_of_the_policy_is_that_of_its_network(tmp_path):
-    setup = setup_of("gas-storage", tmp_path)
+def test_the_gradient_of_the_policy_is_that_of_its_network(setup_of):
+    setup = setup_of("gas-storage")
     problem, engine = setup.problem, Native("float64")
     draws = problem.sources.evaluation.draws(np.arange(64), problem.simulator)
     weights = {name: np.full(64, 1 / 64) for name in problem.objective.outputs}

@@ -111,7 +111,8 @@ def test_supplied_scenarios_serve_every_role_with_paths_of_its_own():
     assert not (used[0] & used[1] or used[0] & used[2] or used[1] & used[2])
     problem = replace(PROBLEM, sources=sources)
     assert run(SHORT, problem=problem).status == "trained"
-    solution = snapo.solve(problem, training=SHORT, engine=Xla())
+    evaluation = snapo.Evaluation(smooth_paths=0, judge_paths=0)
+    solution = snapo.solve(problem, training=SHORT, evaluation=evaluation, engine=Xla())
     assert solution.paths["evaluate"] == 40
     assert set(np.unique(solution.totals["cash"])).isdisjoint({0.0})
     with pytest.raises(ValueError, match="too few"):
@@ -206,7 +207,7 @@ def test_a_solution_is_loaded_as_it_was_saved(tmp_path):
 
 @pytest.mark.prove
 def test_an_engine_is_given_by_name_or_as_itself():
-    evaluation = snapo.Evaluation(paths=64, sensitivity_paths=64, smooth_paths=0)
+    evaluation = snapo.Evaluation(paths=64, sensitivity_paths=0, smooth_paths=0)
     given = {"training": replace(SHORT, steps=2), "evaluation": evaluation}
     named = snapo.solve(PROBLEM, engine="xla", **given)
     itself = snapo.solve(PROBLEM, engine=snapo.Xla(segments=2), **given)
@@ -397,7 +398,7 @@ def test_a_rate_that_nobody_gave_is_lowered_where_it_breaks_the_training(tmp_pat
 @pytest.mark.prove
 def test_ruin_is_an_outcome_with_the_worst_utility():
     """Under a logarithm a path without wealth counts, in training and in the value."""
-    evaluation = snapo.Evaluation(paths=4096, sensitivity_paths=1024, smooth_paths=0)
+    evaluation = snapo.Evaluation(4096, sensitivity_paths=1024, smooth_paths=0, judge_paths=0)
     utility = snapo.ExpectedUtility("wealth", snapo.CRRA(1.0))
     given = {"training": replace(SHORT, paths=256), "evaluation": evaluation, "engine": "xla"}
     ruined = snapo.solve(fragile(-0.5, utility, 2.5), **given)

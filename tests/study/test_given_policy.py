@@ -67,17 +67,17 @@ def test_limits_and_a_base_are_those_of_the_case(tmp_path):
 @pytest.mark.parametrize(
     ("other", "named"),
     [
-        (net(activation=jax.nn.tanh), ["activation tanh", "needs silu"]),
-        (net(features=5), ["4 x 5", "4 x 3", "takes 5 numbers, but the case has 3"]),
-        (net(Box(-np.inf, np.inf, 3)), ["size 3", "needs 2"]),
-        (net(Integers(0, np.inf, 2)), ["action Integers", "needs Box"]),
-        (net(hidden=(8,)), ["hidden[0] 8", "needs 4"]),
-        (net(hidden=(4, 4)), ["sizes", "4 x 4"]),
-        (GRU(Box(-np.inf, np.inf, 2), 3, key=KEY, hidden=4), ["GRU", "MLP"]),
+        (lambda: net(activation=jax.nn.tanh), ["activation tanh", "needs silu"]),
+        (lambda: net(features=5), ["4 x 5", "4 x 3", "takes 5 numbers, but the case has 3"]),
+        (lambda: net(Box(-np.inf, np.inf, 3)), ["size 3", "needs 2"]),
+        (lambda: net(Integers(0, np.inf, 2)), ["action Integers", "needs Box"]),
+        (lambda: net(hidden=(8,)), ["hidden[0] 8", "needs 4"]),
+        (lambda: net(hidden=(4, 4)), ["sizes", "4 x 4"]),
+        (lambda: GRU(Box(-np.inf, np.inf, 2), 3, key=KEY, hidden=4), ["GRU", "MLP"]),
     ],
 )
 def test_a_policy_that_does_not_fit_is_refused_in_words(other, named, tmp_path):
-    file = saved(other, tmp_path / "policy.npz")
+    file = saved(other(), tmp_path / "policy.npz")
     with pytest.raises(CaseError) as refused:
         given(file).adopted_by(net())
     for each in (str(file), "does not fit", *named):

@@ -3,10 +3,9 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.actions import Stop
+from snapo.problem.actions import Stop, squashed
 from snapo.problem.noise import Stored
 from snapo.problem.simulator import Simulator
 
@@ -63,8 +62,7 @@ def _fresh_actions(simulator: Simulator, run: CheckedRollout, seed: int) -> np.n
     """Random actions anywhere in the set: [T, paths, size]."""
     raw = np.random.default_rng(seed + 1).normal(size=run.actions.shape) * 2
     with jax.enable_x64(True):
-        into = jax.vmap(jax.vmap(lambda x: simulator.action.squash(x, run.smooth)))
-        return np.asarray(into(jnp.asarray(raw)))
+        return np.asarray(squashed(simulator.action, raw, run.smooth))
 
 
 def _numbered(group: list[int], size: int) -> str:

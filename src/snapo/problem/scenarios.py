@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from .noise.counter import INITIAL_STREAM, STEP_STREAM, Counter, Draws, Stored
+from .quickly import compiled_sooner
 from .simulator import Simulator
 
 BLOCKS = 32
@@ -180,7 +181,8 @@ class Sobol(Scenarios):
         if width == z.shape[1]:
             return z
         rest = Pseudo(self.seed, antithetic=False, stream=1 + scramble).counter(points)
-        return np.concatenate([z, _stored(rest, width - z.shape[1])], axis=1)
+        with jax.enable_x64(True):
+            return np.concatenate([z, _stored(rest, width - z.shape[1])], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,7 +395,6 @@ def bridge(levels: Float[np.ndarray, "paths steps k"]) -> Float[np.ndarray, "pat
     return np.diff(walk, axis=1)
 
 
-def _stored(counter: Counter, size: int) -> np.ndarray:
-    with jax.enable_x64(True):
-        drawn = jax.vmap(lambda c: c.initial(size, jnp.float64), in_axes=(counter.axes(),))(counter)
-        return np.asarray(drawn)
+@compiled_sooner
+def _stored(counter: Counter, size: int) -> Array:
+    return jax.vmap(lambda c: c.initial(size, jnp.float64), in_axes=(counter.axes(),))(counter)

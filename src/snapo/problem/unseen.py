@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
+from .actions import squashed
 from .quickly import compiled_sooner
 from .scenarios import Supplied
 from .simulator import at
@@ -84,19 +85,19 @@ def _start(problem: Any) -> dict[str, Any]:
         noise = rng.normal(size=(T, paths, simulator.noise_size))
         early = rng.normal(size=(paths, simulator.initial_noise_size))
     raw = rng.normal(size=(2, T, paths, simulator.action.size))
-    squash = partial(simulator.action.squash, smooth=Exact())
-    actions = jax.vmap(jax.vmap(jax.vmap(squash)))(jnp.asarray(raw))
-    return {"early": early, "noise": noise.astype(float), "actions": np.asarray(actions)}
+    actions = np.asarray(squashed(simulator.action, raw, Exact()))
+    return {"early": early, "noise": noise.astype(float), "actions": actions}
 
 
 def _all_told(problem: Any, first: dict[str, Any]) -> bool:
     """Whether the observation determines every number of a state by itself: nothing is hidden."""
     simulator, schedule = problem.simulator, problem.schedule
-    start = jax.vmap(partial(simulator.initial, schedule.constants))
-    states = start(jnp.asarray(first["early"][:LOCAL], float))
-    if any(not _is_float(leaf) for leaf in jax.tree.leaves(states)):
+    early = np.asarray(first["early"][:LOCAL], float)
+    state = jax.eval_shape(partial(simulator.initial, schedule.constants), early[0])
+    if any(not _is_float(leaf) for leaf in jax.tree.leaves(state)):
         return False
-    slopes = np.asarray(_observed(problem, states, 0)[1])
+    now = at(schedule.steps, 0)
+    slopes = np.asarray(_first_slopes(simulator, schedule.constants, now, early))
     return bool(np.all(np.linalg.matrix_rank(slopes) == slopes.shape[2]))
 
 
@@ -196,6 +197,16 @@ def _observed(problem: Any, states: PyTree, t: int):
 
 @compiled_sooner
 def _seen(simulator, constants, now, states):
+    return _looks(simulator, constants, now, states)
+
+
+@compiled_sooner
+def _first_slopes(simulator, constants, now, early):
+    states = jax.vmap(partial(simulator.initial, constants))(early)
+    return _looks(simulator, constants, now, states)[1]
+
+
+def _looks(simulator, constants, now, states):
     def one(state):
         def look(vector):
             return simulator.observe(constants, now, _with(state, vector))

@@ -165,9 +165,11 @@ def test_a_schedule_depends_on_what_is_known_at_its_auction():
     )
     problem = bare_problem(case)
     simulator, schedule = problem.simulator, jax.tree.map(jnp.asarray, problem.schedule)
-    state = simulator.initial(schedule.constants, jnp.zeros(simulator.initial_noise_size))
+    initial = jax.jit(lambda noise: simulator.initial(schedule.constants, noise))
+    state = initial(jnp.zeros(simulator.initial_noise_size))
     state = state._replace(levels=jnp.array([1.0, 0.0]), scheduled=jnp.array([2.0, 0.0]))
 
+    @jax.jit
     def view(t, state):
         row = jax.tree.map(lambda leaf: leaf[t], schedule.steps)
         return simulator.observe(schedule.constants, row, state).reshape((VIEWS, -1))

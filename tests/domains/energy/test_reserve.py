@@ -4,6 +4,7 @@ import datetime
 import shutil
 from itertools import groupby
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -204,17 +205,22 @@ def test_the_policy_is_near_the_lattice_and_below_the_bound(changes):
     assert slope == pytest.approx((moved[1] - moved[0]) / (2 * width), rel=0.02)
 
 
+@jax.jit
+def units_of(slopes, begin, free, unit):
+    """The positions and the gains of units by `FlowRows`, of slopes of rows 0.1 apart."""
+    rows = LevelRows(np.zeros(1), np.full(1, 0.1))  # pyright: ignore
+    table = UnitValues(rows, slopes[None, :, None], None, None, every=jnp.full((1, 12), 0.1))  # pyright: ignore
+    flow = FlowRows(table, 0, (1.0,), begin[None], 0, (1,))
+    result = flow.gains(jnp.zeros(()), free, jnp.ones(1), unit)
+    return list(result.positions), list(result.units)
+
+
 def gains_of(values, begin, free, unit):
     """The volume and its gain by `FlowRows`, of values of one level on rows 0.1 apart."""
     slopes = np.append(np.diff(values) / 0.1, 0.0)
-    rows = LevelRows(np.zeros(1), np.full(1, 0.1))  # pyright: ignore
-    table = UnitValues(
-        rows, jnp.asarray(slopes)[None, :, None], None, None, every=jnp.full((1, 12), 0.1)  # pyright: ignore
-    )  # fmt: skip
-    flow = FlowRows(table, 0, (1.0,), jnp.array([begin]), 0, (1,))
-    result = flow.gains(jnp.zeros(()), jnp.asarray(free), jnp.ones(1), jnp.asarray(unit))
-    widths = free * np.diff(np.array([0.0, *result.positions, 1.0]))
-    gains = np.array([np.mean(x) for x in result.units])
+    positions, units = units_of(*map(jnp.asarray, (slopes, begin, free, unit)))
+    widths = free * np.diff(np.array([0.0, *positions, 1.0]))
+    gains = np.array([np.mean(x) for x in units])
     return widths @ (gains > 0), widths @ np.maximum(gains, 0.0)
 
 

@@ -46,20 +46,26 @@ def test_squash_goes_component_by_component():
     """Each component as the box of its own bounds, value and derivative, to rounding."""
     raw = jnp.asarray([-1.3, 0.4, 2.0, -30.0], jnp.float32)
     each = [Box(low, high) for low, high in zip(*MIXED.bounds())]
-    expected = jnp.concatenate([b.squash(x[None]) for b, x in zip(each, raw)])
-    np.testing.assert_allclose(MIXED.squash(raw), expected, rtol=1e-7)
-    slope = jax.grad(lambda x: MIXED.squash(x).sum())(raw)
-    parts = [jax.grad(lambda x, b=b: b.squash(x).sum())(x[None]) for b, x in zip(each, raw)]
-    np.testing.assert_allclose(slope, jnp.concatenate(parts), rtol=1e-6)
-    far = MIXED.squash(jnp.full(4, 500.0))
-    assert far.dtype == jnp.float32 and np.isfinite(np.asarray(far)).all()
+
+    def apart(raw):
+        return jnp.concatenate([b.squash(x[None]) for b, x in zip(each, raw)])
+
+    def both(squash):
+        return jax.jit(lambda x: (squash(x), jax.grad(lambda x: squash(x).sum())(x)))
+
+    together = both(MIXED.squash)
+    (found, slope), (expected, parts) = together(raw), both(apart)(raw)
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    np.testing.assert_allclose(slope, parts, rtol=1e-6)
+    far, _ = together(np.full(4, 500.0, np.float32))
+    assert far.dtype == jnp.float32 and np.isfinite(far).all()
 
 
 def test_a_residual_stays_within_bounds_of_its_own():
     residual = Residual(Constant(jnp.full(4, 0.9)), MIXED, 2, key=jax.random.key(0), scale=1e4)
     low, high = MIXED.bounds()
     for smooth in (Exact(), Smooth(0.1)):
-        action = np.asarray(residual(jnp.asarray([3.0, -2.0]), smooth))
+        action = np.asarray(eqx.filter_jit(residual)(jnp.asarray([3.0, -2.0]), smooth))
         assert np.all((low <= action) & (action <= high)), action
 
 

@@ -32,25 +32,35 @@ class Mine(Policy):
 
 def _large(policy):
     """The last layer's weights twenty times larger: decisions differ by state."""
-    return jax.tree.map(lambda x: 20 * x if x.ndim == 2 and x.shape[0] < 4 else x, policy)
+
+    def larger(leaf):
+        small = leaf.ndim == 2 and leaf.shape[0] < 4
+        return jnp.asarray(20 * np.asarray(leaf)) if small else leaf
+
+    return jax.tree.map(larger, policy)
 
 
+def net(action, **more):
+    return _large(snapo.MLP(action, 3, key=KEY, **more))
+
+
+# Made when they are asked for: every process of the tests reads this module.
 POLICIES = {
-    "box": _large(snapo.MLP(BOX, 3, key=KEY)),
-    "gelu": _large(snapo.MLP(snapo.Box(0.0, 1.0), 3, key=KEY, activation=jax.nn.relu)),
-    "simplex": _large(snapo.MLP(snapo.Simplex(3), 3, key=KEY)),
-    "choice": _large(snapo.MLP(snapo.Choice(3), 3, key=KEY)),
-    "stop": _large(snapo.MLP(snapo.Stop(2, hazard=0.49), 3, key=KEY)),
-    "several": _large(
-        snapo.MLP(snapo.Product(run=snapo.Choice(2), power=snapo.Integers(0, 9)), 3, key=KEY)
+    "box": lambda: net(BOX),
+    "gelu": lambda: net(snapo.Box(0.0, 1.0), activation=jax.nn.relu),
+    "simplex": lambda: net(snapo.Simplex(3)),
+    "choice": lambda: net(snapo.Choice(3)),
+    "stop": lambda: net(snapo.Stop(2, hazard=0.49)),
+    "several": lambda: net(snapo.Product(run=snapo.Choice(2), power=snapo.Integers(0, 9))),
+    "residual": lambda: _large(
+        snapo.Residual(snapo.Linear(0.1 * np.ones((2, 3), np.float32), 0.5), BOX, 3, key=KEY)
     ),
-    "residual": _large(snapo.Residual(snapo.Linear(0.1 * np.ones((2, 3), np.float32), 0.5), BOX, 3, key=KEY)),
-    "linear": snapo.Linear(np.ones((2, 3), np.float32), 0.5, BOX),
-    "constant": snapo.Constant([0.25, 0.5]),
-    "base stock": snapo.BaseStock(1.5, position=1),
-    "threshold": snapo.Threshold(0.1, [0.0], [1.0], feature=2),
-    "mine": Mine(),
-}  # fmt: skip
+    "linear": lambda: snapo.Linear(np.ones((2, 3), np.float32), 0.5, BOX),
+    "constant": lambda: snapo.Constant([0.25, 0.5]),
+    "base stock": lambda: snapo.BaseStock(1.5, position=1),
+    "threshold": lambda: snapo.Threshold(0.1, [0.0], [1.0], feature=2),
+    "mine": Mine,
+}
 
 
 def agree(policy, seen, features=None, observe=None, dtype="float32", tolerance=1e-6):
@@ -61,9 +71,8 @@ def agree(policy, seen, features=None, observe=None, dtype="float32", tolerance=
     with jax.enable_x64(dtype == "float64"):
         given = jnp.asarray(seen, dtype)
         see = observe or (lambda raw: raw)
-        expected = np.asarray(
-            jax.vmap(lambda raw: policy(see(raw), Exact()).astype(raw.dtype))(given)
-        )
+        decide = jax.vmap(lambda raw: policy(see(raw), Exact()).astype(raw.dtype))
+        expected = np.asarray(jax.jit(decide)(given))
     assert found.shape == expected.shape and found.dtype == expected.dtype
     scale = np.maximum(1.0, np.abs(expected))
     assert np.max(np.abs(found - expected) / scale) < tolerance
@@ -82,10 +91,11 @@ def agree(policy, seen, features=None, observe=None, dtype="float32", tolerance=
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_graph_decides_as_the_policy(name):
     seen = np.random.default_rng(1).normal(size=(257, 3))
-    found = agree(POLICIES[name], seen, features=3)
+    policy = POLICIES[name]()
+    found = agree(policy, seen, features=3)
     if name != "constant":
         assert np.ptp(found, axis=0).max() > 0  # decisions differ
-    agree(POLICIES[name], seen, features=3, dtype="float64", tolerance=1e-12)
+    agree(policy, seen, features=3, dtype="float64", tolerance=1e-12)
 
 
 def test_the_scaling_of_observations_is_part_of_the_graph(tmp_path):
@@ -95,8 +105,9 @@ def test_the_scaling_of_observations_is_part_of_the_graph(tmp_path):
     def observe(numbers):
         return (numbers - centre.astype(numbers.dtype)) / scale.astype(numbers.dtype)
 
-    agree(POLICIES["box"], raw, features=3, observe=observe)
-    snapo.to_onnx(POLICIES["box"], tmp_path / "policy.onnx", features=3, observe=observe)
+    policy = POLICIES["box"]()
+    agree(policy, raw, features=3, observe=observe)
+    snapo.to_onnx(policy, tmp_path / "policy.onnx", features=3, observe=observe)
     assert (tmp_path / "policy.onnx").stat().st_size > 1000
 
 

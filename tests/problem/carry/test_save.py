@@ -14,23 +14,25 @@ from snapo.problem.policy import Network, Policy
 
 KEY = jax.random.key(3)
 BOX = snapo.Box([0.0, -1.0], [1.0, np.inf])
+SEVERAL = snapo.Product(run=snapo.Choice(2), power=snapo.Integers(0, 9))
+# Made when they are asked for: every process of the tests reads this module.
 POLICIES = {
-    "network": snapo.MLP(BOX, 3, key=KEY, hidden=(4,), activation=jax.nn.tanh),
-    "shares": snapo.MLP(snapo.Simplex(3), 3, key=KEY, hidden=(4, 5)),
-    "residual": snapo.Residual(snapo.Constant([0.5, 0.5]), BOX, 3, key=KEY, hidden=(4,), scale=0.3),
-    "linear": snapo.Linear(np.ones((2, 3), np.float32), 0.5, BOX),
-    "several": snapo.MLP(
-        snapo.Product(run=snapo.Choice(2), power=snapo.Integers(0, 9)), 3, key=KEY, hidden=(4,)
+    "network": lambda: snapo.MLP(BOX, 3, key=KEY, hidden=(4,), activation=jax.nn.tanh),
+    "shares": lambda: snapo.MLP(snapo.Simplex(3), 3, key=KEY, hidden=(4, 5)),
+    "residual": lambda: snapo.Residual(
+        snapo.Constant([0.5, 0.5]), BOX, 3, key=KEY, hidden=(4,), scale=0.3
     ),
-    "base stock": snapo.BaseStock(12.5, position=1, scale=2.0),
-    "threshold": snapo.Threshold(1.0, [0.0], [1.0], feature=2),
-    "recipe": snapo.MLP(hidden=(8,)),
+    "linear": lambda: snapo.Linear(np.ones((2, 3), np.float32), 0.5, BOX),
+    "several": lambda: snapo.MLP(SEVERAL, 3, key=KEY, hidden=(4,)),
+    "base stock": lambda: snapo.BaseStock(12.5, position=1, scale=2.0),
+    "threshold": lambda: snapo.Threshold(1.0, [0.0], [1.0], feature=2),
+    "recipe": lambda: snapo.MLP(hidden=(8,)),
 }
 
 
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_policy_comes_back_as_it_was(name, tmp_path):
-    policy = POLICIES[name]
+    policy = POLICIES[name]()
     policy.save(tmp_path / "policy.npz")
     found = snapo.load_policy(tmp_path / "policy.npz")
     assert type(found) is type(policy)
@@ -71,7 +73,7 @@ def test_code_of_ones_own_is_refused_with_what_to_give(policy, words, tmp_path):
 def _file(tmp_path, change) -> Path:
     """The file of a network, its header changed."""
     file = tmp_path / "policy.npz"
-    POLICIES["network"].save(file)
+    POLICIES["network"]().save(file)
     arrays, header = read_arrays(file)
     header = change(header, arrays) or header
     write_arrays(file, arrays, header)
@@ -105,7 +107,7 @@ def test_a_file_of_another_kind_is_refused(change, tmp_path):
 
 def test_every_damaged_byte_is_refused_or_harmless(tmp_path):
     file = tmp_path / "policy.npz"
-    POLICIES["network"].save(file)
+    POLICIES["network"]().save(file)
     whole = file.read_bytes()
     rng = np.random.default_rng(0)
     for place in rng.choice(len(whole), 60, replace=False):

@@ -19,15 +19,15 @@ N = 20_000
 def normals() -> np.ndarray:
     """[N, 3] of the engines' own counter, in float64."""
     with jax.enable_x64(True):
-        count = jnp.arange(3 * N, dtype=jnp.uint32)
-        words = threefry(jnp.array([7, 11], jnp.uint32), count, count * 0)[0]
-        return np.asarray(normal(words, np.float64)).reshape(N, 3)
+        count = np.arange(3 * N, dtype=np.uint32)
+        counted = jax.jit(lambda *words: normal(threefry(*words)[0], np.float64))
+        return np.asarray(counted(np.array([7, 11], np.uint32), count, count * 0)).reshape(N, 3)
 
 
 def drawn(noises, normals):
     """Values at many normals, in float64."""
     with jax.enable_x64(True):
-        made = noise.prepare(noises)
+        made = jax.jit(lambda: noise.prepare(noises))()
         size = noise.size(made)
         found = jax.jit(jax.vmap(lambda z: noise.draw(made, z)))(normals[:, :size])
         return jax.tree.map(np.asarray, found)
@@ -196,9 +196,20 @@ def test_the_check_tells_how_to_name_a_mean_of_whole_numbers():
 
     inputs = {"rate": snapo.Input(2.0)}
     (found,) = snapo.check(Shop(), inputs)
-    (found,) = snapo.check(Shop(), inputs)
     assert "in_mean(self): return ('rate',)" in found.fix
     assert not list(snapo.check(Named(), inputs))
+
+
+@jax.jit
+def poisson(mean):
+    """[41] probabilities of a Poisson number, and the derivatives of its moves and of them."""
+
+    def both(mean):
+        law = noise.Poisson(mean, maximum=40).prepare()
+        return law.moves, law.probability
+
+    (_, chances), slopes = jax.jvp(both, (mean,), (jnp.ones_like(mean),))
+    return chances, *slopes
 
 
 @pytest.mark.parametrize("mean", [0.5, 2.0])
@@ -206,16 +217,11 @@ def test_the_check_tells_how_to_name_a_mean_of_whole_numbers():
 def test_a_corner_is_off_by_what_the_page_says(mean, corner):
     """E max(q - k, 0) falls by P(k < q) with the mean; a bend of 1 at q adds (p(q - 1) - p(q)) / 4.
     `weigh` is right."""
+    k = np.arange(41)
+    slope = np.where(k < corner, -1.0, np.where(k == corner, -0.5, 0.0))
     with jax.enable_x64(True):
-        k = np.arange(41)
-        slope = np.where(k < corner, -1.0, np.where(k == corner, -0.5, 0.0))
-        law = noise.Poisson(mean, maximum=40).prepare()
-        moves = jax.jvp(lambda m: noise.Poisson(m, maximum=40).prepare().moves, (mean,), (1.0,))[1]
-        chances = jax.jvp(
-            lambda m: noise.Poisson(m, maximum=40).prepare().probability, (mean,), (1.0,)
-        )[1]
-    p = np.asarray(law.probability)
+        p, moves, chances = map(np.asarray, poisson(np.float64(mean)))
     right, off = -p[:corner].sum(), ((p[corner - 1] if corner else 0.0) - p[corner]) / 4
-    assert (p * np.asarray(moves) * slope).sum() == pytest.approx(right + off, abs=1e-12)
-    weighed = (np.asarray(chances) * np.maximum(corner - k, 0)).sum()
+    assert (p * moves * slope).sum() == pytest.approx(right + off, abs=1e-12)
+    weighed = (chances * np.maximum(corner - k, 0)).sum()
     assert weighed == pytest.approx(right, abs=1e-12)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -128,16 +129,17 @@ def test_the_derivative_of_an_exploring_decision_is_that_of_its_paths():
 def test_a_decision_that_explores_stays_in_its_set(action):
     normals = np.random.default_rng(0).standard_normal((200, action.exploration_size))
     raw = np.random.default_rng(1).standard_normal((200, action.size)) * 4
-    smooth, moved = Smooth(np.float32(0.02)), 0.0
     low, high = action.bounds()
-    for each, z in zip(raw, normals):
-        plain = action.squash(jnp.asarray(each, jnp.float32), smooth)
-        found = np.asarray(action.explore(plain, jnp.asarray(z, jnp.float32), jnp.float32(0.4)))
-        assert np.all(found >= low - 1e-6) and np.all(found <= high + 1e-6)
-        moved = max(moved, float(np.abs(found - plain).max()))
-        if isinstance(action, Simplex):
-            assert found.sum() == pytest.approx(1.0, abs=1e-6)
-    assert moved > 0.1
+
+    def explored(raw, normals):
+        plain = action.squash(raw, Smooth(np.float32(0.02)))
+        return plain, action.explore(plain, normals, jnp.float32(0.4))
+
+    plain, found = jax.jit(jax.vmap(explored))(np.float32(raw), np.float32(normals))
+    assert np.all(found >= low - 1e-6) and np.all(found <= high + 1e-6)
+    if isinstance(action, Simplex):
+        np.testing.assert_allclose(np.sum(found, axis=1), 1.0, atol=1e-6)
+    assert np.abs(found - plain).max() > 0.1
 
 
 def test_a_choice_and_a_stop_explore_by_themselves():

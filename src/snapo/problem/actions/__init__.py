@@ -8,3 +8,4 @@ from .sets import Actions as Actions
 from .sets import Box as Box
 from .sets import Integers as Integers
 from .sets import Simplex as Simplex
+from .sets import squashed as squashed

@@ -15,6 +15,8 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
+from ..quickly import compiled_sooner
+
 
 def count(name: str, values: Any, minimum: int, more: str = "") -> int:
     """A whole number of at least `minimum`.
@@ -339,3 +341,10 @@ class Integers(Actions):
                 "Round it: smooth.round(…).",
             )
         return self.box.fault(action)
+
+
+@compiled_sooner
+def squashed(action: Actions, raw: Any, smooth: Any) -> Float[Array, "... size"]:
+    """`action.squash` of many unbounded numbers [..., size] at once, compiled as a whole."""
+    rows = jax.vmap(lambda row: action.squash(row, smooth))(raw.reshape(-1, action.size))
+    return rows.reshape(raw.shape)

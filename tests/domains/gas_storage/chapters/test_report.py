@@ -110,7 +110,7 @@ def test_the_headline_says_value_error_and_what_to_do(full):
     assert "EUR 37,250" in text  # extrinsic: 78,241.6 - 40,992.1
 
 
-def test_a_failed_check_is_told_in_the_headline(tmp_path):
+def test_a_failed_check_is_told_in_the_headline(tmp_path, sketched):
     certificate = json.loads(json.dumps(sample_details()["certificate"]))
     certificate["bump_check"][2]["passed"] = False
     text = text_of(page(tmp_path, certificate=certificate))
@@ -254,7 +254,7 @@ def test_long_contracts_name_fewer_months_and_move_quarters(tmp_path):
 
 
 @pytest.mark.parametrize("value", [0.0, -156115.5176])
-def test_worthless_and_negative_contracts(tmp_path, value):
+def test_worthless_and_negative_contracts(tmp_path, sketched, value):
     rung = {"name": "Any policy", "value": value, "standard_error": 0.0, "note": ""}
     flow = {"edges": [value - 1, value + 1], "counts": [8], "mean": value, "quantiles": {}}
     write_run(tmp_path, value_ladder=[rung], cash_flow=flow)

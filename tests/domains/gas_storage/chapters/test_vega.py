@@ -51,6 +51,7 @@ def test_several_numbers_for_each_date():
     assert_allclose(one.variance, other.variance, rtol=1e-15)
 
 
+@pytest.mark.prove
 def test_a_run_has_its_vega(solved):
     """The file and the record of a run agree; the sum is the derivative in sensitivities.csv."""
     run = solved("gas-storage") / "run"

@@ -12,6 +12,7 @@ from tests.domains.energy.energy_cases import exact as exact_swing
 from tests.domains.energy.energy_cases import swing
 from tests.domains.gas_storage.references.linear_program import black_call
 from tests.domains.gas_storage.storage_cases import read
+from tests.lanes.in_numpy import in_numpy
 
 from snapo.case.error import CaseError
 from snapo.case.table import TableContext
@@ -75,12 +76,11 @@ def test_the_derivative_with_respect_to_mean_reversion_goes_through_the_notice()
         moved = replace(process, mean_reversion=numbers)
         inputs = {"volatility": process.volatility.values, "mean_reversion": numbers.values}
         inputs["forward_curve"] = case.market.forward_curve.values
-        return np.asarray(moved.prepare(inputs).steps.loading)[100, 0]
+        return in_numpy(moved.prepare)(inputs).steps.loading[100, 0]
 
-    with jax.enable_x64(True):
-        up, down = loading(speed + 1e-4), loading(speed - 1e-4)
-        slope = (up - down) / 2e-4
-        assert slope == pytest.approx(-2 / 365 * loading(speed), rel=1e-6)
+    up, down = loading(speed + 1e-4), loading(speed - 1e-4)
+    slope = (up - down) / 2e-4
+    assert slope == pytest.approx(-2 / 365 * loading(speed), rel=1e-6)
 
 
 def test_a_business_day_before():
