@@ -145,7 +145,7 @@ def test_engines_agree_and_derivatives_are_right():
 
 
 @pytest.mark.prove
-def test_a_measured_plant_is_solved_to_its_report(tmp_path):
+def test_a_measured_plant_is_solved_to_its_report(tmp_path, sketched):
     """With a memory of either kind, from the file to the page; few steps."""
     little = ("plant.horizon=6", "training.steps=4", "training.paths=32", "evaluation.paths=256")
     more = ("evaluation.judge_paths=0", "evaluation.search_paths=0")

@@ -5,6 +5,7 @@ from typing import Any
 
 from snapo.domains.inventory.item.records import InventoryCase
 from snapo.domains.inventory.read.case import read_case
+from snapo.lanes.machine import disk, pipeline
 
 MEAN = 5.0
 
@@ -27,3 +28,10 @@ def case(demand: dict[str, Any] | None = None, folder: Path = HERE, **item: Any)
         **other,
     }
     return read_case(folder / "case.toml", tables)
+
+
+def optimised(monkeypatch) -> None:
+    """From now on LLVM's passes are run, as for users: on many paths they save more than they
+    take."""
+    for module in (disk, pipeline):
+        monkeypatch.setattr(module, "PIPELINE", pipeline.Pipeline())

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.domains.inventory.inventory_cases import optimised
 from tests.domains.inventory.network_cases import network
 
 from snapo.case.error import CaseError
@@ -81,10 +82,11 @@ def test_derivatives_go_through_whether_each_place_orders(monkeypatch):
     Shortage is cheap: where it is dear, the rare paths on which a place does not order for long
     hold most of a derivative, and their errors are not known from eight times.
     """
+    optimised(monkeypatch)
     monkeypatch.setattr(
         "snapo.domains.inventory.network.simulator.memory", lambda case: np.full(2, 1e12)
     )
-    smooth, engine, paths = Smooth(jnp.asarray(0.02)), Native("float64"), 65536
+    smooth, engine, paths = Smooth(jnp.asarray(0.02)), Native("float64"), 49152
     case = network(SHOP | {"order": 5.0, "shortage": 6.0}, DEPOT | {"order": 20.0},
                    horizon={"periods": 10, "warm_up": 0})  # fmt: skip
     setup = make_setup(case)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.domains.inventory.inventory_cases import case
+from tests.domains.inventory.inventory_cases import case, optimised
 from tests.domains.inventory.references.backlog import base_stock_cost
 
 from snapo.domains.inventory.item.simulator import InventorySimulator
@@ -113,6 +113,7 @@ def test_with_a_cost_of_an_order_derivatives_go_through_whether_there_is_one(mon
     """Sixteen times: the adjoint less a difference of the smooth value on the same paths, by where
     orders begin, their size and the mean demand; without forgetting, which bends them a little.
     """
+    optimised(monkeypatch)
     monkeypatch.setattr("snapo.domains.inventory.item.simulator.memory", lambda case: 1e12)
     given = case(unmet="waits", lead_time=1, shortage=9.0, order=10.0,
                  horizon={"periods": 12, "warm_up": 0})  # fmt: skip

@@ -108,7 +108,7 @@ def test_the_report_tells_all_of_it(solved):
 
 
 @pytest.mark.prove
-def test_a_warning_of_check_is_a_note_of_the_run_with_its_remedy(tmp_path, capsys):
+def test_a_warning_of_check_is_a_note_of_the_run_with_its_remedy(tmp_path, capsys, sketched):
     """An input that nothing uses: what `check` prints stands in the result and in the report."""
     unused = CASE.replace("[units]", "idle = { value = 1 }\n[units]").replace("= 30", "= 2")
     folder = write(tmp_path / "case", case=unused)
@@ -139,7 +139,7 @@ def stopped(folder: Path, line: str) -> None:
 
 @pytest.mark.prove
 @pytest.mark.parametrize("line", ["step    20", "profile"])
-def test_an_interrupted_run_goes_on_to_the_same_bits(solved, tmp_path, line):
+def test_an_interrupted_run_goes_on_to_the_same_bits(solved, tmp_path, line, sketched):
     folder = write(tmp_path / "case")
     stopped(folder, line)
     assert main(["solve", str(folder), *PLACE, "--resume"]) == 0
@@ -162,7 +162,7 @@ def test_other_code_is_not_resumed(solved, tmp_path, capsys):
 
 
 @pytest.mark.prove
-def test_compare_pairs_runs_on_the_same_scenarios(solved, tmp_path, capsys):
+def test_compare_pairs_runs_on_the_same_scenarios(solved, tmp_path, capsys, sketched):
     """With the steps of training unchanged and one price moved, most of the noise cancels."""
     folder = solved.parent
     dearer, seeded = tmp_path / "dearer", tmp_path / "seeded"

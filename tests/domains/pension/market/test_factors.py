@@ -162,11 +162,14 @@ def test_a_real_bond_loads_on_prices_too():
     """Real covariances: K has minus the index's own noise, whose variance grows with time."""
     one = full(12)
     given = plain(pension_inputs(one)) | {"correlation": np.zeros(28)}
-    with jax.enable_x64(True):
+
+    @with_numpy
+    def totals_and_fits():
         together, both = covariance(one, given), factors(one, given)
-        kinds = nominal(one), real(one, given)
-        totals = [np.asarray(moments(one, both, kind, together).total) for kind in kinds]
-        fits = [np.asarray(shift(np.zeros(13), moments(one, both, k, together))) for k in kinds]
+        kinds = [moments(one, both, kind, together) for kind in (nominal(one), real(one, given))]
+        return [kind.total for kind in kinds], [shift(np.zeros(13), kind) for kind in kinds]
+
+    totals, fits = totals_and_fits()
     t, k, s = 1.0, 0.3, 0.007
     expected = (s / k) ** 2 * (t - 2 * b(k, t) + b(2 * k, t))
     assert totals[1][-1] - totals[0][-1] == pytest.approx(0.011**2 + expected, rel=1e-9)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +36,12 @@ def problem():
     return one, simulator, schedule, policies
 
 
+def beyond_limits(one):
+    """By how much weights leave the limits of a case, compiled."""
+    limits = trading_limits(one.assets, one.step)
+    return jax.jit(lambda weights: excess(one.assets, limits, weights))
+
+
 @pytest.mark.prove
 def test_all_classical_policies_are_there(problem):
     assert set(problem[3]) == {"network", "constant_mix", "glide_path", "liability_driven"}
@@ -49,21 +56,13 @@ def test_every_policy_keeps_the_limits_and_can_be_compiled(problem, key):
     assert parameters(policy).size > 0
     count, rng = len(one.assets.classes), np.random.default_rng(0)
     size = sum(FEATURES[name].size(one) for name in one.observation)
+    decide, beyond = eqx.filter_jit(policy), beyond_limits(one)
     for smooth in (Exact(), Smooth(jnp.asarray(0.2))):
         for _ in range(3):
-            action = np.asarray(policy(jnp.asarray(2 * rng.standard_normal(size)), smooth))
+            action = np.asarray(decide(jnp.asarray(2 * rng.standard_normal(size)), smooth))
             assert action.shape == (count + 2,)
             assert action.min() >= 0 and action.max() <= 1
-            assert (
-                float(
-                    excess(
-                        one.assets,
-                        trading_limits(one.assets, one.step),
-                        jnp.asarray(action[:count]),
-                    )
-                )
-                < 1e-6
-            )
+            assert beyond(action[:count]) < 1e-6
             assert action[:count].sum() == pytest.approx(1, abs=1e-6)
 
 
@@ -73,26 +72,19 @@ def test_policies_start_at_what_the_fund_holds(problem):
     size = sum(FEATURES[name].size(one) for name in one.observation)
     weight = one.assets.weight.used()
     for policy in policies.values():
-        action = np.asarray(policy(jnp.zeros(size), Exact()))
+        action = np.asarray(eqx.filter_jit(policy)(jnp.zeros(size), Exact()))
         assert action[: len(weight)] == pytest.approx(weight, abs=0.03)
 
 
 @pytest.mark.prove
 def test_weights_within_the_limits_are_their_own_nearest(problem):
     """Sums of groups too; weights that leave the limits are moved inside."""
-    one, limits = problem[0], AllocationLimits(problem[0])
+    one, nearest = problem[0], eqx.filter_jit(AllocationLimits(problem[0]).nearest)
     for within in (one.assets.weight.used(), np.array([0.3, 0.1, 0.05, 0.15, 0.1, 0.2, 0.1])):
-        found = np.asarray(limits.nearest(jnp.asarray(within, jnp.float32), Exact()))
+        found = np.asarray(nearest(jnp.asarray(within, jnp.float32), Exact()))
         assert found == pytest.approx(within, abs=1e-5)
     outside = jnp.asarray([0.0, 0.9, 0.0, 0.0, 0.1, 0.0, 0.0], jnp.float32)
-    assert (
-        float(
-            excess(
-                one.assets, trading_limits(one.assets, one.step), limits.nearest(outside, Exact())
-            )
-        )
-        < 1e-6
-    )
+    assert beyond_limits(one)(nearest(outside, Exact())) < 1e-6
 
 
 @pytest.mark.prove
@@ -108,20 +100,24 @@ def test_swaps_are_held_as_far_as_weights_back_them():
         collateral_stress=given("overlay_collateral_stress", 0.035), zero_coupon=(0,),
     )  # fmt: skip
     lost = 1 - np.exp(-20 * 0.035)
-    limits = AllocationLimits(case(steps, held_assets=held, overlay=swap))
+    held_by = eqx.filter_jit(AllocationLimits(case(steps, held_assets=held, overlay=swap)).action)
     weights = jnp.asarray([0.75, 0.25])
     for place, expected in ((0.9, 0.75 / lost / 2), (0.5, 0.5)):
         logit = jnp.log(jnp.asarray([place / (1 - place)]))
-        action = np.asarray(limits.action(weights, logit, Exact()))
+        action = np.asarray(held_by(weights, logit, Exact()))
         assert action == pytest.approx([0.75, 0.25, expected], rel=1e-6)
 
 
 @pytest.mark.prove
 def test_the_observation_has_what_the_case_names(problem):
     one, simulator, schedule, _ = problem
-    state = simulator.initial(schedule.constants, None)
     now = jax.tree.map(lambda leaf: leaf[0], schedule.steps)
-    seen = np.asarray(simulator.observe(schedule.constants, now, state))
+
+    @jax.jit
+    def observed(constants, now):
+        return simulator.observe(constants, now, simulator.initial(constants, None))
+
+    seen = np.asarray(observed(schedule.constants, now))
     place = slots(one)
     assert seen.shape == (max(each.stop for each in place.values()),)
     ratio = float(schedule.constants.assets / schedule.constants.liability)
@@ -174,10 +170,11 @@ def test_the_stock_bond_policy_follows_its_rule_within_bounds():
         steps, [CASH, EQUITY, bond], mean=[0.04], volatility=[0.18], weight=[0.2, 0.3, 0.5]
     )
     one = replace(case(steps, held_assets=held), observation=("time",))
-    policy = StockBond(one, lambda left: (0.25, 0.3 + 0.1 * left), 1, 2)
-    start = np.asarray(policy(jnp.asarray([-1.0]), Exact()))
-    end = np.asarray(policy(jnp.asarray([1.0]), Exact()))
+    policy = eqx.filter_jit(StockBond(one, lambda left: (0.25, 0.3 + 0.1 * left), 1, 2))
+    start, end = (np.asarray(policy(jnp.asarray([when]), Exact())) for when in (-1.0, 1.0))
     assert start == pytest.approx([0.25, 0.25, 0.5], abs=1e-3)
     assert end == pytest.approx([0.45, 0.25, 0.3], abs=1e-3)
     fixed = ConstantMix(one, np.array([0.5, 0.2, 0.3]))
-    assert np.asarray(fixed(jnp.zeros(1), Exact())) == pytest.approx([0.5, 0.2, 0.3], abs=1e-5)
+    assert np.asarray(eqx.filter_jit(fixed)(jnp.zeros(1), Exact())) == pytest.approx(
+        [0.5, 0.2, 0.3], abs=1e-5
+    )

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,8 +95,9 @@ def test_groups_of_short_classes_are_reached_too():
     groups = (AssetGroup("bonds", (2, 3), 0.5, 1.5),)
     limits = limits_of([-0.6, 0.0, 0.2, -0.3], [0.4, 0.5, 1.4, 0.9], groups)
     with jax.enable_x64(True):
+        nearest = jax.jit(lambda mix: limits.nearest(mix, Exact()))
         for mix in ([-0.5, 0.2, 1.2, 0.1], [0.3, 0.1, 0.8, -0.2], [-0.2, 0.3, 0.25, 0.65]):
-            found = limits.nearest(jnp.asarray(mix), Exact())
+            found = nearest(jnp.asarray(mix))
             np.testing.assert_allclose(found, mix, atol=1e-9)
 
 
@@ -105,11 +107,8 @@ def test_the_map_has_the_slopes_of_central_differences():
     )
     with jax.enable_x64(True):
         at, h = jnp.asarray([0.3, -1.1, 0.8, -0.4]), 1e-5
-
-        def map_(x):
-            return limits.weights(x, Exact())
-
-        slopes = np.asarray(jax.jacrev(map_)(at))
+        map_ = jax.jit(lambda x: limits.weights(x, Exact()))
+        slopes = np.asarray(jax.jit(jax.jacrev(map_))(at))
         for k in range(4):
             step = h * np.eye(4)[k]
             central = (np.asarray(map_(at + step)) - np.asarray(map_(at - step))) / (2 * h)
@@ -122,7 +121,7 @@ def test_the_lower_limits_alone_are_the_shifted_softmax():
     low, logits = np.array([-0.4, 0.0, 0.1, -0.2]), np.array([0.2, -0.5, 1.0, 0.3])
     limits = limits_of(low, np.full(4, 1e7))
     with jax.enable_x64(True):
-        found = np.asarray(limits.weights(jnp.asarray(logits), Exact()))
+        found = np.asarray(jax.jit(lambda x: limits.weights(x, Exact()))(logits))
     share = np.exp(logits) / np.exp(logits).sum()
     np.testing.assert_allclose(found, low + (1 - low.sum()) * share, atol=1e-6)
 
@@ -137,17 +136,17 @@ def test_all_rules_start_at_the_levered_mix_and_stay_within_its_bounds(one):
     assert set(rules) == {"network", "mix", "glide_path", "liability_driven"}
     size, rng = sum(FEATURES[name].size(one) for name in NAMES), np.random.default_rng(0)
     least, most = simulator.action.bounds()
+    limits = trading_limits(one.assets, one.step)
+    beyond = jax.jit(lambda action: excess(one.assets, limits, action))
     for name, rule in rules.items():
-        held = np.asarray(rule(jnp.zeros(size), Exact()))
+        decide = eqx.filter_jit(rule)
+        held = np.asarray(decide(jnp.zeros(size), Exact()))
         assert held == pytest.approx(one.assets.weight.used(), abs=0.03), name
         for smooth in (Exact(), Smooth(jnp.asarray(0.2))):
             seen = jnp.asarray(2 * rng.standard_normal(size))
-            action = np.asarray(rule(seen, smooth))
+            action = np.asarray(decide(seen, smooth))
             assert np.all(action >= least) and np.all(action <= most)
-            assert (
-                float(excess(one.assets, trading_limits(one.assets, one.step), jnp.asarray(action)))
-                < 1e-6
-            )
+            assert float(beyond(action)) < 1e-6
             assert action.sum() == pytest.approx(1, abs=1e-6)
     held = PresentMix(one, 1)(jnp.zeros(size), Exact())
     assert np.asarray(held).tolist() == pytest.approx(one.assets.weight.used().tolist())
@@ -162,9 +161,9 @@ def test_borrowed_cash_backs_no_swaps():
         collateral_stress=given_("overlay_collateral_stress", 0.035),
     )  # fmt: skip
     limits = AllocationLimits(replace(BORROWED, overlay=swap))
+    action = eqx.filter_jit(limits.action)
     with jax.enable_x64(True):
         weights, logit = jnp.asarray([-0.3, 1.3, 0.0, 0.0]), jnp.asarray([0.5])
-        assert limits.action(weights, logit, Exact())[4] == 0
-        smooth = Smooth(jnp.asarray(0.3))
-        slopes = jax.jacrev(lambda w: limits.action(w, logit, smooth))(weights)
+        assert action(weights, logit, Exact())[4] == 0
+        slopes = jax.jit(jax.jacrev(action))(weights, logit, Smooth(jnp.asarray(0.3)))
     assert np.isfinite(slopes).all()

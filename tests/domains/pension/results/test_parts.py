@@ -61,7 +61,7 @@ def sections(out) -> set[str]:
 
 
 @pytest.mark.prove
-def test_a_run_of_few_parts_is_whole(tmp_path):
+def test_a_run_of_few_parts_is_whole(tmp_path, sketched):
     """Value, decision and report are there; resumed, nothing is done again."""
     result, _ = solved(tmp_path)
     assert (result["status"], result["failures"]) == ("trained", {})
@@ -75,7 +75,7 @@ def test_a_run_of_few_parts_is_whole(tmp_path):
 
 
 @pytest.mark.prove
-def test_a_run_without_training_has_no_value_and_says_so(tmp_path):
+def test_a_run_without_training_has_no_value_and_says_so(tmp_path, sketched):
     result, _ = solved(tmp_path, parts=("reconciliation",))
     assert result["status"] == "ok" and "value" not in result
     assert sections(tmp_path) == {"headline", "reconciliation", "assumptions"}

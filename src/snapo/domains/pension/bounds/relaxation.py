@@ -161,6 +161,9 @@ class FundRelaxation:
         self.conjugate = conjugate(problem.objective, float(fund.assets) / minimum)
         swaps = fund.swaps
         self.limits = limits(simulator.model, 0.0 if swaps is None else float(swaps.leverage))
+        self._available, self._split, self._surprises = map(
+            jax.jit, (self._on_paths, self._at_price, self._surprised)
+        )
         self.price, self.y = self._fitted(problem, policy, paths)
 
     def best(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
@@ -170,14 +173,13 @@ class FundRelaxation:
                 "unbounded: use --penalty value"
             )
         with jax.enable_x64(True):
-            available = self._paths(rollout, draws), self._extremes(rollout)
-            value, money = self._split(self.price, *available)
+            value, money = self._split(self.price, *self._available(rollout, draws))
             y = scale[0] * self.y
             return np.asarray(self.conjugate(y * value) + y * money)
 
     def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
         with jax.enable_x64(True):
-            return scale[0] * self.y * np.asarray(self._surprises(rollout, draws))
+            return scale[0] * self.y * np.asarray(self._surprises(self.price, rollout, draws))
 
     def _fitted(self, problem: Problem, policy: Policy, paths: int) -> tuple[np.ndarray, float]:
         """Prices of risk [Z] of a step's normals, the share of the fair ones at which the bound is
@@ -190,21 +192,23 @@ class FundRelaxation:
         engine = Xla(precision="float64").bind(problem)
         rollout = engine.values(policy, draws, Exact(), record=("state",))
         with jax.enable_x64(True):
-            available = self._paths(rollout, draws), self._extremes(rollout)
+            available = self._available(rollout, draws)
             price = fair(available[0].returns)
-            split = jax.jit(self._split)
-            minima = [self._lowest(*split(share * price, *available)) for share in SHARES]
+            minima = [self._lowest(*self._split(share * price, *available)) for share in SHARES]
         minimum = int(np.argmin([value for value, _ in minima]))
         return SHARES[minimum] * price, minima[minimum][1]
 
     def _lowest(self, value: Array, money: Array) -> tuple[float, float]:
-        """The bound on paths of these (see `_split`) where it is lowest, and the y there."""
+        """The bound on paths of these (see `_at_price`) where it is lowest, and the y there."""
 
         def upper_bound(log: float) -> float:
             return float(jnp.mean(self.conjugate(np.exp(log) * value) + np.exp(log) * money))
 
         result = minimize_scalar(upper_bound, (-3.0, 0.0))
         return float(result.fun), float(np.exp(result.x))
+
+    def _on_paths(self, rollout: Rollout, draws: Draws) -> tuple[FundPaths, Extremes]:
+        return self._paths(rollout, draws), self._extremes(rollout)
 
     def _paths(self, rollout: Rollout, draws: Draws) -> FundPaths:
         before = rollout.record["state"].market
@@ -245,7 +249,7 @@ class FundRelaxation:
         before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
         return Deflated(before / maximum, after, units)
 
-    def _split(self, price: Any, paths: FundPaths, bounds: Extremes) -> tuple[Array, Array]:
+    def _at_price(self, price: Any, paths: FundPaths, bounds: Extremes) -> tuple[Array, Array]:
         """[N] each, over the assets now: D L at the end, or D where the objective is in money;
         these assets and all money received, deflated."""
         result, assets = self._deflated(price, paths), self.schedule.constants.assets
@@ -260,11 +264,11 @@ class FundRelaxation:
             return jnp.concatenate([ones, result.after[:-1]])
         return result.over * result.growth.money
 
-    def _surprises(self, rollout: Rollout, draws: Draws) -> Array:
+    def _surprised(self, price: Any, rollout: Rollout, draws: Draws) -> Array:
         """[N] sum over the steps of D A after each one, minus its mean before it, of the policy;
         over the assets now."""
         paths = self._paths(rollout, draws)
-        result = self._deflated(self.price, paths)
+        result = self._deflated(price, paths)
         simulator, constants = self.simulator, self.schedule.constants
         states, actions = rollout.record["state"], rollout.record["action"]
 

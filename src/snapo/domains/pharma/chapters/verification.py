@@ -58,19 +58,8 @@ class Balance:
 
 def balances(process: PharmaProcess, inputs=None) -> list[Balance]:
     """The balances of every unit but tests of the product, and of the whole as unit "process"."""
-    case = process.case
-
-    def make(local: bool):
-        def everything(values):
-            flow = process.flow(values, nominal_steps=local)
-            ledgers = {name: outcome.finish.ledger for name, outcome in flow.outcomes.items()}
-            return flow.streams, ledgers, flow.measures
-
-        return everything
-
-    streams, ledgers, _ = process.either(
-        "balances", make, process.nominal_inputs(inputs), of=lambda result: result[2]
-    )
+    case, batch = process.case, process.run(inputs)
+    streams, ledgers = batch.streams, batch.ledgers
     fed, results = sources(case.flowsheet), []
     for unit in case.units:
         out = [streams[f"{unit.name}.{port}"] for port in unit.outlets]

@@ -25,7 +25,7 @@ from .march import Marches
 from .possible import impossible
 from .recycle import Closed
 from .stiffness import with_steps
-from .stream import Stream
+from .stream import Ledger, Stream
 
 _Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
 
@@ -40,6 +40,7 @@ class ProcessRun(NamedTuple):
       it refuses; "unit: the steps are too long …"; or the measure whose value is impossible.
     - `errors`: {unit on held steps: the largest error estimate of a step, relative}.
     - `loops`: {units of a loop, as text: (relative change in one more turn, rounds of Newton)}.
+    - `ledgers`: {unit: the terms of its balance other than its streams}.
     """
 
     streams: dict[str, Stream]
@@ -49,6 +50,7 @@ class ProcessRun(NamedTuple):
     status: str
     errors: dict[str, float]
     loops: dict[str, tuple[float, int]]
+    ledgers: dict[str, Ledger]
 
 
 class Batch(NamedTuple):
@@ -144,7 +146,7 @@ class PharmaProcess:
         make = lambda local: partial(self._everything, nominal_steps=local)  # noqa: E731
         values = self.nominal_inputs(inputs)
         either = self.either("run", make, values, of=lambda result: result[2])
-        streams, measures, attributes, trajectories, times, loops = either
+        streams, measures, attributes, trajectories, times, loops, ledgers = either
         measured = {name: float(measure) for name, measure in measures.items()}
         held = {name: time[3] for name, time in times.items() if time[3] is not None}
         return ProcessRun(
@@ -159,6 +161,7 @@ class PharmaProcess:
             or "ok",
             {name: float(error) for name, error in held.items()},
             {name: (float(loop.change), int(loop.rounds)) for name, loop in loops.items()},
+            ledgers,
         )
 
     def _unsound(self, trajectories: dict[str, dict[str, np.ndarray]], inputs) -> str:
@@ -195,8 +198,10 @@ class PharmaProcess:
             if track is not None and states is not None:
                 rows = jax.vmap(lambda y, c, states=states: states(y, *c))
                 trajectories[name] = {"time": track.time} | rows(track.state, track.controls)
+        ledgers = {name: outcome.finish.ledger for name, outcome in result.outcomes.items()}
         attributes = self.of_measures(result.measures)
-        return result.streams, result.measures, attributes, trajectories, times, result.loops
+        produced = result.streams, result.measures, attributes
+        return *produced, trajectories, times, result.loops, ledgers
 
     def shifted(self, changes, entries: Sequence[Entry], inputs) -> dict:
         """`inputs` with `entries` REPLACED by `changes` [E]; plain JAX, to be traced."""

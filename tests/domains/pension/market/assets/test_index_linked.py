@@ -34,6 +34,7 @@ from snapo.domains.pension.results.figures.human import human
 from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
 from snapo.problem.problem import prepare
+from snapo.problem.record.either import with_numpy
 from snapo.problem.smooth import Exact
 
 MONTHS = 120
@@ -73,7 +74,9 @@ def test_it_earns_what_its_price_does(measure):
     one = with_linked(measure)
     given_, d = plain(pension_inputs(one)), one.step
     after = moved(one, 0, draws(one, 16))
-    with jax.enable_x64(True):
+
+    @with_numpy
+    def earned():
         both, bond = factors(one, given_), real(one, given_)
         made = moments(one, both, bond, covariance(one, given_))
         at = slope(both, bond, np.array([(MONTHS - 1) * d]))
@@ -81,8 +84,9 @@ def test_it_earns_what_its_price_does(measure):
         prices = log_bond(one.curve, given_, times)
         prices = prices - log_bond(one.inflation.break_even, given_, times)
         later = prices[2] - prices[1] + shape(at, made)[1] - after.market.factors @ at[0]
-        want = np.asarray(after.market.log_price + later - prices[2])
-    assert np.log(after.gross[:, 4]) == pytest.approx(want, abs=1e-14)
+        return after.market.log_price + later - prices[2]
+
+    assert np.log(after.gross[:, 4]) == pytest.approx(earned(), abs=1e-14)
 
 
 def single(linked: bool, **changes):

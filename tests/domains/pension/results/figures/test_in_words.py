@@ -1,6 +1,5 @@
 """What `check` says of a plan in words, and the loading for expenses."""
 
-import jax
 import numpy as np
 import pytest
 from tests.domains.pension.every_key import CASES, MARKET, written
@@ -14,6 +13,7 @@ from snapo.domains.pension.records.plan import Liability
 from snapo.domains.pension.results.figures.in_words import in_words
 from snapo.domains.pension.results.figures.reconcile import check, figures
 from snapo.problem.inputs import plain
+from snapo.problem.record.either import with_numpy
 
 
 def said(folder, **changes):
@@ -56,8 +56,10 @@ def test_a_loading_reserves_a_share_of_every_payment_and_pays_none_of_it():
     bare = people_case(6, liability=Liability("risk-free", rate, "none"))
     full = people_case(6, liability=Liability("risk-free", rate, "none", loading=loading))
     inputs = plain(pension_inputs(full))
-    with jax.enable_x64(True):
-        one, other = (people(each, inputs, basis_log_bond(each, inputs)) for each in (bare, full))
+    one, other = (
+        with_numpy(people)(each, inputs, with_numpy(basis_log_bond)(each, inputs))
+        for each in (bare, full)
+    )
     for key in ("accrued", "fresh", "accrual"):
         np.testing.assert_allclose(
             getattr(other, key), 1.03 * np.asarray(getattr(one, key)), rtol=1e-13
