@@ -22,16 +22,16 @@ FORMATTERS = {"number", "percent", "quantity", "power", "large", "money", "point
 
 def faults(text: str) -> list[str]:
     """What a source writes of errors by itself: ± before a number, or a standard error."""
-    tree = ast.parse(text)
+    nodes = list(ast.walk(ast.parse(text)))
     documented = {
         id(node.body[0].value)
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
         and node.body
         and isinstance(node.body[0], ast.Expr)
     }
     found = []
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.JoinedStr):
             for part, following in zip(node.values, node.values[1:]):
                 ends = isinstance(part, ast.Constant) and str(part.value).rstrip().endswith("±")

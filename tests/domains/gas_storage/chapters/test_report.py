@@ -110,7 +110,7 @@ def test_the_headline_says_value_error_and_what_to_do(full):
     assert "EUR 37,250" in text  # extrinsic: 78,241.6 - 40,992.1
 
 
-def test_a_failed_check_is_told_in_the_headline(tmp_path):
+def test_a_failed_check_is_told_in_the_headline(tmp_path, sketched):
     certificate = json.loads(json.dumps(sample_details()["certificate"]))
     certificate["bump_check"][2]["passed"] = False
     text = text_of(page(tmp_path, certificate=certificate))
