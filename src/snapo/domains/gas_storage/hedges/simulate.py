@@ -133,7 +133,7 @@ class DailyHedges:
             next_curve = part.curves(t + 1)
             moving = part.paid(t + 1, part.moving(ahead))
             now = self.positions(exposures, t, part, step, moving)
-            change = CurveChange(part.discount, next_curve - ahead, t)
+            change = OvernightChange(part.discount, next_curve - ahead, t)
             for account, old, new in zip(accounts, before, now, strict=True):
                 account.trade(old, new, t)
                 account.hold(new, change)
@@ -164,7 +164,7 @@ def _minimum_variance(
     return (np.linalg.solve(square, unit @ target[:, :, None])[:, :, 0] / sizes).T
 
 
-class CurveChange:
+class OvernightChange:
     """The `change` [T - t, N] of the prices of the dates after step t, discounted.
 
     Its sum over the days of a product is computed once for all hedges that hold the product.
@@ -191,7 +191,7 @@ class HedgeAccount:
         self.cost: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
         self.traded: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
 
-    def hold(self, positions: Sequence[HeldVolume], change: CurveChange) -> None:
+    def hold(self, positions: Sequence[HeldVolume], change: OvernightChange) -> None:
         """Holds positions over a change of the prices."""
         for row, volume in positions:
             self.gain[row.family] -= volume * change.over(_days(row))
