@@ -38,9 +38,9 @@ MINIATURES = {
         Miniature(
             "swing",
             assignments=(
-                "contract.end=2026-10-21",
-                "contract.annual.min=5",
-                "contract.annual.max=9",
+                "contract.end=2026-10-11",
+                "contract.annual.min=3",
+                "contract.annual.max=5",
                 "training.steps=4",
                 "evaluation.paths=256",
                 *LITTLE,

@@ -211,7 +211,7 @@ def toml(value: Any, top: bool = True) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return '"' + "".join(map(_character, value)) + '"'
+        return '"' + SPECIAL.sub(_escaped, value) + '"'
     return value.isoformat() if isinstance(value, datetime.date) else repr(value)
 
 
@@ -219,5 +219,8 @@ def _key(key: str) -> str:
     return key if re.fullmatch(r"[\w-]+", key, re.ASCII) else toml(key)
 
 
-def _character(each: str) -> str:
-    return "\\" + each if each in '"\\' else each if each >= " " else f"\\u{ord(each):04x}"
+SPECIAL = re.compile(r'["\\\x00-\x1f]')
+
+
+def _escaped(character: re.Match[str]) -> str:
+    return "\\" + character[0] if character[0] in '"\\' else f"\\u{ord(character[0]):04x}"

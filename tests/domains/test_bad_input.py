@@ -11,7 +11,7 @@ import pytest
 from tests.domains.described import Wrong, wrong_keys
 from tests.miniatures import MINIATURES
 
-from snapo.cli.main import main
+from snapo.cli.main import _parser, main
 from snapo.study import run_folder
 from snapo.testing.miniature import Miniature
 from snapo.testing.mistakes import spoilt_files
@@ -54,7 +54,9 @@ def complaints(tmp_path, capsys, monkeypatch) -> Callable[[str, int], tuple[int,
     def accepted(out: Path):
         raise Accepted
 
+    parser = _parser()  # the same for all mistakes: to make it takes longer than to read a case
     monkeypatch.setattr(run_folder, "check_writable", accepted)
+    monkeypatch.setattr("snapo.cli.main._parser", lambda: parser)
 
     def judged(case: str, every: int) -> tuple[int, list[str]]:
         miniature = CASES[case]._replace(assignments=())

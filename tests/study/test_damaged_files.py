@@ -144,7 +144,7 @@ TRAINED = ("solution.npz", "groups.npz", "policy.npz", "sensitivities.csv")
 
 
 @pytest.mark.prove
-def test_damaged_files_of_a_training(solved, tmp_path, capsys):
+def test_damaged_files_of_a_training(solved, sketched, tmp_path, capsys):
     """Of a solved miniature: refused where a file is needed, made again by `--resume`."""
     whole = solved("own") / "run"
     run = Path(shutil.copytree(whole, tmp_path / "run"))

@@ -137,13 +137,14 @@ class StateFunctions:
         share = np.clip((level - middle) / half, -1, 1) if half > 0 else 0 * level
         selected = np.clip(first[t] @ states, -REACH, REACH)
         degree = int(self._powers.max())
-        tables = [legvander(share, degree), *(hermevander(row, degree) for row in selected)]
         sizes = [np.sqrt(2 * np.arange(degree + 1) + 1)] + len(selected) * [_hermite_sizes(degree)]
+        tables = [legvander(share, degree), *(hermevander(row, degree) for row in selected)]
+        tables = [size[:, None] * table.T for size, table in zip(sizes, tables, strict=True)]
         columns = np.ones((len(self._powers), level.size))
         for k, powers in enumerate(self._powers):
-            for table, size, power in zip(tables, sizes, powers):
+            for table, power in zip(tables, powers):
                 if power:
-                    columns[k] *= size[power] * table[:, power]
+                    columns[k] *= table[power]
         if not np.any(variance):
             return columns
         deviation = np.sqrt(2 * variance[t]) or 1.0

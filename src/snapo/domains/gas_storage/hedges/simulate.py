@@ -21,7 +21,7 @@ import numpy as np
 from snapo.lanes.machine.threads import cores
 
 from . import MIN_VARIANCE, DailyHedge
-from .exposures import FittedExposures, StorePaths, sensitivities
+from .exposures import Days, FittedExposures, StorePaths, sensitivities
 from .held import HeldProduct, HeldProducts, Overnight
 
 SEPARATE = 1e-9  # of the squared risk of a product, added: products that move together share
@@ -133,9 +133,10 @@ class DailyHedges:
             next_curve = part.curves(t + 1)
             moving = part.paid(t + 1, part.moving(ahead))
             now = self.positions(exposures, t, part, step, moving)
+            change = OvernightChange(part.discount, next_curve - ahead, t)
             for account, old, new in zip(accounts, before, now, strict=True):
                 account.trade(old, new, t)
-                account.hold(new, next_curve - ahead, t)
+                account.hold(new, change)
             before, ahead = now, next_curve[1:]
         return [account.gains for account in accounts]
 
@@ -163,6 +164,24 @@ def _minimum_variance(
     return (np.linalg.solve(square, unit @ target[:, :, None])[:, :, 0] / sizes).T
 
 
+class OvernightChange:
+    """The `change` [T - t, N] of the prices of the dates after step t, discounted.
+
+    Its sum over the days of a product is computed once for all hedges that hold the product.
+    """
+
+    def __init__(self, discount: np.ndarray, change: np.ndarray, t: int):
+        self._next, self._money = t + 1, discount[t + 1 :, None] * change
+        self._sums: dict[Days, np.ndarray] = {}
+
+    def over(self, days: Days) -> np.ndarray:
+        """[N] the sum over these days; the days that are delivered already do not count."""
+        if days not in self._sums:
+            first, after = (max(day - self._next, 0) for day in days)
+            self._sums[days] = self._money[first:after].sum(axis=0)
+        return self._sums[days]
+
+
 class HedgeAccount:
     """Sums of a hedge by family, on `count` paths; `discount` [T + 1] of payments by date."""
 
@@ -172,15 +191,10 @@ class HedgeAccount:
         self.cost: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
         self.traded: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
 
-    def hold(self, positions: Sequence[HeldVolume], change: np.ndarray, t: int) -> None:
-        """Holds positions over a `change` [T - t, N] of the prices of the dates after step t.
-
-        Days that are delivered already do not count.
-        """
-        money = self.discount[t + 1 :, None] * change
+    def hold(self, positions: Sequence[HeldVolume], change: OvernightChange) -> None:
+        """Holds positions over a change of the prices."""
         for row, volume in positions:
-            days = slice(*(max(x - t - 1, 0) for x in (row.block.first, row.block.after)))
-            self.gain[row.family] -= volume * money[days].sum(axis=0)
+            self.gain[row.family] -= volume * change.over(_days(row))
 
     def trade(self, before: Sequence[HeldVolume], now: Sequence[HeldVolume], t: int) -> None:
         """Trades the differences on days after step t, at the spread of the product held now."""
@@ -214,11 +228,11 @@ def _in_lots(volume: np.ndarray, lot: float) -> np.ndarray:
     return np.round(volume / lot) * lot if lot > 0 else volume
 
 
-def _days(row: HeldProduct) -> tuple[int, int]:
+def _days(row: HeldProduct) -> Days:
     return row.block.first, row.block.after
 
 
-def different(rows: Sequence[HeldProducts]) -> list[tuple[int, int]]:
+def different(rows: Sequence[HeldProducts]) -> list[Days]:
     """The days of all products, each once."""
     return list(dict.fromkeys(_days(row) for held_rows in rows for row in held_rows))
 

@@ -16,7 +16,7 @@ from ..contract.records import StorageCase
 from ..hedges import DailyHedge
 from ..hedges.exposures import FittedExposures, StorePaths
 from ..hedges.held import HeldProducts, Overnight
-from ..hedges.simulate import DailyHedges, HedgeAccount, HeldVolume, different
+from ..hedges.simulate import DailyHedges, HedgeAccount, HeldVolume, OvernightChange, different
 from ..ladder.products import TradedProducts
 
 Curves = Callable[[int], np.ndarray]  # of a step: forward prices of it and of later ones
@@ -135,7 +135,7 @@ class HedgeBook:
             return 0.0
         change = self.curves(t) - self._ahead(t - 1)
         account = HedgeAccount(self.discount, 1)
-        account.hold(held, change[:, None], t - 1)
+        account.hold(held, OvernightChange(self.discount, change[:, None], t - 1))
         return sum(float(x[0]) for x in account.gain.values())
 
     def _ahead(self, t: int) -> np.ndarray:
