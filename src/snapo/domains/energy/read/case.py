@@ -193,8 +193,7 @@ class EnergyCase:
 
     - `kind`: the kind of the contract; `file`, `title`, `volume_unit`, `currency`: for reports.
     - `days` [T]: dates of the steps; `day` [T]: the same in days since the valuation date; `time`
-      [T]: the same in years; `first_step`: the number of steps from the valuation date to the
-      first step.
+      [T]: the same in years; `first_step`: steps from the valuation date to the first step.
     - `products`: the traded products; None if the case names none.
     - `scheduled`: the model of prices at auctions, if the contract trades differences from its
       schedules intraday; else None, and `model` is the model of prices for all decisions.
@@ -276,9 +275,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
     if others is None:
         if kind.steps > 1 and top.model.get("kind") not in BY_STEP:
             allowed = ", ".join(f'"{item}"' for item in BY_STEP)
-            raise section.error(
-                "kind", top.model.get("kind"), f"for stores the kind must be {allowed}"
-            )
+            raise section.error("kind", top.model.get("kind"), f"for stores it must be {allowed}")
         if kind.hourly and top.model.get("kind") not in BY_HOUR:
             allowed = ", ".join(f'"{item}"' for item in BY_HOUR)
             raise section.error(

@@ -80,10 +80,9 @@ class NetworkSimulator(Simulator):
 
     Outputs: "result", minus all costs; "holding", "shortage"; averages over the periods that
     count: "demand", "sold" (met at once), "stock" and "short" (1 if any place has a shortage); and
-    for each place "stock_NAME", "sold_NAME", "demand_NAME", and "level_NAME", the level up to
-    which it orders. With
-    pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME". If an
-    order has a cost, also the cost "ordering", and on average "orders", "orders_NAME" and
+    for each place "stock_NAME", "sold_NAME", "demand_NAME", and its order-up-to level "level_NAME".
+    With pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME".
+    If an order has a cost, also the cost "ordering", and on average "orders", "orders_NAME" and
     "ordered_NAME", the amount ordered; "level_NAME" is then 0 in a period without an order.
     """
 
@@ -228,9 +227,8 @@ class NetworkSimulator(Simulator):
         return state
 
     def observe(self, constants, now, state):
-        """[gap of each echelon to its level, unit of each place, stock …, coming …, season …]. All
-        except the units are divided by the unit, the standard deviation of the demand that a place
-        serves."""
+        """[gap of each echelon to its level, unit of each place, stock …, coming …, season …], all
+        but the units divided by the unit, the standard deviation of the demand of a place."""
         network, here = self.network, {**constants, **now}
         unit, stock, ahead = here["unit"], state["stock"], here["ahead"]
         coming = state.get("coming", jnp.zeros((len(network.sites), 0)))
