@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.book.books import HERE, write_book
 
-from snapo.book import shared_policy
+from snapo.book import plan as plans
 from snapo.book.collect import position, reader
 from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
@@ -57,7 +57,7 @@ def test_the_others_take_the_numbers_of_the_first(valued, tmp_path):
     (shared,) = result["shared_policies"]
     assert (shared["leader"], shared["contracts"], shared["is_shared"]) == ("c1", 6, True)
     assert [x["case"] for x in shared["losses"]] == ["c2", "c3", "c4"]
-    assert all(abs(x["share"]) <= shared_policy.MAX_LOSS for x in shared["losses"])
+    assert all(abs(x["share"]) <= plans.MAX_LOSS for x in shared["losses"])
     # All that the others have: derivatives, exposure, stresses.
     for name in ("c5", "c6"):
         assert {x.input for x in one[name].base.deltas} == {x.input for x in one["c1"].base.deltas}
@@ -73,13 +73,13 @@ def test_the_loss_is_that_of_trained_policies_on_common_paths(valued):
     for name in ("c1", "c2", "c3", "c4"):
         np.testing.assert_array_equal(apart[name].base.shares, shared[name].base.shares)
     loss = statistics.of_shares(apart["c6"].base.shares - shared["c6"].base.shares)
-    assert abs(loss.value) <= shared_policy.MAX_LOSS * apart["c6"].base.value
+    assert abs(loss.value) <= plans.MAX_LOSS * apart["c6"].base.value
     assert shared["c6"].base.value != apart["c6"].base.value
 
 
 @pytest.mark.prove
 def test_a_loss_that_is_too_large_trains_all(tmp_path, valued, monkeypatch):
-    monkeypatch.setattr(shared_policy, "MAX_LOSS", -1.0)
+    monkeypatch.setattr(plans, "MAX_LOSS", -1.0)
     file = write_book(tmp_path, ROWS, more=TASKS.format(judge=0, policy="shape"))
     result = run_book(read_book(file), lambda _: None, HERE, out=tmp_path / "run")
     assert [x["is_shared"] for x in result["shared_policies"]] == [False]

@@ -16,8 +16,7 @@ from .file import BASE, Book, BookContract
 from .folder import POINTS, POLICIES, TABLES, BookFolder
 from .job import BookJob, BookPoint, Cost, JobResult, OutputFigures, name_of
 from .parquet import TableRows, TableWriter
-from .plan import BookPlan
-from .shared_policy import ResultReader, SharedPolicy
+from .plan import BookPlan, ResultReader, SharedPolicy
 from .sums import BookTotal, DeltaTotal, ExposureTotal, Sum, risks
 
 FEW = 500  # contracts, beyond which `TOGETHER` of them share a file
