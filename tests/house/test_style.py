@@ -1,8 +1,12 @@
 """The style check finds what it is for, and leaves code, equations and addresses alone."""
 
+import ast
+import re
+
 import pytest
 
 from .style import MOST_WORDS, all_findings, findings, help_texts
+from .tree import texts, trees
 
 GOOD = """---
 orphan: true
@@ -55,3 +59,27 @@ def test_a_long_sentence_is_found_where_it_begins():
 def test_pages_and_help_texts_are_plain():
     assert {"snapo", "snapo solve", "snapo open"} <= {name for name, _ in help_texts()}
     assert all_findings() == []
+
+
+def unformatted(tree):
+    """Sentences with the name of a variable in braces, which no `f` before them replaces."""
+    parts = {
+        id(x) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for x in node.values
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
+            written = re.search(r"(?<!\$)\{[A-Za-z_][^{}\n]*\}", node.value)
+            if written and len(node.value.split()) > 3 and node.value not in _docstrings(tree):
+                yield node.value
+
+
+def _docstrings(tree):
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    return {ast.get_docstring(x, clean=False) for x in ast.walk(tree) if isinstance(x, kinds)}
+
+
+def test_every_sentence_with_a_variable_is_formatted():
+    plain = ast.parse('x = "more than four words of {noun} here"; f"not these words of {noun} here"')
+    assert len(list(unformatted(plain))) == 1
+    for name, tree in trees().items():
+        assert ".format(" in texts()[name] or not list(unformatted(tree)), name

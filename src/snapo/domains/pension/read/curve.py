@@ -35,7 +35,7 @@ NODE = RATE.of("curve", range=Range(-0.999, 1.0))
 ZERO = NODE.in_column(
     "zero",
     "KR01: a move of the zero rate at one node, linear between nodes; the sum of all nodes is a "
-    "parallel shift. {HELD}",
+    f"parallel shift. {HELD}",
 )
 SWAP = NODE.in_column(
     "swap", f"KR01: a move of the par swap rate of one tenor, with the others fixed. {HELD}"

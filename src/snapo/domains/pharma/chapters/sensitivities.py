@@ -224,8 +224,8 @@ def _criticality(case: Statement, result: CriticalityTable) -> Table:
     ]
     caption = (
         "Which parameter moves which attribute: half the change as the parameter goes over its "
-        "normal range, as a share of the margin to the nearest limit; in brackets its 5 % and 95 "
-        "% quantiles over {number(result.draws, 0)} draws of the variation"
+        "normal range, as a share of the margin to the nearest limit; in brackets its 5 % and "
+        f"95 % quantiles over {number(result.draws, 0)} draws of the variation"
     )
     return Table([("Parameter", ""), *((name, "") for name in case.attribute_names)], rows, caption)
 
