@@ -79,7 +79,9 @@ def _docstrings(tree):
 
 
 def test_every_sentence_with_a_variable_is_formatted():
-    plain = ast.parse('x = "more than four words of {noun} here"; f"not these words of {noun} here"')
+    plain = ast.parse(
+        'x = "more than four words of {noun} here"; f"not these words of {noun} here"'
+    )
     assert len(list(unformatted(plain))) == 1
     for name, tree in trees().items():
         assert ".format(" in texts()[name] or not list(unformatted(tree)), name

@@ -30,7 +30,7 @@ ENDING = ".kernel"
 
 
 class StoredKernel:
-    """A kernel's file, by the arguments of its trace.
+    """The file of a kernel, whose name is computed from the arguments of the kernel's trace.
 
     **Arguments:**
 

@@ -204,10 +204,9 @@ class Growth(NamedTuple):
 
     @property
     def large(self) -> bool:
-        """Whether the growth must be reported: whether it is at least a hundredfold, from which on
-        training considers windows or a bound. Adjoints that only add one payment per step grow by
-        a factor equal to
-        the number of steps."""
+        """Whether the growth is at least a hundredfold, so that it must be reported and training
+        considers windows or a bound. Adjoints that only add one payment per step grow by a factor
+        equal to the number of steps."""
         return self.times > TAME
 
     def describe(self) -> str:

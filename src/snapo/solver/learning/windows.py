@@ -178,7 +178,7 @@ class Windowed(Around):
     """A simulator whose `terminal` is the critic's value of the state at a window's end."""
 
     def prepare(self, inputs):
-        raise NotImplementedError("its schedule is made of the simulator's own, by `_ending`")
+        raise NotImplementedError("`_ending` makes its schedule from that of the simulator")
 
     def initial(self, constants, noise):
         return self.inner.initial(constants["own"], noise)

@@ -65,7 +65,7 @@ def test_a_refused_run_says_unit_and_time(quick, monkeypatch):
     monkeypatch.setattr(integrate, "limit_of", lambda tolerance: tolerance / 1000)
     found = PharmaProcess(fast()).run()
     assert found.status.startswith("reactor: did not converge at ")
-    assert "error estimate of a step" in found.status and np.isnan(found.attributes["A left"])
+    assert "estimated error of one step" in found.status and np.isnan(found.attributes["A left"])
     explicit = PharmaProcess(fast(method="mesh")).run()
     assert explicit.status.startswith("reactor: the time steps are too long from 0 s on")
 

@@ -44,10 +44,10 @@ def test_a_yield_by_weight():
         (
             "filter.impurity.D",
             "% v/v",
-            "% v/v is by volume per volume, but this number is by mass per mass",
+            "% v/v means volume per volume, but this number is mass per mass",
         ),
         ("filter.impurity.D", "% a/a", "response factor"),
-        ("dryer.solvent", "% n/n", "write it as in % w/w"),
+        ("dryer.solvent", "% n/n", "write it in % w/w"),
         (
             "crystalliser.supersaturation",
             "% w/w",
@@ -63,7 +63,7 @@ def test_what_has_no_meaning_here_is_refused_with_the_remedy(measure, unit, word
 
 def test_a_limit_is_read_on_the_basis_of_its_attribute():
     with pytest.raises(
-        CaseError, match="% w/w is by mass per mass, but this number is by moles per mole"
+        CaseError, match="% w/w means mass per mass, but this number is moles per mole"
     ):
         with_attribute("filter.impurity.D", "% n/n", "0.12 % w/w")
 
@@ -79,7 +79,7 @@ def test_a_porosity_is_by_volume(text, good):
     if good:
         assert template(units=units).units[2].porosity.values[0] == pytest.approx(0.4)
         return
-    with pytest.raises(CaseError, match="but this number is by volume per volume"):
+    with pytest.raises(CaseError, match="but this number is volume per volume"):
         template(units=units)
 
 

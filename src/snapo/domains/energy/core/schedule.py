@@ -15,8 +15,8 @@ class Step(NamedTuple):
     - `price`: the row of the price process; `ahead`: the shape of the curve.
     - `unit_values`, `surprise`: tables of the fitted value, if there is one.
     - `auction`, `begins`, `scheduled_values`: only if flows are scheduled at auctions and the
-      differences are traded. They are the row of the prices of the auction, whether the auction is
-      at this step, and the table of the fitted value of schedules that are always kept.
+      differences are traded: the row of the auction's price process, whether an auction is at this
+      step, and the fitted value if flows never differ from the schedule.
     """
 
     time: Array

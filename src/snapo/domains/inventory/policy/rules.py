@@ -99,8 +99,8 @@ class Classical(Policy):
     Level and reorder point are relative to the simulator's level of the period, so that
     they move with a season.
 
-    - `above`: by how much the level S is higher; `cap`: the maximum order; `reorder`: an order is
-      placed if the inventory position is below s = level + reorder.
+    - `above`: the level S minus the simulator's level; `cap`: the maximum order; `reorder`: an
+      order is placed if the inventory position is below s = level + reorder.
 
     With an infinite cap and reorder point it is a base-stock rule; with a cap a capped base-stock
     rule (Xin, 2021); with an infinite level and a cap a constant order; with a reorder point an

@@ -39,10 +39,10 @@ TAIL = 50  # paths that the tail of a training batch must hold: a smaller one is
 CHECKS = 4  # validations in each training: a policy on the way may be better than the last one
 CAPTION = (
     "Each point is the policy that is best on the validation paths for its weighting of the two "
-    "objectives, among all policies trained in both directions. All are valued on the same fresh "
-    "paths; bars are 95 % intervals. Points further up and to the left are better. CVaR: mean of "
-    "min(F − 1, 0) over the worst paths at"
-    " the horizon. Efficient: no other point has both lower contributions and a smaller shortfall."
+    "objectives, among the policies trained with rising and with falling weights. All are valued "
+    "on the same fresh paths; bars are 95 % intervals. Points further up and to the left are "
+    "better. CVaR: mean of min(F − 1, 0) over the worst paths at the horizon. Efficient: no other "
+    "point has both lower contributions and a smaller shortfall."
 )
 
 

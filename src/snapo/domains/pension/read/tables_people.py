@@ -288,9 +288,9 @@ class RevaluationTable(CaseTable):
         range=YEARLY_RATE._replace(noun="a rate for deferred members' rights"),
     )
     active: CaseInput = PLAN_RATE(
-        "yearly increase of rights in service",
+        "yearly increase of active members' rights",
         0.0,
-        range=YEARLY_RATE._replace(noun="a rate for rights in service"),
+        range=YEARLY_RATE._replace(noun="a rate for active members' rights"),
     )
 
 

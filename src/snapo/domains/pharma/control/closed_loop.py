@@ -148,10 +148,11 @@ def in_words(goal: Goal) -> str:
     """The objective as text, in the unit of the goal's attribute if it has one."""
     if goal.kind == "probability":
         return "probability of all limits"
-    which = f"mean of the worst {1 - goal.level:.3g}" if goal.kind == "cvar" else "mean"
+    worst = f" over the worst {100 * (1 - goal.level):.3g} % of batches"
+    over = worst if goal.kind == "cvar" else ""
     sign = "minus the " if goal.kind == "mean" and goal.sense < 0 else ""
-    lost = f"minus {goal.penalty:g} of its margins for every margin beyond a limit"
-    return f"{sign}{which} of {goal.attribute}, {lost}"
+    lost = f"minus {goal.penalty:g} times the margin for every margin by which a limit is exceeded"
+    return f"{sign}mean of {goal.attribute}{over}, {lost}"
 
 
 def best_recipe(

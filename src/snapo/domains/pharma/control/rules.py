@@ -24,7 +24,7 @@ from .policy import EDGE
 
 
 class LoopConnection(NamedTuple):
-    """The connection of one PI controller. An outer one comes before its inner one.
+    """The connection of one PI controller. An outer loop comes before its inner loop.
 
     - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: indices of the
       features with its reading and with the applied value of `position`, the number in the action.

@@ -336,7 +336,7 @@ def _status(times: dict[str, Any]) -> str:
                 'take [numerics] method = "adaptive", or more steps'
             )
         if not reached >= duration:
-            estimate = "" if error is None else f" (error estimate of a step {error:.2g})"
+            estimate = "" if error is None else f" (estimated error of one step: {error:.2g})"
             return f"{name}: did not converge at {reached:.6g} s{estimate}"
     return ""
 

@@ -40,10 +40,10 @@ PairEnds = tuple[float, float]  # of a range, in the domain's unit
 
 @dataclass(frozen=True)
 class Together:
-    """Two ranges together. `share`: the share of both, up to which no corner fails (1 if none
-    does); `corner`: (-1 or 1, -1 or 1) the one that fails first, and `fails` the attribute's number
-    there, -1 if none fails; `certain`: the share up to which this holds even at the lower end of
-    the 95 % interval of the probability, `possible` up to which it may at the upper one."""
+    """Two ranges together. `share`: the largest share of both ranges at which no corner fails (1 if
+    none fails). `corner` (-1 or 1, -1 or 1): the corner that fails first; `fails`: the number of
+    the attribute that fails there, -1 if none fails. `certain`, `possible`: the share if the lower,
+    or the upper, end of the 95 % interval of the probability must be above the required one."""
 
     share: Number
     corner: tuple[int, int]

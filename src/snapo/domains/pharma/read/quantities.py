@@ -165,8 +165,8 @@ def check_basis(unit: str, local: str) -> None:
         raise UnitError(f"this number is not a share with a basis: write it without {metadata}")
     more = ", which needs response factors" if metadata == "a/a" else ""
     raise UnitError(
-        f"{unit} is by {BASES[metadata]}{more}, but this number is by {BASES[local]}; write it "
-        f"as in % {local}"
+        f"{unit} means {BASES[metadata]}{more}, but this number is {BASES[local]}; write it in "
+        f"% {local}"
     )
 
 

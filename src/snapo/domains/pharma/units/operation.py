@@ -46,10 +46,10 @@ class Inlet(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The results of a unit: the time `reached` of `duration` s (equal if all went well; both 0
-    for a unit without time), its `track`, and the function from rows of the track to states;
-    `error` as in `Solved`; `rough`: the time in s from which the steps of a mesh were too long,
-    None if that was not examined."""
+    """The results of a unit. `duration`: its time in s, and `reached`: the time to which it was
+    integrated, equal if all went well; both are 0 for a unit without time. Its `track`, and the
+    function from rows of the track to states; `error` as in `Solved`; `rough`: the time in s from
+    which the steps of a mesh were too long, None if that was not examined."""
 
     finish: LedgerFinish
     duration: Float[Array, ""]
