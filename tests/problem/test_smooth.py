@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.lanes.compiled import run
 
+from snapo.lanes.machine.pipeline import host
 from snapo.problem.smooth import Exact, Smooth
 
 EXACT = Exact()
@@ -175,10 +177,23 @@ SCALARS = {
 def test_value_and_two_derivatives_are_finite(name, smooth):
     """At the kink, at equal arguments, beside them, far away, and at numbers near overflow."""
     x = jnp.asarray([0.0, -0.0, 1.0, -1.0, 1.0 + 1e-12, 0.1, 5.0, -5.0, 1e-300, 1e150, -1e150])
-    # Compiled as a whole, a softmax of scores near overflow is NaN.
-    evaluated = derivatives.__wrapped__ if name == "choose" else derivatives
-    found = evaluated(SCALARS[name], smooth, x)
+    found = derivatives(SCALARS[name], smooth, x)
     assert np.all(np.isfinite(found)), found
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("temperature", [0.1, 0.003])
+def test_weights_of_large_scores_are_finite(temperature, dtype):
+    """Scores of EUR 12 million in float32 were NaN: compilers round quotient and difference once."""
+    with jax.enable_x64(dtype is np.float64):
+        weights = Smooth(temperature).weights
+        whole, of_product = jax.jit(weights), jax.jit(lambda a, b: weights(a * b))
+        for size in (1e3, 1.234567e6, 1.2345678e7, 1.234567e9, 1.2345e12):
+            scores = np.array([size, 0.0, 1.0], dtype)
+            root = np.sqrt(np.array([size, 0.01, 0.01], dtype))
+            (native,) = run(weights, np.tile(scores, (host().lanes(np.dtype(dtype).name), 1)))
+            for found in (whole(scores), of_product(root, root), native[0]):
+                np.testing.assert_allclose(found, [1.0, 0.0, 0.0], atol=1e-6)
 
 
 UNBOUND = (

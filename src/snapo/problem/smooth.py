@@ -168,7 +168,10 @@ class Smooth(Constraints):
         return xp.where(hot, xp.where(wide, quotient, gauss), Exact().share(first, last))
 
     def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
-        scaled, hot = self._scaled(scores, scale)
+        # Gaps first: where a compiler rounds quotient and difference together, the largest quotient
+        # minus itself is its round-off, of which large scores have more than exp can take.
+        gaps = scores - jax.lax.stop_gradient(xp.max(scores))
+        scaled, hot = self._scaled(gaps, scale)
         return xp.where(hot, jax.nn.softmax(scaled), Exact().weights(scores))
 
     def round(self, x: ArrayLike) -> Array:
