@@ -189,14 +189,14 @@ def test_indices_that_leave_their_array_on_a_path():
     """A read is an error and a write a warning, with method, line, index and remedy."""
     four = "the array has 4 entries"
     expected = {
-        "state": f"an index is 4 and {four}",
-        "now": f"an index is 4 and {four}",
-        "noise": f"and {four}",
-        "negative": f"an index is -5 and {four}",
-        "gather": f"an index is 4 and {four}",
-        "slice": "2 entries are taken from index 3 on and the array has 4",
-        "write": f"an index is 4 and {four}",
-        "prepare": "With these inputs an index is 3 and the array has 2 entries",
+        "state": f"an index is 4, but {four}",
+        "now": f"an index is 4, but {four}",
+        "noise": f"but {four}",
+        "negative": f"an index is -5, but {four}",
+        "gather": f"an index is 4, but {four}",
+        "slice": "2 entries are taken from index 3 on, but the array has 4",
+        "write": f"an index is 4, but {four}",
+        "prepare": "With these inputs an index is 3, but the array has 2 entries",
     }
     findings = check(Moving(how=tuple(expected)), inputs(), paths=8)
     wrong = [item for item in findings if "index" in item.subject]

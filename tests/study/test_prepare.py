@@ -16,7 +16,7 @@ def used():
         return int(file.read().split()[1]) * resource.getpagesize()
 def call():
     before = faults()
-    np.ones((5, 2**21)).sum()  # 80 MB
+    arrays = [np.ones(2**20) for _ in range(10)]  # 8 MB each: larger ones are mapped apart
     return faults() - before
 plain = [call() for _ in range(3)][-1]
 keep_memory()

@@ -155,7 +155,7 @@ def test_short_runs_stay_here(monkeypatch):
     for _ in range(3):
         same(gradient(engine), gradient(Native()))
     assert engine.distributed.runs == 0
-    assert "workers help from 50 ms on" in engine.distributed.note
+    assert "workers save time from 50 ms on" in engine.distributed.note
 
 
 def test_long_runs_go_to_workers_after_one_of_them_was_timed(monkeypatch):

@@ -44,5 +44,5 @@ def test_one_missing_method_is_named(part):
 
 
 def test_a_kind_is_taken_once():
-    with pytest.raises(TypeError, match="'one-factor' is known already"):
+    with pytest.raises(TypeError, match="'one-factor' is registered already"):
         register(OneFactor)
