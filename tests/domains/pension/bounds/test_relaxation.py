@@ -84,7 +84,7 @@ def test_a_fund_whose_rules_respond_is_bounded_path_by_path():
     relaxation = FundRelaxation(setup.problem, setup.policy, 128)
     found = bound(setup.problem, setup.policy, relaxation=relaxation, paths=128)
     assert 0.9 < found.sure[0] < found.sure[1] < 1.5
-    with pytest.raises(ValueError, match="with foresight"):
+    with pytest.raises(ValueError, match="with perfect foresight"):
         bound(setup.problem, setup.policy, relaxation=relaxation, paths=128, penalty="none")
 
 
