@@ -220,6 +220,6 @@ def test_an_init_that_sets_what_is_no_field_says_what_is_missing():
 def test_warnings_are_notes_of_the_solution():
     solution = snapo.solve(ShortSlice(), INPUTS, **TINY)
     (note,) = [each for each in solution.notes if "slice" in each]
-    assert note.startswith("step, ") and "[0:5] is taken of 2 entries" in note
+    assert note.startswith("step, ") and "[0:5] is taken from an array of 2 entries" in note
     other = snapo.solve(ShortSlice(), INPUTS, **TINY, check=False)
     assert not [each for each in other.notes if "slice" in each]

@@ -471,7 +471,7 @@ def test_inflation_and_the_regulator_are_told_where_they_are_there(folder):
     assert "inflation hedge ratios" in ladder
     assert "Real rates" in ladder
     stand = html[html.index('id="reconciliation"') : html.index('id="ladder"')]
-    for text in ("112.8", "in deficit: a recovery plan is needed", "falling ones", "40.0"):
+    for text in ("112.8", "in deficit: a recovery plan is needed", "falling rates", "40.0"):
         assert text in stand
 
 
