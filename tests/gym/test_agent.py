@@ -200,7 +200,7 @@ def test_one_observation_after_another_is_remembered_too():
     agent.reset()
     assert agent.memory is None
     np.testing.assert_allclose([agent(row[None])[0] for row in rows], one, rtol=1e-6)
-    with pytest.raises(ValueError, match="the memory of 1 episodes, but got 3 observations"):
+    with pytest.raises(ValueError, match="a memory of 1 episodes, but got 3 observations"):
         agent(np.zeros((3, 1)))
 
 
