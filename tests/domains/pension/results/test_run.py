@@ -137,9 +137,9 @@ def test_the_frontier_has_its_points_with_errors(details):
 
 def test_the_curve_is_refitted_by_bonds_bought_at_the_horizon(details):
     tests = details["market_consistency"]
-    names = [each["name"] for each in tests if each["name"].startswith("Refit")]
+    names = [each["name"] for each in tests if each["name"].startswith("Fit of")]
     terms = "1 year", "10 years", "30 years"
-    assert names == [f"Refit of the curve: bond of {u} bought after 2 years" for u in terms]
+    assert names == [f"Fit of the curve: bond of {u} bought after 2 years" for u in terms]
     durations = details["reconciliation"]["key_rate_durations"]["years"]
     assert math.fsum(durations) == pytest.approx(details["reconciliation"]["duration"], rel=1e-9)
 
