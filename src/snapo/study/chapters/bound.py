@@ -122,8 +122,8 @@ def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
     ]
     low, high = result.sure
     if low is not None and high is not None:
-        ends = f"{number(low, decimals([low], 4))} and {number(high, decimals([high], 4))}"
-        blocks.append(Text(f"As certainty equivalents, the lower and the upper bound are {ends}."))
+        values = f"{number(low, decimals([low], 4))} and {number(high, decimals([high], 4))}"
+        blocks.append(Text(f"As certainty equivalents, the lower and the upper bound are {values}."))
     return blocks
 
 
