@@ -164,7 +164,9 @@ def test_solve_runs_several_starts_and_says_which_one_went_on():
     plan = Training(steps=20, paths=32, validation_paths=128, starts=3)
     kind = snapo.MLP(hidden=(8,))
     solution = snapo.solve(of, policy=kind, training=plan, evaluation=SMALL, engine="xla")
-    assert "Of 3 starts, of which the worse half was dropped every 2 steps" in " ".join(solution.notes)
+    assert "Of 3 starts, of which the worse half was dropped every 2 steps" in " ".join(
+        solution.notes
+    )
     assert len(solution.history) == 20
     made = kind.for_problem(of.interface, jax.random.key(0))
     given = snapo.solve(of, policy=made, training=plan, evaluation=SMALL, engine="xla")

@@ -123,7 +123,7 @@ def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
     low, high = result.sure
     if low is not None and high is not None:
         values = f"{number(low, decimals([low], 4))} and {number(high, decimals([high], 4))}"
-        blocks.append(Text(f"As certainty equivalents, the lower and the upper bound are {values}."))
+        blocks.append(Text(f"As certainty equivalents the two bounds are {values}."))
     return blocks
 
 
