@@ -318,5 +318,5 @@ class BookPlan:
             return
         for i in range(STRESSES, len(moves), STRESSES):
             stresses = tuple(moves[i : i + STRESSES])
-            yield replace(base, base=False, judged=False, bumped=(), stresses=stresses,
-                          policy=result.policy)  # fmt: skip
+            further = replace(base, base=False, judged=False, bumped=())
+            yield replace(further, stresses=stresses, policy=result.policy)

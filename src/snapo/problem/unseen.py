@@ -197,16 +197,18 @@ def _observed(problem: Any, states: PyTree, t: int):
 
 @compiled_sooner
 def _seen(simulator, constants, now, states):
-    return _looks(simulator, constants, now, states)
+    return _with_slopes(simulator, constants, now, states)
 
 
 @compiled_sooner
 def _first_slopes(simulator, constants, now, early):
     states = jax.vmap(partial(simulator.initial, constants))(early)
-    return _looks(simulator, constants, now, states)[1]
+    return _with_slopes(simulator, constants, now, states)[1]
 
 
-def _looks(simulator, constants, now, states):
+def _with_slopes(simulator, constants, now, states):
+    """[N, features] the observations, and [N, features, n] their derivatives."""
+
     def one(state):
         def look(vector):
             return simulator.observe(constants, now, _with(state, vector))
