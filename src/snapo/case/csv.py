@@ -100,7 +100,7 @@ def write_table(frame: Any, file: Path | str) -> Path:
         case other:
             raise ValueError(
                 f"write_table: the name of the file ends in {other!r}; it must end "
-                f"in .csv or .parquet."
+                "in .csv or .parquet."
             )
     return file
 

@@ -119,7 +119,7 @@ def _first(cells: set[str]) -> Order | None:
     if len(table) == 2:
         message = (
             f"here the month comes first, but in {table['day']} the day comes first; write "
-            f"YYYY-MM-DD"
+            "YYYY-MM-DD"
         )
         raise AmbiguousFormat(table["month"], message)
     return next(iter(table), None)

@@ -126,7 +126,7 @@ def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> Non
         notes.warning(
             f"{notes.method('step')}: action",
             f"It can stop more often than it has rights ({action.rights}): if every step stops, "
-            f"more steps than that change an output.",
+            "more steps than that change an output.",
             'Keep the right in the state, right, used = self.action.use(state["right"], action), '
             "and multiply the payment by `used`.",
         )

@@ -251,7 +251,7 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
                 notes.warning(
                     f"{method.name}, {item.line}",
                     f"The slice [{item.requested}] is taken from an array of {item.length} "
-                    f"entries: the result is shorter than the bounds say, without an error. In: "
+                    "entries: the result is shorter than the bounds say, without an error. In: "
                     f"{item.line.text}",
                     "Correct the slice, or the size that is declared.",
                 )

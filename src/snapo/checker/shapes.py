@@ -81,7 +81,7 @@ def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
                 f"{method}: schedule.steps{jax.tree_util.keystr(path)}",
                 f"Its shape is {leaf.shape}; the horizon is {simulator.horizon}.",
                 f"Give it a first axis of {simulator.horizon}, one entry for each step; numbers "
-                f"for the whole horizon belong in constants.",
+                "for the whole horizon belong in constants.",
             )
     notes.stop_on_errors()
     return schedule

@@ -43,8 +43,8 @@ def adjoint_norms(
 
     The adjoint of sum(weights x totals), times the simulator's `state_scale`, divided by the path's
     largest weight: the number that `Clip` bounds. XLA computes it. With a memory the horizon is
-    divided into
-    parts of this number of steps, and no adjoint passes from one part to the part before it.
+    divided into parts of this number of steps, and no adjoint passes from one part to the part
+    before it.
     """
     engine = Xla("float32")
     # A step may take a minute to compile: multiples of a block share one kernel.

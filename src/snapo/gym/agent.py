@@ -71,7 +71,7 @@ class Agent:
         if size and len(memory) != len(observed):
             raise ValueError(
                 f"Agent: it has a memory of {len(memory)} episodes, but got {len(observed)} "
-                f"observations; call reset() when other episodes begin."
+                "observations; call reset() when other episodes begin."
             )
         values = np.concatenate([observed, memory], 1)
         with read_context(of_policy(self.policy, values)):

@@ -130,6 +130,6 @@ def _option(decided: np.ndarray, options: int) -> np.ndarray:
 def _refuse(space: Space, action: Actions | None) -> NoReturn:
     raise ValueError(
         f"Agent: decisions in {action} do not fit into the space {space}; pass "
-        f"snapo.gym.Agent(policy, action=…) a function from decisions [N, size] to elements of "
-        f"the space."
+        "snapo.gym.Agent(policy, action=…) a function from decisions [N, size] to elements of "
+        "the space."
     )

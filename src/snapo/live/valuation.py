@@ -161,8 +161,7 @@ class Valuation(WhatIf):
 
         Training starts from the policy in use. The page continues to value that policy until it
         requests the new one by its number, "policy". `summary` is called with the number of steps
-        done and
-        of all; an exception in it stops training.
+        done and of all; an exception in it stops training.
         """
         setup, policy = self._at(values, selected)[1], self.policy
         steps = setup.training.steps

@@ -255,7 +255,7 @@ def _network(policy: MLP | Residual, action, features, key) -> Network | None:
     if not all(values):
         raise ValueError(
             f"{type(policy).__name__}: specify the action set, the number of features and a key "
-            f"together, or none of them; solve then adds them."
+            "together, or none of them; solve then adds them."
         )
     assert policy.hidden is not None
     return Network((features, *policy.hidden, action.size), key=key, activation=policy.activation)

@@ -18,8 +18,7 @@ OPTIONS = {"xla_backend_optimization_level": 1, "xla_cpu_use_fusion_emitters": F
 def compiled_sooner(function: Callable[P, R]) -> Callable[P, R]:
     """`eqx.filter_jit` with options that reduce the time of compiling to two thirds, for schedules
     and reports. The results differ in their last bits only. On GPUs, and with versions of XLA
-    without
-    these options, it is `eqx.filter_jit`.
+    without these options, it is `eqx.filter_jit`.
     """
 
     @cache

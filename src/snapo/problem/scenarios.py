@@ -109,7 +109,7 @@ class Pseudo(Scenarios):
         if paths % 2:
             raise ValueError(
                 f"Pseudo: {paths} antithetic paths; their number must be even. `available` "
-                f"completes the last pair."
+                "completes the last pair."
             )
         pairs = Scenarios.blocks(self, paths // 2, count)
         return [np.stack([2 * p, 2 * p + 1], axis=-1).reshape(-1) for p in pairs]
@@ -299,9 +299,8 @@ class Sources:
 
     @classmethod
     def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
-        """The sources for the argument `scenarios` of a caller; by default fresh normals of
-        `seed`. Scenarios of normals are used for the evaluation only. Supplied paths are divided:
-        the first
+        """The sources for the argument `scenarios` of a caller; by default fresh normals of `seed`.
+        Scenarios of normals are used for the evaluation only. Supplied paths are divided: the first
         three fifths train, the next fifth validates, the last evaluates.
         """
         if isinstance(values, Sources):
@@ -346,7 +345,7 @@ class Sources:
             raise ValueError(
                 f"Supplied: {supplied.size} paths are too few to train, validate and evaluate on "
                 f"different ones; supply at least {FEWEST}, or Sources(training, validation, "
-                f"evaluation)."
+                "evaluation)."
             )
         first, second = supplied.size * 3 // 5, supplied.size * 4 // 5
         edges = ((0, first), (first, second), (second, supplied.size))

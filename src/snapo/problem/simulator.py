@@ -46,11 +46,10 @@ class Simulator(eqx.Module):
     - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Integers`, `Choice`, `Stop` or a
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
-    - `first_step`: the number of its first step in the calendar by which the steps of scenarios
-      are counted, 0 by default. `initial_steps`: `initial` receives the noise of this number of
-      first steps of the calendar, one after another, and uses those before `first_step`. If there
-      are fewer, its
-      noise is drawn separately, and steps are counted from the simulator's own start.
+    - `first_step`: the number of its first step in the calendar by which the steps of scenarios are
+      counted, 0 by default. `initial_steps`: `initial` receives the noise of this number of first
+      steps of the calendar, one after another, and uses those before `first_step`. If there are
+      fewer, its noise is drawn separately, and steps are counted from the simulator's own start.
       `calendar`: path p is the same scenario only in simulators for which it is equal.
     - `fully_observed`: declares that the observation has all parts of the state that matter for
       decisions; this is then not examined (`problem.unseen`).

@@ -37,8 +37,7 @@ class Bump(NamedTuple):
       side, it and the differences are those of the other paths only. If all paths have a kink, the
       adjoint has to lie between the sides.
     - `judged`: whether the comparison counts. If paths have several kinks at once, a correct
-      adjoint may lie
-      outside of both sides; the same derivative at a nearby point counts then.
+      adjoint may lie outside of both sides; the same derivative at a nearby point counts then.
     """
 
     input: str
@@ -95,9 +94,8 @@ def nudged(problem: Problem, seed: int = 0) -> Problem:
     """The problem with each number of its inputs moved by a random relative amount of at most .001.
 
     Round numbers lead to ties: a store that is filled in exactly eight days is on a kink of its
-    limits,
-    where every path has two derivatives. At a nearby point hardly any path is on a kink. A number
-    that is zero is moved upwards, by up to its input's `move`; without one it stays zero.
+    limits, where every path has two derivatives. At a nearby point hardly any path is on a kink. A
+    number that is zero is moved upwards, by up to its input's `move`; without one it stays zero.
     """
     random, moved = np.random.default_rng(seed), []
     for entry in problem.inputs_by_name.values():

@@ -220,14 +220,14 @@ def _note(limit: LimitFound) -> str:
     if limit.met == "not met":
         return (
             f"Limit not met on fresh paths: {limit}. Try more steps; the limit may also be "
-            f"infeasible."
+            "infeasible."
         )
     if limit.binds:
         return ""
     if limit.multiplier and limit.at_level:
         return (
             f"Limit without a price, although it is met exactly: {limit.name}. All decisions are "
-            f"at bounds of their set, where they have no derivative. Training ended at a price "
+            "at bounds of their set, where they have no derivative. Training ended at a price "
             f"of {limit.multiplier:,.4g} for it."
         )
     slack = (

@@ -197,8 +197,7 @@ class Solution:
         The page is served until `close()` of the returned page, or until this session ends.
 
         - `problem`: by default the problem that was solved; `simulator`: "MODULE:CLASS", for a run
-          of
-          `snapo solve` with a user-defined simulator.
+          of `snapo solve` with a user-defined simulator.
         - `browser`: whether to open one; by default outside of a notebook, which shows a link.
 
         **Raises:** `ValueError` without a problem; `ModuleNotFoundError` without the extra `live`.

@@ -75,10 +75,9 @@ def solve(
       output, unless its name suggests a cost, such as "cost".
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones are divided between all roles.
-    - `constraints`: one or several limits on means, probabilities or other statistics of all
-      paths, such
-      as `[Mean("unserved") <= 0.05]`: an augmented Lagrangian determines their prices in training,
-      and the derivatives with respect to inputs are those of the best value within them.
+    - `constraints`: one or several limits on means, probabilities or other statistics of all paths,
+      such as `[Mean("unserved") <= 0.05]`: an augmented Lagrangian determines their prices in
+      training, and the derivatives with respect to inputs are those of the best value within them.
     - `engine`: "auto", "xla" or "native", or an engine.
     - `callbacks`: called with the `Progress` at every validation; `progress.record` is the last
       line of its history; a callback that returns True stops the training. `progress`: a state from

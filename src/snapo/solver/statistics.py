@@ -195,8 +195,7 @@ def skewed_mean(values: np.ndarray, groups: np.ndarray | None = None) -> Skewed:
 
     Up to a skewness of 3 it is Student's interval of 32 block means. Above 3, if that interval is
     too short, it is the bootstrap-t: t-values of resampled means instead of Student's (Efron and
-    Tibshirani, An
-    Introduction to the Bootstrap, 1993, section 12.5).
+    Tibshirani, An Introduction to the Bootstrap, 1993, section 12.5).
     """
     block_means = shares(values, groups)
     spread = np.std(block_means)

@@ -97,9 +97,8 @@ def train(
     """Runs the loop from `progress` to its end, and calls the callbacks after every validation.
 
     With `until` it stops after that step and its validation, and can be continued from there. A
-    training
-    whose policy does nothing restarts, the n-th time from `fresh(n)` (n from 0), if available.
-    `bar` shows every step.
+    training whose policy does nothing restarts, the n-th time from `fresh(n)` (n from 0), if
+    available. `bar` shows every step.
 
     It stops early if a callback returns True. On Ctrl-C the callbacks are called once more, and
     `Interrupted`, a `KeyboardInterrupt`, has the progress so far. The status of the result is

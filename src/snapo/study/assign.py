@@ -13,10 +13,9 @@ OPTION = "--set"
 
 
 def assigned(data: Mapping[str, Any], assignments: Iterable[str]) -> tuple[dict, set[str]]:
-    """A copy of the tables of a case with each "path=value" assigned, and the list of paths. A
-    path consists of keys; an element of an array is identified by its number from 0, or by its
-    `name`.
-    A value is written as in TOML. The domain decides whether a new key is allowed.
+    """A copy of the tables of a case with each "path=value" assigned, and the list of paths. A path
+    consists of keys; an element of an array is identified by its number from 0, or by its `name`. A
+    value is written as in TOML. The domain decides whether a new key is allowed.
 
     **Raises:** `CaseError` for a path that does not exist, and for a value that is not TOML.
     """

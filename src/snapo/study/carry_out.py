@@ -39,9 +39,7 @@ def write_report(domain: Domain, folder: Path) -> Path:
 
 def page_of(domain: Domain, folder: Path) -> str:
     """The report of a run folder as HTML. If a file or a key is missing, the section reports this.
-    The
-    same files give the
-    same page, byte for byte.
+    The same files give the same page, byte for byte.
     """
     summary = domain.report()
     run = summary.folder.read(folder)
@@ -106,10 +104,9 @@ def carry_out(
 
     `preparing`: the seconds that reading the case and making the study took; `adjacent`: the
     seconds of other work for this run, by name; `origin`: the origin of a new run, for its report.
-    A part that
-    fails leaves a note and a status; parts that need it are skipped. On Ctrl-C the completed parts
-    and the best policy so far are reported, and `Interrupted`, a `KeyboardInterrupt`, has the
-    content of result.json.
+    A part that fails leaves a note and a status; parts that need it are skipped. On Ctrl-C the
+    completed parts and the best policy so far are reported, and `Interrupted`, a
+    `KeyboardInterrupt`, has the content of result.json.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, progress, resume, mark=run_folder.mark(record["decides"]))

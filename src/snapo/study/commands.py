@@ -120,10 +120,9 @@ def solve(
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: the number
     of trainings, from the seed of the case on, or the seeds themselves; the run is that of the
     best. `workers`: compute groups of the paths of a large problem, with bit-identical results.
-    `ladder`:
-    also value the contract by all methods. `hedge`: simulate its hedges. `gamma`: measure it by
-    product. Returns the content of result.json. On Ctrl-C the parts that are done are reported, and
-    `KeyboardInterrupt` is passed on to the caller.
+    `ladder`: also value the contract by all methods. `hedge`: simulate its hedges. `gamma`: measure
+    it by product. Returns the content of result.json. On Ctrl-C the parts that are done are
+    reported, and `KeyboardInterrupt` is passed on to the caller.
 
     **Raises:** `CaseError` if the case has a mistake, or the policy does not fit it.
     """

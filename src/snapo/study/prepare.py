@@ -104,8 +104,8 @@ def keep_memory() -> None:
     """Lets the process keep memory that it has used, if the C library is glibc.
 
     This is for processes that repeat calls of the same sizes: it saves most of the time that the
-    system would take to give them new memory pages. Threads share two pools of memory, so
-    that less is kept.
+    system would take to give them new memory pages. Threads share two pools of memory, so that less
+    is kept.
     """
     if (set_option := _of_glibc("mallopt")) is not None:
         set_option(MAPPED_FROM, 16 << 20)

@@ -32,8 +32,7 @@ class Setup(NamedTuple):
 
     `recipe`: the recipe of `policy`, if it is a general policy, so that training begins as
     `snapo.solve` does; with None training begins from `policy` itself. `case`: the prepared case,
-    if
-    the problem's simulator does not contain it.
+    if the problem's simulator does not contain it.
     """
 
     problem: Problem
@@ -143,8 +142,7 @@ class CalculatedOutput(NamedTuple):
     """An output of a study without a policy.
 
     - `values`: [N] the value on each path; `nominal`: the value without random effects; `within`:
-      the share of
-      paths within its limits.
+      the share of paths within its limits.
     """
 
     name: str

@@ -115,7 +115,7 @@ def _beaten(advantages: Iterable[Advantage]) -> str:
     return (
         f"The classical rule “{name}” does better than the trained policy, by "
         f"{rounded(more, 3)} {plus_minus(error or 0.0)} on the same paths: use that rule, or "
-        f"train longer (training.steps)."
+        "train longer (training.steps)."
     )
 
 

@@ -17,9 +17,9 @@ def wrong_derivatives(
     every: bool = False,
 ) -> list[str]:
     """A line for each input whose adjoint differs from central differences. The inputs are first
-    moved away from round numbers, at which two limits may be equal and two derivatives correct.
-    The other arguments are those of `snapo.solver.certificate.bump_check`: without
-    `smooth` the recorded decisions are held fixed, with `every` each number is bumped separately.
+    moved away from round numbers, at which two limits may be equal and two derivatives correct. The
+    other arguments are those of `snapo.solver.certificate.bump_check`: without `smooth` the
+    recorded decisions are held fixed, with `every` each number is bumped separately.
     """
     result = bump_check(
         nudged(problem), policy, paths=paths, smooth=smooth, every=every, engine=engine

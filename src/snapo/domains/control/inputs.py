@@ -25,8 +25,8 @@ def make_inputs(
     noise: Mapping[str, Any] | None = None,
     measurement: Mapping[str, Any] | None = None,
 ) -> PlantInputs:
-    """The inputs {"plant", "cost", "start", "noise", "measurement"} of a plant, by
-    default its own numbers.
+    """The inputs {"plant", "cost", "start", "noise", "measurement"} of a plant, by default its own
+    numbers.
 
     - `start`: {state: {"at"}, {"low", "high"} or {"mean", "deviation"}}.
     - `noise`: {state: standard deviation of a step's disturbance}; instead of a number also a

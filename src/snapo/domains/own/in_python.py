@@ -122,8 +122,8 @@ class PythonDomain(Kind):
 def write_report(solution: Solution, file: Path, problem: Problem | None) -> Path:
     """Writes the report of a solution into an HTML file; returns its path.
 
-    **Raises:** `ValueError` for another suffix, or if the solution has neither a problem nor
-    the folder of a run.
+    **Raises:** `ValueError` for another suffix, or if the solution has neither a problem nor the
+    folder of a run.
     """
     if file.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"report: {file.name!r}; it must be a name that ends in .html.")

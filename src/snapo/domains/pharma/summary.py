@@ -13,7 +13,7 @@ def lines(case: PharmaCase) -> list[str]:
     rows = [
         f"{case.title}: {' -> '.join(unit.name for unit in case.units)}",
         f"{counted(len(case.network.reactions), 'reaction')} among {len(case.network.species)} "
-        f"species; each reaction conserves mass",
+        "species; each reaction conserves mass",
         inputs_line([entry.value.size for entry in inputs.values()]),
         f"{len(case.parameters)} process parameters, {len(case.attributes)} quality attributes",
         f"time by the {case.numerics.method} method",

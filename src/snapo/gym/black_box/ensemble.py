@@ -68,8 +68,8 @@ def fit(
 
     A tenth of the rows is held out. Every member keeps the weights that were best on these rows;
     the fit stops after `maximum` steps, or after `patience` checks without an improvement.
-    `capacity` is the
-    maximum number of rows: arrays have that length, so that all fits are compiled once.
+    `capacity` is the maximum number of rows: arrays have that length, so that all fits are compiled
+    once.
     """
     rng = np.random.default_rng((seed, transitions.count))
     order = rng.permutation(transitions.count)

@@ -47,8 +47,7 @@ def learn(
     - `rounds`: the number of rounds of fit, training and real episodes.
     - `hold`: steps of the environment for which a decision is held; by default as many as needed
       for at most 250 decisions in an episode. `limit`: the longest episode, in steps; by default
-      that of the
-      environment.
+      that of the environment.
     - `horizon`: decisions of a path in training; by default half an episode, at most 125.
     - `members`, `hidden`: networks of the ensemble, and their layers.
     - `training`: the training of the policy in the first and the last round; others take half its

@@ -22,8 +22,7 @@ ON_CIRCLE = 1e-3  # of the sum of two squares, at every observation
 class Transitions(NamedTuple):
     """Steps of the environment, one in each row; with `hold`, a row is the whole time of a held
     decision. `ended` is true if the environment terminated. A time limit is not such an end, since
-    it does
-    not depend on the state.
+    it does not depend on the state.
     """
 
     before: Float[np.ndarray, "n k"]

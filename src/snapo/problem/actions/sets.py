@@ -103,7 +103,7 @@ def _bound(name: str, values: Any, size: int) -> BoxBound:
     if item.shape != (size,):
         raise ValueError(
             f"Box: {name} has shape {item.shape}, but size is {size}; specify one number for all "
-            f"components, or one for each."
+            "components, or one for each."
         )
     # Equal sets compare equal, however they were written.
     numbers = tuple(item.tolist())

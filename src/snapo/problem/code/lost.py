@@ -46,8 +46,7 @@ def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
     the equations at which the derivative is lost.
 
     Decisions are held fixed: for an input that affects only decisions, a derivative of zero is
-    correct.
-    Operands of `jax.lax.stop_gradient` are left out, since the author of the code wants no
+    correct. Operands of `jax.lax.stop_gradient` are left out, since the author of the code wants no
     derivative there.
     """
     names = [entry.name for entry in inputs_.named_inputs(inputs)]

@@ -90,8 +90,8 @@ def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTre
     values.
 
     `states` are the states of noises with memory, by name: `draw(noises, normals, regime=regime)`.
-    The
-    noises take the normals in the order of the tree; a dictionary has the order of its sorted keys.
+    The noises take the normals in the order of the tree; a dictionary has the order of its sorted
+    keys.
     """
     result, structure = jax.tree_util.tree_flatten_with_path(noises, is_leaf=_is_noise)
     requested = size(noises)

@@ -113,8 +113,7 @@ class Correlated(Noise):
 
     `correlation` is that of the first normal of every noise (a Gaussian copula), as the strict
     lower triangle row by row, in the order of the tree; a dictionary has the order of its sorted
-    keys.
-    A draw has the structure of the tree.
+    keys. A draw has the structure of the tree.
 
         snapo.noise.Correlated({"demand": Poisson(4.0), "price": LogNormal(0.0, 0.2)}, [0.6])
     """

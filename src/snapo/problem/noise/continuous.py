@@ -124,7 +124,7 @@ def refuse_correlation(noise: Any) -> None:
     if lower.ndim < 1 or lower.shape[-1] != k * (k - 1) // 2:
         raise ValueError(
             f"{name}: correlation has shape {lower.shape}; it must be the strict lower triangle "
-            f"row by row, 1 number for 2 components, 3 for 3, 6 for 4."
+            "row by row, 1 number for 2 components, 3 for 3, 6 for 4."
         )
     rows, columns = np.tril_indices(k, -1)
     for item in lower.reshape(-1, lower.shape[-1]):

@@ -182,7 +182,7 @@ def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: f
     if not values or any(entry is None for entry in values):
         raise ValueError(
             f"{type(noise).__name__}: specify the largest number; it cannot be computed from a "
-            f"parameter that JAX traces."
+            "parameter that JAX traces."
         )
     from scipy import stats  # late: it takes a second to load
 

@@ -153,8 +153,8 @@ class ExpectedUtility(ByPath):
     def as_cost(self) -> Objective:
         raise ValueError(
             f"ExpectedUtility of {self.output}: a utility must be of a quantity that is "
-            f"maximised, so its weight must be positive and it cannot have an upper limit. For a "
-            f"cost, let the simulator return "
+            "maximised, so its weight must be positive and it cannot have an upper limit. For a "
+            "cost, let the simulator return "
             f"-{self.output} as an output, and write the utility of that."
         )
 

@@ -36,7 +36,7 @@ class Stages(Policy):
         if len(interface.stages) != len(self.policies):
             raise ValueError(
                 f"Stages: there are {len(self.policies)} policies for {len(interface.stages)} "
-                f"stages; a Chain needs one policy for each of its stages."
+                "stages; a Chain needs one policy for each of its stages."
             )
         self.action = interface.action
         self.features = tuple(stage.features for stage in interface.stages)

@@ -44,7 +44,7 @@ class Memory(Policy):
         if features < 1:
             raise ValueError(
                 f"{type(self).__name__}: pass the observation, followed by the {self.memory} "
-                f"numbers of the memory, which are zeros before the first decision."
+                "numbers of the memory, which are zeros before the first decision."
             )
         observed, memory = observation[:features], observation[features:]
         action, selected = self.decide(observed, memory, smooth)
@@ -165,7 +165,7 @@ class LastObservations(Memory):
         width = interface.features + interface.action.size
         if self.width and self.width != width:
             raise ValueError(
-                f"LastObservations: this policy was made for observations and decisions of "
+                "LastObservations: this policy was made for observations and decisions of "
                 f"{self.width} numbers."
             )
         observed = interface.features + (self.steps - 1) * width

@@ -216,7 +216,7 @@ class Input(TreeRecord):
         if self.labels and len(self.labels) != self.value.size:
             raise ValueError(
                 f"Input: there are {len(self.labels)} labels for {self.value.size} numbers; each "
-                f"number needs one label."
+                "number needs one label."
             )
         if not np.all(np.isfinite(self.value)):
             raise ValueError("Input: a value is NaN or infinite; it must be a finite number.")

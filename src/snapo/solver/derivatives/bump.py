@@ -126,8 +126,7 @@ def reactions(
 
     An input whose numbers are all zero moves by its own `move`; without one it has no reaction. No
     input has one if the value is non-finite, as after a ruin. A held derivative that is NaN, such
-    as one
-    that is lost in a rounding, counts as zero: the reaction is the whole bump.
+    as one that is lost in a rounding, counts as zero: the reaction is the whole bump.
     """
     count = max((len(item.blocks) for item in held.values()), default=BLOCKS)
     bumper = _Bumper(problem, policy, paths, count, maximum, centre, engine)
@@ -205,9 +204,8 @@ class _Bumper:
 
         Objects built from the inputs are first held fixed, which is fast. If there is no reaction,
         then with a near-optimal policy there is none to first order with rebuilt objects either.
-        Problems
-        are rebuilt in two threads, while other inputs are valued; in one if paths are long, as
-        their tables are large.
+        Problems are rebuilt in two threads, while other inputs are valued; in one if paths are
+        long, as their tables are large.
         """
         problem, table = self.problem, {}
         waiting: list[tuple[str, Future[Problem]]] = []

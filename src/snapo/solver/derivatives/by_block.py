@@ -89,9 +89,8 @@ class DerivativePass(NamedTuple):
 
     `recorded` [T, paths, A]: the decisions by number of the path, if they are known already.
     `totals` {output: [paths]}: the totals of the policy by number of the path, if they are known
-    already.
-    `inputs`: whether derivatives with respect to the inputs are computed, in addition to those
-    with respect to the policy.
+    already. `inputs`: whether derivatives with respect to the inputs are computed, in addition to
+    those with respect to the policy.
     """
 
     problem: Problem

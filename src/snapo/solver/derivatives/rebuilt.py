@@ -73,8 +73,7 @@ def on_line(
 ) -> Problem | None:
     """The problem at `values`, a share of the way to `other`, with everything that depends on the
     inputs interpolated linearly: x + share (y - x) for a number that is x in `problem` and y in
-    `other`. None if
-    `other` has a different structure.
+    `other`. None if `other` has a different structure.
 
     Building a problem takes longer than a few paths. The line neglects curvature, whose effect on
     a value near its maximum is far smaller.

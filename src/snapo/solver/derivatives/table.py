@@ -28,8 +28,7 @@ class SensitivityRow(NamedTuple):
 
     - `value`, `low`, `high`: the reported derivative and its 95 % interval; `sampling` and
       `policy`: the parts of the half-width due to the finite number of paths and to the error of
-      the policy;
-      `source`: "held", "through the policy", "range" or "not known" (see
+      the policy; `source`: "held", "through the policy", "range" or "not known" (see
       `derivatives.interval.Reported`).
     - `held` and `smooth`, each with its standard error; `moved`: the change of `held` in the second
       half of training, with its standard error. NaN for results that were not requested.

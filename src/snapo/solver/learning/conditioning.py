@@ -95,10 +95,10 @@ def grows(norms: np.ndarray) -> bool:
 
 def share_kept(norms: np.ndarray) -> float:
     """The share of an adjoint that is passed on at each backward step (`Clip.keep`), from norms [T,
-    N]: a third is left after the number of steps in which norms grow a hundredfold; it is 1 if
-    they do not. The reason for a third instead of 0.01: a cart that swings its pole up ends at -63
-    to -66 with a third and at
-    -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and -39.7 (-37.7).
+    N]: a third is left after the number of steps in which norms grow a hundredfold; it is 1 if they
+    do not. The reason for a third instead of 0.01: a cart that swings its pole up ends at -63 to
+    -66 with a third and at -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and
+    -39.7 (-37.7).
     """
     back = np.sqrt(np.mean(_finite(norms) ** 2, axis=1))[::-1]
     over = np.flatnonzero(back > GROWTH * back[0])
@@ -222,8 +222,8 @@ class Growth(NamedTuple):
             f"Backward in time adjoints grow {rounded(times, 2)}-fold from the last step to step "
             f"{position} of {largest.size} (a hundredfold before step {half}), mainly in the "
             f"state {state!r}. At that step the largest adjoint of a path is {rounded(apart, 2)} "
-            f"times "
-            f"the typical one."
+            "times "
+            "the typical one."
         )
 
     def table(self) -> list[tuple]:

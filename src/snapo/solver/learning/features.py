@@ -47,8 +47,8 @@ MOVED = (-0.7, 0.3, 1.9)  # where numbers that a decision moves are set to see w
 class FeatureScale(NamedTuple):
     """Mean and deviation of every feature; 0 and 1 if a decision moves it. A network's first layer
     has weights for unscaled features. Training moves the equivalent weights for scaled features;
-    `scaled` and `plain` convert one into the other. The same applies
-    to all first layers of a policy that has several.
+    `scaled` and `plain` convert one into the other. The same applies to all first layers of a
+    policy that has several.
     """
 
     mean: tuple[float, ...]
@@ -92,8 +92,7 @@ def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.nd
 def networks(policy: Policy) -> list[Network | None]:
     """The networks of a policy that read the features; None instead of each network that was not
     drawn at random. The list is empty for a policy without networks, such as a rule, and if they
-    are unknown: for the stages of
-    a chain, or a user-defined class.
+    are unknown: for the stages of a chain, or a user-defined class.
     """
     if isinstance(policy, LastObservations):
         return networks(policy.policy)

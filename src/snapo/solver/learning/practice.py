@@ -101,7 +101,7 @@ def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
     if training.exploration and not simulator.action.exploration_size:
         return "exploration", (
             f"a {type(simulator.action).__name__} explores by its temperature: set "
-            f"temperature_start"
+            "temperature_start"
         )
     return None
 

@@ -40,10 +40,10 @@ class Interrupted(KeyboardInterrupt):
 class Record(NamedTuple):
     """One line of the training history; `exact` and `best` are those of the last validation.
 
-    `window`: the length of the windows for backpropagation; 0: the whole horizon.
-    `exact_error`: the standard error of `exact`, in the line of its validation; 0 elsewhere.
-    `clip`, `keep`: the bound on each path's adjoint in the step (0: none), and the share of the
-    adjoint that is passed on at every backward step.
+    `window`: the length of the windows for backpropagation; 0: the whole horizon. `exact_error`:
+    the standard error of `exact`, in the line of its validation; 0 elsewhere. `clip`, `keep`: the
+    bound on each path's adjoint in the step (0: none), and the share of the adjoint that is passed
+    on at every backward step.
     """
 
     step: int
@@ -81,16 +81,15 @@ class Progress:
 
     `halfway` and `recent` are averaged policies at the last two steps of the series …, steps / 4,
     steps / 2, steps that have been reached. Whenever a run stops, the first of them is therefore
-    from its second quarter or its middle. `window`, `critic`: the length and the critic of
-    training on windows, specified or
-    chosen. `clip` is the current bound, if any, and `keep` the share; `since` the step at which the
-    optimiser began, or restarted after exploding gradients. `growth`: the adjoints, if they were
-    measured. `dual`: the prices of the problem's limits. `raced`: the rounds in which starts were
-    dropped, if there were several. `slowed`: the steps that failed, after each of which the rate is
-    lower (see `train`). `redrawn`: the steps at which it restarted from other initial weights (see
-    `verdict.constant`); `unchanged`: the validations in a row in which every path earned the same.
-    `scale`: the scale of the features that no decision affects, for which the first layer is
-    trained.
+    from its second quarter or its middle. `window`, `critic`: the length and the critic of training
+    on windows, specified or chosen. `clip` is the current bound, if any, and `keep` the share;
+    `since` the step at which the optimiser began, or restarted after exploding gradients. `growth`:
+    the adjoints, if they were measured. `dual`: the prices of the problem's limits. `raced`: the
+    rounds in which starts were dropped, if there were several. `slowed`: the steps that failed,
+    after each of which the rate is lower (see `train`). `redrawn`: the steps at which it restarted
+    from other initial weights (see `verdict.constant`); `unchanged`: the validations in a row in
+    which every path earned the same. `scale`: the scale of the features that no decision affects,
+    for which the first layer is trained.
     """
 
     step: int

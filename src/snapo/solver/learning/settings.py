@@ -57,8 +57,7 @@ class Training:
     """How a policy is trained; "auto" is chosen from the problem.
 
     - `steps`, `paths`: the number of updates, and of fresh antithetic paths for each update.
-      "auto": chosen from the
-      horizon and the size of the policy.
+      "auto": chosen from the horizon and the size of the policy.
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero. "auto": 0.01, or if the steps are "auto" too, chosen with them.
     - `decay`: the decay of weights, per step, times the learning rate (AdamW). "auto": 0; if the

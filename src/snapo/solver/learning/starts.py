@@ -133,7 +133,7 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
     if count > 1 and not any(_is_network(node) for node in _nodes(policy)):
         raise ValueError(
             f"Training: starts is {count}, and {type(policy).__name__} has no network whose "
-            f"initial weights could vary; it must be 1."
+            "initial weights could vary; it must be 1."
         )
     rng = [np.random.default_rng((seed, number)) for number in range(count)]
     return [policy, *(_redrawn(policy, item) for item in rng[1:])]

@@ -336,7 +336,7 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
     if ruin:
         notes.append(
             f"{ruin} {'path ends' if ruin == 1 else 'paths end'} in ruin, with a utility of "
-            f"minus infinity."
+            "minus infinity."
         )
     if any(dropped.values()):
         counts = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)

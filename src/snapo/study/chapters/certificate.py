@@ -207,7 +207,7 @@ def limit_table(
     head = [("Limit", ""), ("", ""), ("Smallest slack", unit), ("Path", ""), (step, "")]
     caption = (
         f"Limits over all paths and {step.lower()}s in the exact simulator (slack is the "
-        f"distance to a limit)"
+        "distance to a limit)"
     )
     verdicts = [row.passed for row in result.feasibility if row.passed is not None]
     folded = (

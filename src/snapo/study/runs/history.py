@@ -122,7 +122,7 @@ def described(rows: Sequence[RunRow]) -> Iterator[str]:
             yield f"    {text}"
     yield (
         f"* * `{LATEST}` points to this run; below each run are the settings that differ from "
-        f"the previous one"
+        "the previous one"
     )
 
 

@@ -160,7 +160,7 @@ def _check_same(plant: Plant, values: Any) -> None:
             if not np.array_equal(value, usual[group][name]):
                 allowed = (
                     f"it must be {usual[group][name]:g}, as in {plant.twin}; or leave out "
-                    f"--reference"
+                    "--reference"
                 )
                 raise CaseError("--reference", f"{group}.{name}", float(value), allowed)
     if values["noise"] or values["measurement"] or plant.time_feature:

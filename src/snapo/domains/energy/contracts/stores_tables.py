@@ -75,8 +75,8 @@ def open_stores(where: TableContext, table: StoresTable, market: Any) -> OpenedS
     if len(table.stores) != STORES:
         message = (
             f"there must be {STORES} stores: the state that the methods use has their two "
-            f"inventories "
-            f"and the joint flow"
+            "inventories "
+            "and the joint flow"
         )
         raise where.error("stores", ", ".join(table.stores), message)
     opened = [_open(where, name, market) for name in table.stores]

@@ -213,8 +213,7 @@ def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
 
 class MoveLimits(NamedTuple):
     """Limits of the levels after each move, which are equal to those of the step or narrower. A
-    move whose `low` is
-    above its `high` is not allowed in the step.
+    move whose `low` is above its `high` is not allowed in the step.
 
     The limits make the value jump between levels, so that methods need nodes on the limits, and
     compare all volumes from node to node.

@@ -41,9 +41,8 @@ class FlowRows(NamedTuple):
     """The rows along a flow from levels `start`, in the table of a step.
 
     `pair`: the pair of a move and the flow, whose `effects` on the levels are not all zero;
-    `banks`: the
-    number of last levels that are balances, between whose rows values are linear; `signs`: the
-    signs of the layout.
+    `banks`: the number of last levels that are balances, between whose rows values are linear;
+    `signs`: the signs of the layout.
     """
 
     table: UnitValues

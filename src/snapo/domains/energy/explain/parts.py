@@ -216,7 +216,7 @@ class _ContractChain(ChangeChain):
         if list(old) != list(new):
             message = (
                 f"{self.first.folder} has other curves: both runs must have curves of the "
-                f"same markets"
+                "same markets"
             )
             raise CaseError(str(self.second.file), "market", ", ".join(new), message)
         changes = [

@@ -58,8 +58,7 @@ def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -
     """The spacing with which there are at most so many evenly spaced nodes; a multiple of the
     common measure, if there is one. Levels that share flows have the same spacing, so that a flow
     goes from node to node in all of them; between nodes the value would be interpolated. `apart`:
-    the smallest spacing of each
-    level."""
+    the smallest spacing of each level."""
     widths = [1.0] * len(widest)
     for group in joined_levels(layout):
         members = sorted(group)
@@ -81,8 +80,7 @@ def banked_widths(visited, measures, apart, nodes: float) -> list[float]:
 
     Flows move only the counted level, so its nodes are multiples of the measure if there are few
     enough of them. Balances change once a period, and have as many nodes as `nodes` of all steps
-    allow.
-    `visited`: the minimum and maximum of all levels at all steps.
+    allow. `visited`: the minimum and maximum of all levels at all steps.
     """
     unit = measures[0] or 0.0
     widest = [float(np.max(high - low)) for low, high in visited]

@@ -58,11 +58,10 @@ def day_grids(
     """The grids of all T days; the value of the best flow is linear between nodes if that is
     possible. Without `bends` the grids are for values of the best flow, not for upper bounds. They
     contain only inventories that can be reached from the present one. See `breakpoints` of the
-    references for contracts with constant rates. For other contracts there are `inventories`
-    points from 0 to
-    the largest inventory. Ratchet rows are nodes, and so are the inventories where the intrinsic
-    value bends most: inventories that can just be emptied or filled in time have a bend at all
-    prices, and a bend between nodes causes the largest error.
+    references for contracts with constant rates. For other contracts there are `inventories` points
+    from 0 to the largest inventory. Ratchet rows are nodes, and so are the inventories where the
+    intrinsic value bends most: inventories that can just be emptied or filled in time have a bend
+    at all prices, and a bend between nodes causes the largest error.
     """
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)

@@ -62,8 +62,7 @@ class StorageCertificate(Certificate):
 def homogeneity(setup: Setup, solution: Solution) -> Homogeneity | None:
     """The check that the sum of F x delta equals the value plus the present value of costs, with
     decisions held fixed, on the same paths. This holds path by path for any policy, if prices are
-    the forward curve times noise and all
-    of the value is paid in gas and proportional costs.
+    the forward curve times noise and all of the value is paid in gas and proportional costs.
     """
     table, case = solution.sensitivities, case_of(setup)
     if table is None or not case.model.proportional:

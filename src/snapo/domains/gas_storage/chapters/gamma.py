@@ -63,9 +63,8 @@ class GammaProduct:
 class GammaPair:
     """The second derivative with respect to the prices of two products, discounted.
 
-    - `standard_error`: the sampling error, increased by the bias of the bump; `policy`: half of
-      the difference of
-      both estimates beyond its sampling error, by which the policy may be wrong.
+    - `standard_error`: the sampling error, increased by the bias of the bump; `policy`: half of the
+      difference of both estimates beyond its sampling error, by which the policy may be wrong.
     """
 
     product: str

@@ -68,9 +68,8 @@ class ContractTerms(NamedTuple):
 
     `end_levels`, `end_values` [M]: the value of the gas left, in addition to `end_fraction` of its
     value at the spot price; `fixed_costs` is a present value. `price` holds the constants of the
-    price process,
-    `end_price` its row of the end date. `price_scale` is the mean forward price, `rate_scale` the
-    largest daily rate, and `innovation` the control variate of the end.
+    price process, `end_price` its row of the end date. `price_scale` is the mean forward price,
+    `rate_scale` the largest daily rate, and `innovation` the control variate of the end.
     """
 
     inventory: AnyArray

@@ -39,9 +39,8 @@ def prices_of_means(
 ) -> Float[np.ndarray, "D n"]:
     """[D, n] the derivative of the price of each day with respect to the mean over each period.
 
-    `factors`: the factors of the days of the week. `flat_end`: whether the slope of a spline at
-    its end is zero. The means are
-    independent of one another.
+    `factors`: the factors of the days of the week. `flat_end`: whether the slope of a spline at its
+    end is zero. The means are independent of one another.
 
     **Raises:** `Undetermined` if more than one curve is as smooth.
     """

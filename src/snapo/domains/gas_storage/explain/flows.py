@@ -28,9 +28,8 @@ class DayFlow(NamedTuple):
       `price`.
     - `planned`, `taken`: net volume into the store.
     - `planned_cash`: the cash flow of the plan at the forward price; `forward_cash`, `cash`: the
-      cash flow of the flow taken, at the forward price and at the spot price. All are net of
-      costs, discounted to the
-      second date.
+      cash flow of the flow taken, at the forward price and at the spot price. All are net of costs,
+      discounted to the second date.
     """
 
     date: str

@@ -116,12 +116,12 @@ def _notes(passed: PassedDays) -> Iterator[str]:
     if len(passed.flows) > 1 and any(x.taken != x.planned for x in passed.flows):
         yield (
             f"{counted(len(passed.flows), 'day')} passed: the difference from the planned flows "
-            f"is spread evenly over them, at the forward prices of the first run; --flows names "
-            f"a file with the actual flows"
+            "is spread evenly over them, at the forward prices of the first run; --flows names "
+            "a file with the actual flows"
         )
     elif len(passed.flows) > 1:
         count = len(passed.flows)
         yield (
             f"{counted(count, 'day')} passed: their flows are at the forward prices; --flows "
-            f"names a file with other prices"
+            "names a file with other prices"
         )

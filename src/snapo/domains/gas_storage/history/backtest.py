@@ -57,10 +57,9 @@ def backtest(
     """Operates the store of a case on the prices in a folder, and writes the results.
 
     - `history`: a folder with `spot.csv` and, if there are any, forward curves in `curves.csv`.
-    - `every`: days from one solution to the next, with the curve of its date; by default 30; if
-      the model is estimated again, by default only the dates of these estimates. Without curves
-      there is one
-      solution.
+    - `every`: days from one solution to the next, with the curve of its date; by default 30; if the
+      model is estimated again, by default only the dates of these estimates. Without curves there
+      is one solution.
     - `calibrate`: when the model is estimated again, as in [backtest], whose other keys also apply.
     - `hedge`: trades the hedges of [hedge] on each day with a curve.
     - `policy`: a run, whose trained policy decides; by default the fitted value, with which

@@ -217,6 +217,6 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
         value = answer["value"]
         yield (
             f"value of the run: ± {value['half_width']:,.4g} (95 %) due to the errors of these "
-            f"parameters"
+            "parameters"
         )
     yield f"table for a case: {answer['folder'] / TABLE}"

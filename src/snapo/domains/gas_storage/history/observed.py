@@ -50,7 +50,7 @@ class ObservedMarket:
         if position < 0 or day > self.spot_days[-1]:
             first, last = self.spot_days[0], self.spot_days[-1]
             message = (
-                f"a back-test needs the spot prices of all its days; the file has those of "
+                "a back-test needs the spot prices of all its days; the file has those of "
                 f"{first} to {last}"
             )
             raise CaseError(str(self.folder / SPOT), day.isoformat(), None, message)
@@ -79,7 +79,7 @@ class ObservedMarket:
             if price is None:
                 message = (
                     f"no product of {latest} has delivery on {item}; the contract needs a price "
-                    f"for every day"
+                    "for every day"
                 )
                 raise CaseError(str(self.folder / CURVES), latest.isoformat(), None, message)
             prices.append(price)

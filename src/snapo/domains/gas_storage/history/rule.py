@@ -44,8 +44,7 @@ class SpotFilter(NamedTuple):
 class DatedRule:
     """A policy that was solved on a date, and its problem, whose first day is the first that the
     policy decides. `filter`: the filter of the price factors; without a filter a spot price moves
-    the fast factor only. `prices`:
-    the curve of the date with its loadings on the factors.
+    the fast factor only. `prices`: the curve of the date with its loadings on the factors.
     """
 
     case: StorageCase
@@ -58,9 +57,8 @@ class DatedRule:
         """[1, F] the factors of the rule's day `t` from its spot price and its curve.
 
         `curve` [T + 1 - t]: the forward prices of the day and of all later days. The spot price is
-        matched
-        exactly, and the curve by least squares. If the fit is not unique, it is the one nearest to
-        the factors `before` [1, F].
+        matched exactly, and the curve by least squares. If the fit is not unique, it is the one
+        nearest to the factors `before` [1, F].
         """
         assert self.prices is not None and self.filter is not None
         loading, variance = self.prices.loadings(t)

@@ -296,8 +296,8 @@ def _check_nested(section: TableContext, products: TradedProducts) -> None:
                 day = products.days[t] if t >= 0 else products.valuation
                 message = (
                     f"on {day} it would be traded as a whole, although a part of it is traded on "
-                    f"that day or was traded before; products must follow one another, or "
-                    f"shorter ones "
+                    "that day or was traded before; products must follow one another, or "
+                    "shorter ones "
                     "must replace a longer one from its first day on"
                 )
                 raise CaseError(str(section.file), f"{section.name}: {name}", None, message)

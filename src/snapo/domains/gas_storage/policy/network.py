@@ -31,14 +31,14 @@ from ..prices.process import YEAR, PriceProcess
 
 
 class Economics(NamedTuple):
-    """Costs and values of today's flows; prices are in units of the mean forward price.
-    `first_in`, `last_in`, `first_out` and `last_out` are the table's marginal values of gas at the
-    end of the day, on the day of the payment for gas: those of the first and the last unit of the
-    largest injection, and of the largest withdrawal. If the value has a corner, the first unit
-    injected has the slope above the corner and the last one the slope below it; for withdrawn
-    units it is the opposite. `buy` is the
-    cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and `room_out` are the
-    free flows in units of the largest rate, `level` the joint level of the slow price factors.
+    """Costs and values of today's flows; prices are in units of the mean forward price. `first_in`,
+    `last_in`, `first_out` and `last_out` are the table's marginal values of gas at the end of the
+    day, on the day of the payment for gas: those of the first and the last unit of the largest
+    injection, and of the largest withdrawal. If the value has a corner, the first unit injected has
+    the slope above the corner and the last one the slope below it; for withdrawn units it is the
+    opposite. `buy` is the cost of a unit in store, `sell` the proceeds of one out of it. `room_in`
+    and `room_out` are the free flows in units of the largest rate, `level` the joint level of the
+    slow price factors.
     """
 
     first_in: Array

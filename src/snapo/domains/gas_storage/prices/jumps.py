@@ -87,10 +87,9 @@ class OneFactorJumps(PriceProcess):
     A spike is eta x max(0, E - ln(1 / p)) with E = (z1^2 + z2^2) / 2 of two standard normals, which
     is exponential: P(E > ln(1 / p)) = p, and the excess is exponential again. This size is
     continuous in p, so that pathwise derivatives with respect to the intensity are those of the
-    expectation.
-    Source: the jump sizes are those of Kou (2002), upward only, around a mean-reverting spot as in
-    Merton (1976). The state is (f, y). `gap`, `last`: days from valuation to the first and the
-    last price.
+    expectation. Source: the jump sizes are those of Kou (2002), upward only, around a
+    mean-reverting spot as in Merton (1976). The state is (f, y). `gap`, `last`: days from valuation
+    to the first and the last price.
     """
 
     kind = "one-factor-jumps"

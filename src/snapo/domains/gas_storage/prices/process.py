@@ -189,8 +189,7 @@ class GaussianFactors(NamedTuple):
 
 class PriceProcess(Process):
     """A price process of a store, with further members in addition to those of the core's
-    `Process`. After
-    reading it has the numbers of the case; in a simulator it has none of them (see
+    `Process`. After reading it has the numbers of the case; in a simulator it has none of them (see
     `snapo.problem.form`), so that methods for paths read the numbers from their `inputs`.
 
     The level is the spot price in currency per unit; the state is that of the prices only.

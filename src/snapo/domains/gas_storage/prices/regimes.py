@@ -84,11 +84,11 @@ class Regimes(PriceProcess):
 
         p(d) = pi (1 - (1 - tightens - eases)^d),   pi = tightens / (tightens + eases),
 
-    so that c(d) = ln E[exp(premium R)] = ln(1 + p(d) (exp(premium) - 1)) and E[S(T)] = F(T).
-    A path has no derivative with respect to the probabilities: the state carries its likelihood
-    ratio (`weight`), and the derivative of the mean is correct. Source: Hamilton (1989), "A new
-    approach to the economic analysis of nonstationary time series"; de Jong (2006), "The nature of
-    power spikes". `gap`, `last`: days from valuation to the first and the last price.
+    so that c(d) = ln E[exp(premium R)] = ln(1 + p(d) (exp(premium) - 1)) and E[S(T)] = F(T). A path
+    has no derivative with respect to the probabilities: the state carries its likelihood ratio
+    (`weight`), and the derivative of the mean is correct. Source: Hamilton (1989), "A new approach
+    to the economic analysis of nonstationary time series"; de Jong (2006), "The nature of power
+    spikes". `gap`, `last`: days from valuation to the first and the last price.
     """
 
     kind = "regimes"

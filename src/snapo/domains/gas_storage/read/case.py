@@ -99,7 +99,7 @@ def read_curve(
         more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
         section.notes.append(
             f"In {name} {both[0]}{more} a quote of the day and one of the month: that of the day "
-            f"is used."
+            "is used."
         )
     prices = []
     for day in days:

@@ -53,9 +53,8 @@ def rates(schedule, interpolation: Interpolation, t: int) -> DayRates:
     """The day's ratchets as continuous piecewise-linear functions of the inventory.
 
     With step ratchets (the row at or below the inventory applies) a jump at a level becomes a ramp
-    that ends at
-    the level and is 1e-9 of the largest inventory wide: a dynamic program then needs one
-    kind of function only, and can gain at most that volume from it.
+    that ends at the level and is 1e-9 of the largest inventory wide: a dynamic program then needs
+    one kind of function only, and can gain at most that volume from it.
     """
     steps = schedule.steps
     levels, first = np.unique(steps.levels[t], return_index=True)

@@ -21,12 +21,11 @@ class EchelonRule(Policy):
     """order = unit softplus(gap + first + network(seen)), separately for each of the n places.
 
     `gap` is the level of a place's echelon minus its position. The position is all goods at the
-    place, on their way to it and further downstream, minus demand that waits. An echelon
-    base-stock rule is optimal for places in a
-    line (Clark and Scarf, 1960). An order with a fixed cost is placed where gap > wait +
-    network(seen): an (s, S) rule of the echelon. The amounts that stores of a pool hold back, or
-    their bands, are unit softplus(kept + network(seen)), and the shift of their balance is unit
-    network(seen).
+    place, on their way to it and further downstream, minus demand that waits. An echelon base-stock
+    rule is optimal for places in a line (Clark and Scarf, 1960). An order with a fixed cost is
+    placed where gap > wait + network(seen): an (s, S) rule of the echelon. The amounts that stores
+    of a pool hold back, or their bands, are unit softplus(kept + network(seen)), and the shift of
+    their balance is unit network(seen).
 
     - `batch` [n], `wait` [m]: initial values in standard deviations, by which S is above the first
       level of the echelon, and s below it for each of the m places with a fixed cost.

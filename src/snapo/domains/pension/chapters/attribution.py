@@ -230,12 +230,12 @@ def show(run: PensionRun, result: RatioParts) -> Sequence[Block]:
     head += [("Mean effect", "points"), ("Standard deviation", "points")]
     caption = (
         f"From {share(result.start)} today to the mean {run.horizon}: means over paths under the "
-        f"learned policy. The change of every month is split twice, assets first and liability "
-        f"first, and the mean is taken. The liability's parts come in the order benefits, "
-        f"accrual, interest, "
-        f"rates, mortality, indexation. Mortality is the effect of deviations from the table, "
-        f"and indexation that of increases beyond the part that the liability already includes. "
-        f"The parts add up to the change of F on"
+        "learned policy. The change of every month is split twice, assets first and liability "
+        "first, and the mean is taken. The liability's parts come in the order benefits, "
+        "accrual, interest, "
+        "rates, mortality, indexation. Mortality is the effect of deviations from the table, "
+        "and indexation that of increases beyond the part that the liability already includes. "
+        "The parts add up to the change of F on"
         " every path."
     )
     table = Table(head, body, "", 1, strong=frozenset([len(body) - 2, len(body) - 1]))

@@ -74,9 +74,9 @@ def measure(run: StudyRun) -> tuple[MarketTest, ...]:
     """Discounted values and their expectations, with the trained policy.
 
     The scenarios are risk-neutral ("Q"), whatever the measure of the case. The cost of hedging
-    currencies is left out, since no market participant receives it; other costs count when they
-    are paid. None if scenarios are supplied. Appraised
-    values and bases with a spread are not market prices.
+    currencies is left out, since no market participant receives it; other costs count when they are
+    paid. None if scenarios are supplied. Appraised values and bases with a spread are not market
+    prices.
     """
     case, setup = case_of(run), run.setup
     if case.scenarios is not None:

@@ -316,7 +316,7 @@ def _map(name: str, text: str, table: PolicyMap, values: np.ndarray) -> Chart:
     )
     caption = (
         f"{text[:1].upper()}{text[1:]}, in per cent: means over the paths with that funding "
-        f"ratio in that year; a cell is empty if there are almost none."
+        "ratio in that year; a cell is empty if there are almost none."
     )
     return Chart(svg, caption)
 

@@ -64,10 +64,9 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
 
     All policies are valued on the same fresh paths. A positive difference is a lead of the learned
     policy, and its standard error comes from the differences path by path. The classical policies
-    are trained for
-    as many steps as the network; those that depend on the funding ratio start from the trained
-    constant mix. The best version of each is used. The present mix, rebalanced at every step and
-    yearly, is not tuned, and may be outside the bounds.
+    are trained for as many steps as the network; those that depend on the funding ratio start from
+    the trained constant mix. The best version of each is used. The present mix, rebalanced at every
+    step and yearly, is not tuned, and may be outside the bounds.
     """
     return tuple(compare(run.setup, run.solution, run.progress))
 
@@ -214,7 +213,7 @@ def _cloud(run: PensionRun, policies: Sequence[PolicyWorth], unit: str) -> Chart
     svg = draw("frontier", alt, lambda axes: scatter(axes, marks, units), 230)
     text = (
         f"Contributions against the {name} in bad times; points further up and to the left "
-        f"are better."
+        "are better."
     )
     return Chart(svg, text)
 

@@ -31,9 +31,8 @@ SHARE = 0.01  # width over which the cost of a trade is rounded while training
 
 
 class Holdings(NamedTuple):
-    """`weights` [n]: weights of the assets after trading; `notional` [b]: notionals of the swaps
-    in money, or None; `cost`: cost of trading, in money; `bound_excess`: how far the policy's
-    weights
+    """`weights` [n]: weights of the assets after trading; `notional` [b]: notionals of the swaps in
+    money, or None; `cost`: cost of trading, in money; `bound_excess`: how far the policy's weights
     are outside their bounds (negative inside); `collateral_shortfall`: missing collateral, in
     money."""
 

@@ -27,8 +27,8 @@ class MarketTerms(NamedTuple):
     """The numbers of the whole horizon: `start`: the market at time 0; `slope` [J, g] at the
     payment nodes, with ln P(t, t+u) = shape - `slope` @ factors; `rate_slope` [2, g]: slopes of
     long and short rate. Under ready-made scenarios there is `swap_slope` [2, J, k], for the
-    payments of swaps before and after a step; otherwise the numbers of the models, with
-    `shock` [Z, Z], `decay`, `reach` [g] and wages (see `inflation.Growth`)."""
+    payments of swaps before and after a step; otherwise the numbers of the models, with `shock` [Z,
+    Z], `decay`, `reach` [g] and wages (see `inflation.Growth`)."""
 
     start: Market
     slope: Array

@@ -64,11 +64,10 @@ class LongerLife(NamedTuple):
 
 
 def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
-    """All death probabilities are scaled, by sex, until the life expectancy at 65 is a year
-    longer. The inputs that change are the multipliers; else the death probabilities; else the
-    parameters of the formula, whose hazards are then scaled to first order. None if mortality is
-    not an input or no scale suffices. A
-    number that both sexes share moves by the mean of the two moves.
+    """All death probabilities are scaled, by sex, until the life expectancy at 65 is a year longer.
+    The inputs that change are the multipliers; else the death probabilities; else the parameters of
+    the formula, whose hazards are then scaled to first order. None if mortality is not an input or
+    no scale suffices. A number that both sexes share moves by the mean of the two moves.
     """
     mortality = case.mortality
     if mortality is None:

@@ -72,12 +72,11 @@ class GlidePath(Policy):
 class LiabilityDriven(Policy):
     """A growth portfolio (classes with a separate shock) and a hedge (bonds, credit, cash).
 
-    The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix`
-    [n] are the logits of the classes within the two portfolios, and `hedge` [b] those of the
-    positions of the swaps in their ranges. If weights may be negative, the growth share is within
-    `reach`, and the weight of a class within its portfolio is floor + (1 - sum of floors)
-    softmax(mix); otherwise `floor` [n] is zero.
-    It starts at a constant `mix`.
+    The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
+    are the logits of the classes within the two portfolios, and `hedge` [b] those of the positions
+    of the swaps in their ranges. If weights may be negative, the growth share is within `reach`,
+    and the weight of a class within its portfolio is floor + (1 - sum of floors) softmax(mix);
+    otherwise `floor` [n] is zero. It starts at a constant `mix`.
     """
 
     limits: AllocationLimits
@@ -149,8 +148,7 @@ def followers(
     """{key: (name, policy)} of the rules that follow the funding ratio, ready to be tuned.
 
     They start at a `mix` that was tuned before; the bounds of the glide path start at `ratios`.
-    There are
-    none if the funding ratio is not among the observations.
+    There are none if the funding ratio is not among the observations.
     """
     if not {"funding_ratio", "relative_funding"} & set(case.observation):
         return {}

@@ -121,7 +121,7 @@ def _possible(section: TableReader, table: CurveTable, curve: MarketCurve) -> No
         section.notes.append(
             f"{table.file}: Smith-Wilson with a speed of {float(speed):.6f}, chosen so that the "
             f"forward rate at {curve.convergence:g} years is within a basis point of the "
-            f"ultimate rate; in sensitivities the speed changes with the quotes."
+            "ultimate rate; in sensitivities the speed changes with the quotes."
         )
 
 

@@ -91,7 +91,7 @@ def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
     if count < FEWEST:
         message = (
             f"a table that ends before age {OLD} must have at least {FEWEST} ages, so that "
-            f"it can be extrapolated"
+            "it can be extrapolated"
         )
         raise section.error("file", got, message)
     oldest = q[:, -SLOPE_AGES:]

@@ -68,9 +68,9 @@ class Assets(TreeRecord):
       1; `smoothed`: [q] positions of the appraised classes (such as property), often none.
     - `cost`: index [n], share of the trade; `fee`: index [n], share of assets per year.
     - `weight`: index [n], weights now, adding up to one.
-    - `low`, `high`: [n] bounds of the weights; `groups`: groups of classes, which do not overlap.
-      A class whose `low` is below 0
-      may be sold short, or, as cash, be borrowed; others may then weigh more than 1.
+    - `low`, `high`: [n] bounds of the weights; `groups`: groups of classes, which do not overlap. A
+      class whose `low` is below 0 may be sold short, or, as cash, be borrowed; others may then
+      weigh more than 1.
     - `amount`: market value of all assets now, index [].
     - `max_sale`: [n] share of a holding that may be sold per year, infinite without a limit;
       `band`: [n] distance from the wanted weight within which a class is not traded; `turnover`:

@@ -21,10 +21,10 @@ class MarketCurve(TreeRecord):
       linear between nodes, flat before the first. Quote "forward": the forward rate of the
       interval that ends at the node, constant in it. Quote "swap": rates of par swaps that pay
       once a year, tenors in whole years.
-    - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate;
-      "ultimate" moves the forward rate to `ultimate` by exp(-speed * (years beyond the node));
-      "smith-wilson" is this method for all terms, with `speed`; if it is None, with the smallest
-      speed at which forward rates have reached `ultimate` at `convergence` years.
+    - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate; "ultimate"
+      moves the forward rate to `ultimate` by exp(-speed * (years beyond the node)); "smith-wilson"
+      is this method for all terms, with `speed`; if it is None, with the smallest speed at which
+      forward rates have reached `ultimate` at `convergence` years.
     - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
     """
 
@@ -83,9 +83,8 @@ class Currencies(TreeRecord):
     """Foreign currencies; X is their number (0 allowed).
 
     - `volatility`, `premium` (return over the difference of rates; under "P" only), `hedge_ratio`
-      (0 to
-      1, the share of the exposure that is hedged), `hedge_cost` (share of the hedged amount per
-      year): index [X]. `emerging`: [X] whether its market is an emerging one.
+      (0 to 1, the share of the exposure that is hedged), `hedge_cost` (share of the hedged amount
+      per year): index [X]. `emerging`: [X] whether its market is an emerging one.
     """
 
     names: tuple[str, ...] = field(static=True)

@@ -22,9 +22,8 @@ class Mortality(TreeRecord):
     Kind "table": `table` [sex, age] = q, from `first_age` on. A table of fewer than G ages is
     extrapolated: the logit of the hazard continues from the last age with the slope of the last
     `SLOPE_AGES` ages (V. Kannisto). The rate of the last age applies to later ones (a q of 1 ends
-    all
-    lives). Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x) and q = 1 - exp(-integral
-    of mu over the year). Either way, j years after time 0, q(x, j) = 1 - (1 - m
+    all lives). Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x) and q = 1 -
+    exp(-integral of mu over the year). Either way, j years after time 0, q(x, j) = 1 - (1 - m
     q(x))^exp(-improvement(x) (since + j)), m = `multiplier(x)` times the factor of the cohort, and
     m q at most 1.
 
@@ -63,8 +62,7 @@ class FundMembers(TreeRecord):
     - `status`: ACTIVE, DEFERRED, PENSIONER, SPOUSE; `sex`: MALE, FEMALE.
     - `age`: exact ages in years at time 0 (fractions if the case requests them).
     - `number`: members, index [C]. `pension`: accrued pension per member and year, index [C].
-      `salary`:
-      per member and year, index [C] (0 for those who are not active).
+      `salary`: per member and year, index [C] (0 for those who are not active).
     - `service`: [C] years until now, for reports and for `Plan.max_service`.
     - `mortality`: factor on the members' q, index [C]; None if the table has none.
     """

@@ -13,11 +13,11 @@ class Indexation(TreeRecord):
     no `Revaluation`, all other rights increase equally.
 
     "none"; "fixed": by `rate`, a part of the payments themselves (see `people.fixed_increases`);
-    "full": price growth since the last time; "capped": the same within `floor` and
-    `cap` (per year); "conditional": the capped increase times a ramp, which is 0 at `lower_ratio`
-    and 1 at `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging`
-    months (1 to 12). Cuts: if the policy ratio lies below `required_ratio`, pensions are cut by
-    (1 - ratio / required_ratio) / `cut_years`; no cuts if `cut_years` is 0.
+    "full": price growth since the last time; "capped": the same within `floor` and `cap` (per
+    year); "conditional": the capped increase times a ramp, which is 0 at `lower_ratio` and 1 at
+    `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging` months (1 to
+    12). Cuts: if the policy ratio lies below `required_ratio`, pensions are cut by (1 - ratio /
+    required_ratio) / `cut_years`; no cuts if `cut_years` is 0.
 
     `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`, `rate`: index [].
     """
@@ -57,9 +57,9 @@ class Contribution(TreeRecord):
 
     - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost": the normal cost only;
       "spread": normal cost plus `spread_factor` per year times (liability - assets), which a
-      surplus makes negative;
-      "target": normal cost plus the gap to `target_ratio` times the liability, as level payments
-      in periods of `level_steps`; if that is None, the gap divided by `recovery_years` each year.
+      surplus makes negative; "target": normal cost plus the gap to `target_ratio` times the
+      liability, as level payments in periods of `level_steps`; if that is None, the gap divided by
+      `recovery_years` each year.
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.
     - `floor`, `cap`: share of salaries; `sponsor_limit`: maximum money per year, grows with wages.

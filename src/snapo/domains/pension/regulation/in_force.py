@@ -39,7 +39,7 @@ def in_force(
         available = [(version["from"], version) for version in versions if version["from"] <= day]
     except FileNotFoundError:
         message = (
-            f"there is no such file, and the package has no rules of this name, only "
+            "there is no such file, and the package has no rules of this name, only "
             f"{', '.join(local)}"
         )
         raise section.error("rules", name, message) from None
@@ -79,7 +79,7 @@ def read_regulation(
     if len(table.policy_ratios) > rules.averaging_months:
         message = (
             f"the policy ratio is the mean of {rules.averaging_months} months: specify at "
-            f"most that many"
+            "most that many"
         )
         raise section.error("policy_ratios", len(table.policy_ratios), message)
     ratios = tuple(table.policy_ratios)

@@ -38,9 +38,8 @@ class KeptShares:
     """Shares of batches that keep all limits, with standard errors, on the same batches.
 
     - `value`: the share under the policy; `baseline`: the share under the best fixed recipe;
-      `gain`: their difference; `given`: the share under the recipe of the case. `better`:
-      "policy", "recipe", or "" if
-      the difference is not significant.
+      `gain`: their difference; `given`: the share under the recipe of the case. `better`: "policy",
+      "recipe", or "" if the difference is not significant.
     """
 
     value: Number

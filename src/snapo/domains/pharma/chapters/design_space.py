@@ -35,8 +35,7 @@ class SpaceMap:
     - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
     - `levels`: the levels of contours; `required`: probability. `box`: the largest box inside the
       space, None if the set point itself is outside. `ends`: the boundary of the space along the
-      lines of the
-      map.
+      lines of the map.
     """
 
     axes: tuple[str, ...]
@@ -159,7 +158,7 @@ def _in_words(result: SpaceMap) -> Text:
         )
         text += (
             f" With so few draws not every contour can be certain: that needs at least {needed} "
-            f"at every point, all of them within the limits."
+            "at every point, all of them within the limits."
         )
     if result.box is None:
         return Text(text + " No box around the set point has the required probability.")

@@ -187,7 +187,7 @@ def _facts(run: RunFiles) -> list[tuple[str, str, str]]:
         share, attribute = percent(first.share, 0), first.attribute
         note = (
             f"its normal range uses {share} of the margin of {attribute} that the variation "
-            f"of the batches leaves"
+            "of the batches leaves"
         )
         if first.outside:
             note = f"{attribute} is beyond its limit"

@@ -127,8 +127,7 @@ def convergence(process: PharmaProcess, inputs=None, tolerance: float = 1e-10) -
 
     `tolerance` is that of the adaptive solution, or the case's if that is tighter. If units hold
     their steps, the derivatives of the adaptive solution are differences of its values: through an
-    implicit solver with
-    error control the adjoint takes minutes to compile.
+    implicit solver with error control the adjoint takes minutes to compile.
     """
     numerics = process.case.numerics
     tight = min(tolerance, numerics.tolerance)

@@ -71,12 +71,11 @@ PROBABLE = (9, 3, 1)  # every point of these is many batches
 class AcceptableRange:
     """A range in the case's unit; an edge names the attribute that fails beyond it.
 
-    `low`, `high`: None if the set point itself fails. `low_edge`, `high_edge`: "" if the
-    studied range ends before any limit. `certain`: ends between which every tested point passes
-    even at the lower end of its 95 % interval; `possible`: up to the first point that fails even at
-    the upper end; None if the set point itself fails. `holds_normal`, `sure_normal`: whether the
-    normal
-    range lies inside, and inside `certain`.
+    `low`, `high`: None if the set point itself fails. `low_edge`, `high_edge`: "" if the studied
+    range ends before any limit. `certain`: ends between which every tested point passes even at the
+    lower end of its 95 % interval; `possible`: up to the first point that fails even at the upper
+    end; None if the set point itself fails. `holds_normal`, `sure_normal`: whether the normal range
+    lies inside, and inside `certain`.
     """
 
     low: float | None

@@ -87,10 +87,9 @@ class Stopped(Exception):
 class TracedRecipe:
     """A traceable function of x [n] (and of further arguments) to [K] numbers, compiled once.
 
-    A call returns the numbers and their derivative [K, n] with respect to x. The result of the
-    last call is remembered, since optimisers request values and derivatives one after the other.
-    `compiling`:
-    seconds.
+    A call returns the numbers and their derivative [K, n] with respect to x. The result of the last
+    call is remembered, since optimisers request values and derivatives one after the other.
+    `compiling`: seconds.
     """
 
     def __init__(self, function: Callable, mode: Mode = "adjoint"):

@@ -23,8 +23,7 @@ class PiecewiseTime(NamedTuple):
 
     `breaks`: [K + 1] shares of the duration. `source`: [K] number of the interval of `edges` that
     contains the piece. `grading`: [K, 3] 1 at the row of `local_points` by which the piece is
-    graded.
-    `edges`: all nodes of the unit's profiles.
+    graded. `edges`: all nodes of the unit's profiles.
     """
 
     breaks: Float[Array, " K+1"]

@@ -86,7 +86,7 @@ def lines(case: PensionCase) -> list[str]:
         f"tenor{'s' * (case.buckets != 1)}",
         f"scenarios: {'supplied' if case.scenarios else SCENARIOS[case.measure]}",
         f"{inputs_line([entry.value.size for entry in inputs.values()])}; {len(case.held)} held "
-        f"fixed",
+        "fixed",
         *_human(case, result.human),
         *_status(case, input_values(case), result.figures.liability),
         *in_words(case),

@@ -65,7 +65,7 @@ def _market(case: PensionCase, human: Human) -> Iterator[str]:
             yield (
                 f"the volatility of the {tenor}-year rate is {volatility:.2%} a year, which is "
                 f"rarely below {low:.1%} or above {RATE_VOLATILITY[1]:.1%}: see rates.volatility "
-                f"(0.008 is "
+                "(0.008 is "
                 "0.8 % a year) and mean_reversion"
             )
     for name, mean in human.returns.items():

@@ -23,12 +23,10 @@ class LiabilityFigures(NamedTuple):
     """The figures of a valuation report.
 
     - `liability`: the value now on the case's basis, in money. `duration`: minus d ln L / d rate
-      for a
-      parallel shift of continuous rates, in years; `convexity`: in years squared.
+      for a parallel shift of continuous rates, in years; `convexity`: in years squared.
     - `key_rate`: [n] change of the liability, in money, for +1 bp at each node of the nominal
-      curve;
-      `key_inflation` [k]: the same for break-evens; `inflation01`: the sum of these. They are 0 if
-      the basis does not use the curve.
+      curve; `key_inflation` [k]: the same for break-evens; `inflation01`: the sum of these. They
+      are 0 if the basis does not use the curve.
     - `cash_flow`: [S] expected payments of accrued rights by step, in money, before indexation.
     """
 

@@ -99,7 +99,7 @@ def check_amounts(
         if group.torn and not all(flows):
             message = (
                 f"a batch reaches the loop {group.loop}, which is solved at its steady state: "
-                f"every feed of the loop needs a duration, because its units take only flows"
+                "every feed of the loop needs a duration, because its units take only flows"
             )
             raise CaseError(str(file), "connections", None, message)
     for unit in units:

@@ -226,12 +226,12 @@ def by_finite_volumes(
 def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"]:
     """The gain of a density across each cell, limited; 0 in the first and in the last cell.
 
-    With F and B, the gain by the forward and by the backward difference, it is F B (F + B) / (F^2
-    + B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and
-    Astrophysics 108, 1982). It equals F if F = B. Its size is at most 1.21 times the smaller of F
-    and B if they have the same sign, and a fifth of it if not. Van Leer's has a kink where F or B
-    changes its sign: with it, central differences over 0.02 K of a cooling crystalliser were 0.7 %
-    off its derivative, and with this one 4e-5.
+    With F and B, the gain by the forward and by the backward difference, it is F B (F + B) / (F^2 +
+    B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and Astrophysics 108, 1982). It
+    equals F if F = B. Its size is at most 1.21 times the smaller of F and B if they have the same
+    sign, and a fifth of it if not. Van Leer's has a kink where F or B changes its sign: with it,
+    central differences over 0.02 K of a cooling crystalliser were 0.7 % off its derivative, and
+    with this one 4e-5.
     """
     centre, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
     difference, inner = jnp.diff(n) / fixed(np.diff(centre)), fixed(width[1:-1])

@@ -71,10 +71,9 @@ def over_sizes(dissolved: Callable[[Array], Array], crystals: Lasting) -> Float[
 
 
 def gone(time, lifetime) -> Float[Array, ""]:
-    """The dissolved share of shrinking spheres after `time`, if they need `lifetime` s to
-    dissolve: 1 -
-    (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and Agitation",
-    Industrial and Engineering Chemistry 23, 923-931, 1931)."""
+    """The dissolved share of shrinking spheres after `time`, if they need `lifetime` s to dissolve:
+    1 - (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and
+    Agitation", Industrial and Engineering Chemistry 23, 923-931, 1931)."""
     left = 1 - time / lifetime
     # The cube makes it twice differentiable at full dissolution.
     return 1 - jnp.where(left > 0, left, 0.0) ** 3
@@ -83,8 +82,8 @@ def gone(time, lifetime) -> Float[Array, ""]:
 def released(time, lifetime, mean) -> Float[Array, ""]:
     """The share dissolved after `time` if particles leave the tablet at random times, 1 - exp(-s /
     mean) of them by time s, and each then shrinks as in `gone`. It is the integral of
-    exp(-s/mean)/mean gone(t - s) over s from 0 to t, in closed form: with x = u/T,
-    a = mean/T and the antiderivative e^(x/a) (a (1-x)^2 + 2 a^2 (1-x) + 2 a^3) of e^(x/a) (1-x)^2.
+    exp(-s/mean)/mean gone(t - s) over s from 0 to t, in closed form: with x = u/T, a = mean/T and
+    the antiderivative e^(x/a) (a (1-x)^2 + 2 a^2 (1-x) + 2 a^3) of e^(x/a) (1-x)^2.
     """
     last = jnp.minimum(time, lifetime)
     a, x = mean / lifetime, last / lifetime
