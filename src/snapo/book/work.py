@@ -58,7 +58,7 @@ from .stress import StressMove
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
-UNTIDY, LARGE = 700, 1000  # MB at which a worker returns free memory; at which it drops code too
+UNTIDY, LARGE = 500, 1000  # MB at which a worker returns free memory; at which it drops code too
 
 
 def compute(data: bytes) -> bytes:
