@@ -58,7 +58,8 @@ from .stress import StressMove
 
 EXPOSURE_PATHS, EXPOSURE_BLOCKS = 4096, 32
 AT_ONCE = 2**20  # numbers of an output, of all paths and steps that are valued together
-UNTIDY, LARGE = 500, 1000  # MB at which a worker returns free memory; at which it drops code too
+# MB at which a worker returns free memory; searches for cycles that hold more; drops its code too.
+ROOMY, UNTIDY, LARGE = 500, 700, 1000
 
 
 def compute(data: bytes) -> bytes:
@@ -107,6 +108,7 @@ def _keep_small() -> None:
             jax.clear_caches()
         if size > UNTIDY:
             gc.collect()
+        if size > ROOMY:
             return_memory()
 
 
