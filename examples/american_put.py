@@ -27,7 +27,7 @@ class Put(snapo.Simulator):
         spot = state["spot"] * jnp.exp(constants["drift"] + constants["deviation"] * noise[0])
         return {"spot": spot, "right": right}, {"cash": used * now["discount"] * payoff}
 
-    def terminal(self, constants, state, smooth):  # after a year, whoever still holds the right
+    def terminal(self, constants, state, smooth):  # after a year, if the right was not used
         payoff = jnp.maximum(constants["strike"] - state["spot"], 0.0)
         return {"cash": self.action.left(state["right"]) * jnp.exp(-constants["rate"]) * payoff}
 
@@ -35,4 +35,4 @@ class Put(snapo.Simulator):
 inputs = {"spot": snapo.Input(36, "EUR"), "strike": snapo.Input(40, "EUR")}
 inputs |= {"rate": snapo.Input(0.06, "1/year"), "volatility": snapo.Input(0.2)}
 if __name__ == "__main__":
-    print(snapo.solve(Put(), inputs))  # finite differences: 4.478
+    print(snapo.solve(Put(), inputs))  # 4.478 by finite differences

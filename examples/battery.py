@@ -1,10 +1,10 @@
-"""A grid battery on an hourly market: trade the price, and pay for it in lost capacity.
+"""A grid battery on an hourly market: it earns from price differences and ages.
 
-One week of hours. The price is a process of its own, by default a mean-reverting deviation around
-a daily profile; any other `Process` can take its place. Charging and discharging lose energy,
-every cycle costs a little of the capacity, and so does time. At the end the remaining capacity has
-a value per MWh, and the energy left is sold at the mean price. The decision is the power, as a
-share of the rating: +1 discharges at full power, -1 charges.
+The problem has one week of hours. The price is a mean-reverting deviation around a daily profile;
+any other `Process` can replace it. Charging and discharging lose energy. Each cycle and each hour
+reduce the capacity. At the end the lost capacity is paid at its replacement cost, and the energy in
+store is sold at the mean forward price of the last day. The decision is the power as a share of the
+rated power: +1 discharges and -1 charges at full power.
 """
 
 import equinox as eqx
@@ -19,7 +19,7 @@ HOURS = 168
 
 
 class Inputs(eqx.Module):
-    """What is differentiable: a price a week ahead by hour, and the battery's data sheet."""
+    """The differentiable inputs: the forward prices of the week by hour, and the battery's data."""
 
     price: SchwartzInputs
     power: snapo.Input
@@ -31,7 +31,7 @@ class Inputs(eqx.Module):
 
 
 class Battery(snapo.Simulator):
-    """One path. State: energy stored (MWh), capacity (MWh), that of the price, cycles."""
+    """One path. State: energy in store (MWh), capacity (MWh), state of the price, and cycles."""
 
     price: Process = Schwartz(range(HOURS), time_scale=24.0)
     horizon: int = HOURS
@@ -49,7 +49,7 @@ class Battery(snapo.Simulator):
         prices = self.price.prepare(inputs.price)
         forward = jax.vmap(lambda now: self.price.forward(prices.constants, now))(prices.steps)
         hour = jnp.arange(HOURS)
-        # Forward prices: mean, best and worst of the coming day, for the policy.
+        # For the policy: mean, highest and lowest forward price of the next 24 hours.
         ahead = forward[jnp.minimum(hour[:, None] + jnp.arange(24), HOURS - 1)]
         steps = {
             "price": prices.steps,
@@ -97,7 +97,7 @@ class Battery(snapo.Simulator):
 
     def step(self, constants, now, state, action, noise, smooth):
         c, power, scale = constants, constants["power"], constants["power"]
-        # Half of the round trip's loss on the way in, half on the way out; power is at the grid.
+        # Half of the round-trip loss on charging, half on discharging; power is that at the grid.
         oneway = jnp.sqrt(c["efficiency"])
         wanted = power * action[0]
         out = smooth.minimum(
@@ -110,7 +110,7 @@ class Battery(snapo.Simulator):
         worn = c["cycle_ageing"] * cycles * c["capacity"]
         capacity = state["capacity"] * (1 - c["calendar_ageing"]) - worn
         after = {
-            # What no longer fits into an aged battery is lost.
+            # Energy that no longer fits into an aged battery is lost.
             "energy": smooth.minimum(energy, capacity, scale=scale),
             "capacity": capacity,
             "price": self.price.step(c["price"], now["price"], state["price"], noise),
@@ -132,12 +132,12 @@ class Battery(snapo.Simulator):
         return {"energy": c["power"], "capacity": c["power"], "price": prices, "cycles": one}
 
     def _spot(self, constants, now, state):
-        """The price this hour."""
+        """The price in this hour."""
         return self.price.level(constants["price"], now["price"], state["price"])
 
 
 def simulator() -> Battery:
-    """A week of hours."""
+    """A battery over a week of hours."""
     return Battery()
 
 
@@ -157,7 +157,7 @@ def inputs() -> Inputs:
         power=snapo.Input(10.0, "MW"),
         capacity=snapo.Input(20.0, "MWh"),
         efficiency=snapo.Input(0.88, "round trip"),
-        # 80 % of the capacity is left after 6000 full cycles, and 2 % a year goes by itself.
+        # 80 % of the capacity is left after 6000 full cycles; 2 % a year is lost without use.
         cycle_ageing=snapo.Input(0.2 / 6000, "capacity per cycle"),
         calendar_ageing=snapo.Input(0.02, "capacity per year"),
         replacement=snapo.Input(150_000.0, "EUR/MWh of capacity"),

@@ -1,4 +1,4 @@
-# The right to buy the best of several shares: on nine dates in three years, or at the end.
+# The right to buy the best of several shares, on one of nine dates in three years or at the end.
 import jax.numpy as jnp
 
 import snapo
@@ -6,7 +6,7 @@ import snapo
 
 class MaxCall(snapo.Simulator):
     horizon: int = 9
-    noise_size: int = 2  # as many shares as normals a step
+    noise_size: int = 2  # number of shares: one random number a step for each
     action: snapo.Stop = snapo.Stop()
 
     def prepare(self, inputs):

@@ -1,7 +1,7 @@
-"""An objective of one's own: the reservoir's mean profit per unit of its standard deviation.
+"""A user-defined objective: the mean profit of the reservoir divided by its standard deviation.
 
-Five lines: the names of the outputs, and one formula of the paths' totals in jax.numpy. The weights
-that training needs and the standard error of the value follow from the formula.
+It needs two things: the names of the outputs, and a formula of the totals of the paths in
+jax.numpy. The weights that training needs and the standard error of the value follow from it.
 """
 
 from dataclasses import dataclass

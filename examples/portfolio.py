@@ -1,7 +1,8 @@
-"""Thirty assets under bounds: rebalance each month, pay for trading, like wealth but not risk.
+"""Thirty assets within limits: a risk-averse investor rebalances each month and pays for trading.
 
-Weights obey a bound per asset and a range per group (equities, bonds, the rest), and add up to
-one by construction. The objective is the expected CRRA utility of wealth after five years.
+Weights meet an upper limit for each asset and a range for each group (equities, bonds, others), and
+add up to one by construction. The objective is the expected CRRA utility of wealth after five
+years.
 """
 
 import equinox as eqx
@@ -16,7 +17,7 @@ EQUITIES, BONDS, OTHERS = tuple(range(15)), tuple(range(15, 25)), tuple(range(25
 
 
 class Inputs(eqx.Module):
-    """Differentiable: means and volatilities per asset (per year), costs, and the limits."""
+    """The differentiable inputs: mean and volatility of each asset (a year), costs, and limits."""
 
     mean: snapo.Input
     volatility: snapo.Input
@@ -30,8 +31,8 @@ class Inputs(eqx.Module):
 class Portfolio(snapo.Simulator):
     """One path. State: weights after the month's returns, wealth, and a slow market signal.
 
-    `loadings` [30, 4] are each asset's correlations with three market factors and the signal; the
-    rest of its variance is its own.
+    `loadings` [30, 4] are the correlations of each asset with three market factors and the signal.
+    The rest of the variance of an asset is independent of the other assets.
     """
 
     loadings: np.ndarray
@@ -73,7 +74,7 @@ class Portfolio(snapo.Simulator):
         traded = jnp.sum(smooth.absolute(weights - state["weights"], scale=1 / ASSETS))
         paid = c["cost"] * traded
         factors, own = noise[:4], noise[4:]
-        # The signal lifts equities: a month's expected return moves by `momentum` per unit of it.
+        # One unit of the signal raises the expected return of equities in a month by `momentum`.
         lift = c["momentum"] * state["signal"] * (jnp.arange(ASSETS) < len(EQUITIES))
         growth = jnp.exp(c["drift"] + lift + c["systematic"] @ factors + c["own"] * own)
         gross = jnp.sum(weights * growth)
@@ -89,7 +90,10 @@ class Portfolio(snapo.Simulator):
 
 
 def simulator() -> Portfolio:
-    """Equities share a market, bonds a rate, the rest a bit of both; the signal leads equities."""
+    """Equities share a market factor and bonds a rate factor; other assets depend on both.
+
+    The signal predicts the returns of equities.
+    """
     loadings = np.zeros((ASSETS, 4))
     loadings[list(EQUITIES)] = (0.65, 0.0, 0.25, 0.10)
     loadings[list(BONDS)] = (-0.10, 0.80, 0.0, 0.0)
@@ -98,7 +102,9 @@ def simulator() -> Portfolio:
 
 
 def inputs() -> Inputs:
-    """Equities 5 to 7 % a year at 16 to 24 %, bonds 2.5 to 3.5 % at 4 to 8 %, the rest between."""
+    """Means and volatilities a year: equities 5 to 7 % and 16 to 24 %, bonds 2.5 to 3.5 % and 4 to
+    8 %, others between the two.
+    """
 
     def between(low, high, count):
         return np.linspace(low, high, count)
@@ -119,7 +125,7 @@ def inputs() -> Inputs:
 
 
 def objective() -> Objective:
-    """Constant relative risk aversion of 5."""
+    """Expected utility with a constant relative risk aversion of 5."""
     return snapo.ExpectedUtility("wealth", snapo.CRRA(5.0))
 
 
