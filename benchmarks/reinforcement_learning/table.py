@@ -89,7 +89,7 @@ def summary(points: Sequence[Point], shown: dict) -> Iterator[str]:
     times and more are bold.
     """
     yield (
-        "| problem | method, seeds | best value, by seed | CPU seconds to it "
+        "| problem | method, seeds | best value, by seed | CPU seconds to this value "
         "| snapo: times faster, by seed | snapo: times fewer steps |"
     )
     yield "|---|---|---|---|---|---|"

@@ -92,7 +92,7 @@ def _kind(annotation: Any) -> str:
 
 def _default(field) -> str:
     if field.is_required():
-        return "must be given"
+        return "required"
     value = field.default
     if value is PydanticUndefined or value is None or value == () or isinstance(value, CaseTable):
         return ""
