@@ -1,4 +1,4 @@
-"""A reservoir: how much water to send through the turbines each week, prices and rain unknown.
+"""A reservoir: how much water to send through the turbines each week, with random prices and rain.
 
 ONE path, in plain jax.numpy: no batch dimension, no random keys, no loop over time. An entry of
 [inputs] in case.toml is passed as inputs["name"]. Try:
