@@ -206,7 +206,7 @@ def _matters(points: SamplePoints, number: int, which: np.ndarray) -> bool:
 
 
 def _met(site: CodeSite, index: np.ndarray, axis: np.ndarray) -> tuple[int, int, int]:
-    """The index farthest outside, as it was written, the length and the size of the part."""
+    """The index farthest outside as written, the length of the axis, and the size of the part."""
     ranges = np.array(site.ranges)[axis]
     k = int(np.argmax(np.where(index < 0, -index, index - ranges[:, 0] + ranges[:, 1])))
     length, size = (int(n) for n in ranges[k])

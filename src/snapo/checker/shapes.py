@@ -88,7 +88,7 @@ def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
 
 
 class Shapes(NamedTuple):
-    """The observation in shape and type, and the names of all outputs."""
+    """The shape and type of the observation, and the names of all outputs."""
 
     observation: Any
     outputs: frozenset[str]

@@ -276,7 +276,8 @@ def moments(
 ) -> Iterator[SamplePoints]:
     """Every method at the inputs and at moments of the runs.
 
-    The points are NumPy's: with JAX's arrays, each selection would be compiled for each simulator.
+    The points are NumPy arrays: with JAX arrays, each selection would be compiled for each
+    simulator.
     """
     run, times = runs[0], _times(simulator.horizon)
     paths = min(PATHS, run.draws.size, max(2, POINTS // (len(runs) * len(times))))

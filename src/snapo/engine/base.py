@@ -190,7 +190,7 @@ class Engine(abc.ABC):
         """This engine bound to the simulator and the schedule of a problem.
 
         `controls`: whether outputs that are only control variates are computed too; `simplest`:
-        whether a policy is replaced by its equivalent `simplest` (not in training).
+        whether a policy is replaced by its `simplest` form (not in training).
         """
         simulator, outputs = problem.simulator.on_paths(), problem.objective.outputs
         simulator = simulator if controls else uncontrolled(simulator, outputs)
@@ -355,13 +355,13 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 
 
 def check_draws(simulator: Simulator, draws: Draws) -> None:
-    """Checks that there are paths, with noise for each step, or a kernel reads out of range."""
+    """Checks that there are paths with noise for each step; kernels do not check it."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; they must have at least one.")
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
         raise ValueError(
-            f"engine: the draws give `initial` the noise of {draws.before} steps, but "
-            f"initial_noise_size is {simulator.initial_noise_size}, which is not a multiple of it."
+            f"engine: the draws pass the noise of {draws.before} steps to `initial`, but "
+            f"initial_noise_size is {simulator.initial_noise_size}; it must be a multiple of that."
         )
     if isinstance(draws, Stored):
         shapes = {

@@ -57,7 +57,7 @@ def compiled_meanwhile(
 
 
 def _zeros(leaf) -> np.ndarray:
-    """Zeros like a leaf; of a large one a single zero in its shape."""
+    """Zeros like a leaf; for a large leaf a single zero, broadcast to its shape."""
     large = np.size(leaf) > LARGE
     return np.broadcast_to(np.zeros(()), np.shape(leaf)) if large else np.zeros(np.shape(leaf))
 

@@ -162,8 +162,8 @@ def _without_one(op: Op) -> Op:
 
 
 def _unchanged(op: Op) -> ProgramValue | None:
-    """The input that an operation returns as it is: the factor beside one, or the option that a
-    known mask takes everywhere."""
+    """The input that an operation returns unchanged: the other factor of a product with one, or the
+    option that a known mask takes everywhere."""
     first, *others = op.inputs
     options: list[ProgramValue] = []
     if op.name == "mul":
