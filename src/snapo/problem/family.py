@@ -63,7 +63,7 @@ class Family:
             low, high = endpoints
             if not np.all(np.asarray(low) < np.asarray(high)):
                 raise ValueError(
-                    f"Family: the range of {name} is ({low}, {high}); low must be less."
+                    f"Family: the range of {name} is ({low}, {high}); low must be less than high."
                 )
 
     @cached_property

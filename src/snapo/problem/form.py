@@ -1,4 +1,5 @@
-"""The form of a case: all on which compiled code depends. Its numbers are arguments of that code.
+"""The form of a case: everything on which compiled code depends. Its numbers are arguments of that
+code.
 
 A simulator of a domain contains no case, but modules with fields of two kinds: static ones (kinds,
 rules, names, sizes, flags), which JAX compares, and arrays. Traced code cannot read anything else:

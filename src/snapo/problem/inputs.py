@@ -35,8 +35,8 @@ def plain(inputs: PyTree) -> PyTree:
 
 
 def unnamed(inputs: PyTree) -> PyTree:
-    """The same module, its inputs without labels and units, so that compiled code can be reused for
-    inputs with others."""
+    """The same module with inputs that have no labels and units, so that compiled code can be
+    reused for inputs with other labels and units."""
     return jax.tree.map(lambda x: Input(x.value) if is_input(x) else x, inputs, is_leaf=is_input)
 
 

@@ -175,8 +175,8 @@ class MLP(Policy):
 
 
 def widths(action: Actions) -> tuple[int, int]:
-    """Two hidden layers of four units for each number that is decided, a power of two from 32 to
-    128.
+    """The widths of two hidden layers: four units for each number that is decided, rounded up to a
+    power of two, from 32 to 128.
 
     >>> widths(snapo.Box(0.0, 1.0)), widths(snapo.Box(0.0, 1.0, size=24))
     ((32, 32), (128, 128))
@@ -244,7 +244,8 @@ class Residual(Policy):
 def without_memory(policy: Policy, where: str) -> None:
     """Refuses a policy with memory (see `memory.py`) inside one that does not support it."""
     if hasattr(policy, "decide"):
-        raise ValueError(f"{where}: {type(policy).__name__} has a memory, which must be outermost.")
+        message = "has a memory, and must not be part of another policy"
+        raise ValueError(f"{where}: {type(policy).__name__} {message}.")
 
 
 def _network(policy: MLP | Residual, action, features, key) -> Network | None:

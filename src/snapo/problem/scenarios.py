@@ -8,7 +8,7 @@ threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian b
 Steps are counted in a calendar that simulators share: a simulator whose `first_step` is 30 uses for
 its step t the noise of the calendar's step 30 + t, and path p is the same scenario in all of them.
 If the initial state is not a function of the noise of earlier steps, a simulator counts from its
-own start. `Scenarios.world` is equal for those that share their paths.
+own start. `Scenarios.world` is equal for scenarios that share their paths.
 """
 
 import abc
@@ -236,7 +236,8 @@ class Supplied(Scenarios):
             )
         if len(paths) and paths.max() >= available:
             raise ValueError(
-                f"Supplied: path {paths.max()} was requested of {available} supplied paths."
+                f"Supplied: path {paths.max()} was requested, but there are only {available} paths "
+                "(numbered from 0)."
             )
         initial = self.initial_noise
         if initial is None:

@@ -1,4 +1,5 @@
-"""An upper bound: the penalised earnings of the best decisions with perfect foresight, by path.
+"""An upper bound: the penalised earnings of the best decisions with perfect foresight, path by
+path.
 
     value of every policy <= value of the best <= E[max over decisions of (earnings - penalty)]
 
@@ -178,7 +179,7 @@ def bound(
       of stopping if `Stop` is the only decision.
     - `penalty`: "none" is perfect foresight; "value" the approximate value function itself;
       "trained" scales its parts by descent on the bound, on `training_paths` other paths.
-    - `source`: scenarios, by default ones that are used for nothing else.
+    - `source`: scenarios, by default fresh ones that nothing else uses.
 
     **Raises:** `ValueError` if the objective is not a mean over paths, if no relaxation is
     available, or if the inner problem earns less than the policy on some path, so that it is not

@@ -142,7 +142,8 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
     """Rows like those of `Bump`, for the inputs of `Problem.in_mean`: the reported derivative
     compared with a move of all their numbers by 1 %, within four standard errors of the difference.
 
-    If a bump refutes the held derivative and is reported itself, there is no difference."""
+    If a bump has refuted the held derivative, the bump itself is reported, and the difference is
+    zero."""
     results = []
     for name in problem.in_mean:
         if (verdict := verdicts.get(name)) is None:

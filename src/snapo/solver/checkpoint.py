@@ -25,7 +25,7 @@ PLAIN = ("step", "best_value", "stale", "status", "clip", "keep", "since", "wind
 
 
 def save(progress: Progress, file: Path, mark: str = "") -> None:
-    """Writes the complete state of training; `mark` is that of the run that it belongs to."""
+    """Writes the complete state of training; `mark` identifies the run that it belongs to."""
     state = {
         "step": progress.step,
         "best_value": progress.best_value,
@@ -75,7 +75,8 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
 
 
 def _with_critic(file: Path, like: Progress) -> Progress:
-    """With a critic where training chose windows, which a beginning does not know."""
+    """The state with a critic if training has chosen windows, which a state before the first step
+    does not know."""
     try:
         features = read_checked(file)[1]["header"]["features"]
     except (KeyError, TypeError):

@@ -147,7 +147,7 @@ def _by_derivative(problem: Problem, invalid: int, paths: int) -> str:
     many = f"the derivatives of {invalid} of {paths} paths are" if invalid else "the gradient is"
     errors = check(problem.simulator, problem.inputs).errors
     text = f" {errors[0].where}: {errors[0].subject}" if errors else ""
-    return f"{many} non-finite, though all totals are.{text}"
+    return f"{many} non-finite, although all totals are finite.{text}"
 
 
 def _first(problem: Problem, policy, draws, smooth) -> FirstNonFinite | None:

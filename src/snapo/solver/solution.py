@@ -55,10 +55,10 @@ class Solution:
     - `smoothing_gap`: exact minus smooth value, on the first of the same paths, with its standard
       error `smoothing_gap_error`; `smooth_value`: the value minus the gap.
     - `policy`: the reported policy; `selected`: "start" (the rule that training began with),
-      "newest", "highest" of the validation or "top of the surface"; `gain`: the gain of the best of
-      a training over its start, with the standard error, on separate paths.
-    - `policy_gradient_norm`: it vanishes at an optimum. The noise in it, `policy_gradient_noise`,
-      has been subtracted: a norm below its noise may be zero.
+      "newest", "highest" of the validation or "top of the surface"; `gain`: the gain of the best
+      policy of a training over its start, with the standard error, on separate paths.
+    - `policy_gradient_norm`: the norm of the policy's gradient, which vanishes at an optimum. The
+      noise in it, `policy_gradient_noise`, has been subtracted: a norm below its noise may be zero.
     - `sensitivities`: the derivative with respect to every input, with its interval.
     - `totals`: {output: [paths]} of the exact simulator; `history`: the history of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: the engine used, and why.

@@ -108,10 +108,11 @@ class Stop(Actions):
     """At every step: stop or continue. With `rights` above 1: use one of the rights left, or wait.
 
     In the value an action is 1 (stop) or 0 (continue). In training it is a hazard: the probability
-    of stopping here if not before. A path then does not stop at once: the simulator's state has
-    the weight that has not stopped yet, and the payoff is paid on the part that stops. This is the
-    expectation over the time of stopping, without any jump, so that its derivative is correct.
-    (With an indicator of "stop now" instead, training converges to stopping at once.)
+    of stopping at this step if no earlier step stopped. A path then does not stop at once: the
+    simulator's state has the weight that has not stopped yet, and the payoff is paid on the part
+    that stops. This is the expectation over the time of stopping, without any jump, so that its
+    derivative is correct. (With an indicator of "stop now" instead, training converges to stopping
+    at once.)
 
         def initial(…):   state = {…, "right": self.action.initial()}
         def step(…):      right, used = self.action.use(state["right"], action)
@@ -121,8 +122,8 @@ class Stop(Actions):
     Size: one hazard for each number of rights left, since the decision depends on it.
 
     - `rights`: how often the right can be used, at most once per step.
-    - `hazard`: the hazard of an untrained network, between 0 and 1; it should be so small that
-      paths reach later steps.
+    - `hazard`: the hazard of an untrained network, between 0 and 1; it should be small enough for
+      paths to reach later steps.
     - `scale`: scores count in units of temperature times `scale`.
     """
 
@@ -140,10 +141,10 @@ class Stop(Actions):
         return self.rights
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """(1 + u / (1 + u^2)^0.5) / 2, where u is the raw score, shifted by that of the untrained
-        hazard, divided by temperature * scale. In the exact set it is 1 if u is above 0, else 0.
-        The logistic curve is not used, because its slope vanishes like the hazard itself: training
-        could then not recover if its first steps all lower the hazard.
+        """(1 + u / (1 + u^2)^0.5) / 2, where u is the raw score, shifted by the score of the
+        untrained hazard and divided by temperature * scale. In the exact set it is 1 if u is above
+        0, else 0. The logistic curve is not used, because its slope vanishes like the hazard
+        itself: training could then not recover if its first steps all lower the hazard.
         """
         return self._hazard(raw + _score(self.hazard), smooth)
 
@@ -173,8 +174,8 @@ class Stop(Actions):
 
     def use(self, right: Float[Array, " rights"], action: Float[Array, " size"]):
         """The pair (right, used): the weights after this step's decision, and the expected number
-        of rights used. `right` [rights] and `action` [rights] have a number for one right left,
-        for two … up to all.
+        of rights used. `right` [rights] and `action` [rights] have one entry for each number of
+        rights left: for one right, for two … up to all.
         """
         moved = right * action
         used = moved.sum()

@@ -1,7 +1,4 @@
-"""Sets of numbers: a box, integers, shares; and the base class of all action sets.
-
-Shares that add up to one.
-"""
+"""Sets of numbers: a box, whole numbers, shares that sum to one; the base class of action sets."""
 
 import abc
 import math

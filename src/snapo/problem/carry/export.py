@@ -83,7 +83,8 @@ def _names(one: int, two: int, size: int) -> list[str]:
 def _write(file: Path, table: TableDecisions, names: Sequence[str]) -> None:
     rows = np.concatenate([table.x, table.action], axis=1)
     if len(names) != rows.shape[1]:
-        raise ValueError(f"decision_table: {len(names)} names for {rows.shape[1]} columns.")
+        message = f"names has {len(names)} entries, but the table has {rows.shape[1]} columns"
+        raise ValueError(f"decision_table: {message}.")
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(names)
@@ -161,7 +162,7 @@ def to_onnx(
     - `observe`: a function from one vector of raw numbers to one observation, `lambda raw: (raw -
       50) / 20`;
       it becomes part of the graph, and `features` counts the raw numbers.
-    - `dtype`: the dtype of the graph. The policy's weights are float32 in both.
+    - `dtype`: the dtype of the graph. With either dtype the policy's weights are float32.
 
     **Returns:** the `onnx.ModelProto`, checked by onnx.
 

@@ -74,7 +74,7 @@ class Walk:
     - `moving`: the content of mutable objects, such as lists and NumPy arrays, and variables that
       the code itself sets, such as a counter: the program may depend on them.
     - `unseen`: whether there is anything else that cannot be inspected.
-    - `user_code`: whether there is any code of a user's.
+    - `user_code`: whether any code is the user's.
     """
 
     def __init__(self, trees: Iterable[Any]):

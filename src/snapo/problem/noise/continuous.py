@@ -21,7 +21,8 @@ from .base import Noise, concrete, only, parameter, refuse, uniform
 
 
 class Uniform(Noise):
-    """Between `low` and `high`. Its derivative with respect to both is pathwise."""
+    """A uniform number between `low` and `high`. Its derivatives with respect to both are
+    pathwise."""
 
     low: Any = parameter(default=0.0)
     high: Any = parameter(default=1.0)
@@ -29,7 +30,7 @@ class Uniform(Noise):
     def __check_init__(self):
         low, high = concrete(self.low), concrete(self.high)
         if low is not None and high is not None and np.any(high < low):
-            raise ValueError(f"Uniform: high is {high.tolist()}, below low, {low.tolist()}.")
+            raise ValueError(f"Uniform: high, {high.tolist()}, is below low, {low.tolist()}.")
 
     def draw(self, normals, *state):
         return self.low + (self.high - self.low) * uniform(only(normals))
@@ -71,7 +72,8 @@ class Normal(Noise):
 
 
 class LogNormal(Noise):
-    """exp(mean + deviation z): `mean`, `deviation` of the logarithm. Derivatives are pathwise."""
+    """exp(mean + deviation z): `mean` and `deviation` are those of the logarithm. Derivatives are
+    pathwise."""
 
     mean: Any = parameter(default=0.0)
     deviation: Any = parameter(default=1.0)
@@ -81,7 +83,8 @@ class LogNormal(Noise):
 
 
 class Exponential(Noise):
-    """Waiting times and jump heights with this mean. Its derivative is pathwise."""
+    """An exponential number with this mean, as for waiting times and jump heights. Its derivative
+    is pathwise."""
 
     mean: Any = parameter(default=1.0)
 
@@ -144,7 +147,8 @@ DEEP = -30.0  # the logarithm of a number so small that P(a, x) is x^a / gamma(a
 
 
 class Logarithm(Noise):
-    """ln of a gamma number with scale 1, by `rows` [nodes, 2]: its values and slopes."""
+    """ln of a gamma number with scale 1, interpolated in `rows` [nodes, 2]: its values and
+    slopes."""
 
     rows: Float[Array, "nodes 2"]
 

@@ -12,8 +12,8 @@ quadratic between whole numbers without corners, and otherwise has an error of a
 the third differences. At a corner at a whole number q, where JAX uses the mean of both slopes, the
 error is a quarter of the change of slope times d F(q) - d F(q - 1): for the mean of a Poisson,
 times p(q - 1) - p(q). If q differs between paths, this error averages out, but not at the end of
-the range, where q is 0 and no draw is below. `weigh` gives the likelihood ratio, which is correct
-for any f, with more noise.
+the range, where q is 0 and no draw is below it. `weigh` gives the likelihood ratio, which is
+correct for any f, with more noise.
 """
 
 import abc
@@ -181,7 +181,7 @@ def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: f
     values = [concrete(item) for item in parameters or ()]
     if not values or any(entry is None for entry in values):
         raise ValueError(
-            f"{type(noise).__name__}: specify the largest number; it cannot be computed from a "
+            f"{type(noise).__name__}: specify maximum; it cannot be computed from a "
             "parameter that JAX traces."
         )
     from scipy import stats  # late: it takes a second to load

@@ -220,7 +220,7 @@ class Target(ByPath):
     target: float = 0.0
 
     def describe(self) -> str:
-        return f"minus mean square of {self.output} minus {self.target:g}"
+        return f"minus the mean squared distance of {self.output} from {self.target:g}"
 
     def _slope(self, x):
         return -2 * (x - self.target)

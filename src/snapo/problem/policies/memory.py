@@ -145,7 +145,8 @@ class LastObservations(Memory):
             )
         self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
         if isinstance(self.policy, Memory):
-            raise ValueError("LastObservations: its inner policy has a memory already.")
+            message = "its inner policy has a memory already; it must be one without memory"
+            raise ValueError(f"LastObservations: {message}.")
 
     @property
     def memory(self) -> int:
@@ -165,8 +166,8 @@ class LastObservations(Memory):
         width = interface.features + interface.action.size
         if self.width and self.width != width:
             raise ValueError(
-                "LastObservations: this policy was made for observations and decisions of "
-                f"{self.width} numbers."
+                "LastObservations: this policy was made for an observation and a decision of "
+                f"{self.width} numbers together; this simulator has {width}."
             )
         observed = interface.features + (self.steps - 1) * width
         inner = self.policy.for_problem(Interface(interface.action, observed), key)
@@ -236,7 +237,8 @@ def remembers(simulator: Simulator) -> bool:
 
 
 def remembering(problem: Problem, policy: Policy) -> Problem:
-    """The problem whose states hold the memory of a policy; itself for a policy without one."""
+    """The problem whose states hold the memory of a policy; the problem itself for a policy without
+    one."""
     size, simulator = remembered(policy), problem.simulator
     if not size or remembers(simulator):
         return problem

@@ -242,8 +242,8 @@ class _Bumper:
         return settled(still, COARSE, negligible) and not self._two_sided(still)
 
     def refined(self, name: str, by: np.ndarray, result: Reaction) -> Reaction:
-        """The same with all paths and, if that is not enough, with a wider move; of an input
-        that changes the value by next to nothing the first move is enough."""
+        """The same with all paths and, if that is not enough, with a wider move. For an input that
+        hardly changes the value the first move is enough."""
         held, count = result.held, len(self.blocks)
         if len(result.reaction) < count:
             result = self._moved(name, by, held, count)
@@ -252,8 +252,8 @@ class _Bumper:
         return _joined(result, self._moved(name, WIDE * by, WIDE * held, count))
 
     def _tiny(self, reaction: Reaction) -> bool:
-        """Whether all of the change of the value is surely negligible, as that by a rate of zero
-        over a week."""
+        """Whether the whole change of the value is surely negligible, such as the effect of a rate
+        of zero over a week."""
         value, error = reaction.estimate
         size = abs(float(np.mean(reaction.held))) + abs(value) + 2 * error
         return size <= NEGLIGIBLE * abs(self.value)

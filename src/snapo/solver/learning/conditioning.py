@@ -11,8 +11,8 @@ on units. If gradients were far larger than they are now, Adam's memory of them 
 small for the rest of the run, so it is reset.
 
 The bound uses the largest adjoint of the whole horizon: where a plant settles, its last steps have
-small adjoints, and a bound from them would remove the gradient of the approach. (Such a bound took
-a quadrotor from -41.5 to -73; it now ends at -38.5.)
+small adjoints, and a bound from them would remove the gradient of the approach. (Such a bound moved
+the value of a quadrotor from -41.5 to -73; it is now -38.5.)
 
 Once adjoints no longer grow backwards in time, the bound is lifted: those that are still far larger
 than usual belong to important paths, such as those near ruin, and a rule trained with a bound on
@@ -96,9 +96,9 @@ def grows(norms: np.ndarray) -> bool:
 def share_kept(norms: np.ndarray) -> float:
     """The share of an adjoint that is passed on at each backward step (`Clip.keep`), from norms [T,
     N]: a third is left after the number of steps in which norms grow a hundredfold; it is 1 if they
-    do not. The reason for a third instead of 0.01: a cart that swings its pole up ends at -63 to
-    -66 with a third and at -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and
-    -39.7 (-37.7).
+    do not. The reason for a third instead of 0.01: the value of a cart that swings its pole up is
+    -63 to -66 with a third, -64 to -66 with 0.01 and -66 to -93 without either; that of a quadrotor
+    is -37.9, -39.7 and -37.7.
     """
     back = np.sqrt(np.mean(_finite(norms) ** 2, axis=1))[::-1]
     over = np.flatnonzero(back > GROWTH * back[0])

@@ -70,7 +70,7 @@ def went_back(progress: Progress) -> str:
     ways = []
     clips = [record.clip > 0 for record in history]
     if any(clips) or progress.clip is not None:
-        until, end = "", f", at {progress.clip or 0.0:,.3g} in the end"
+        until, end = "", f", by {progress.clip or 0.0:,.3g} at the end"
         if progress.clip is None:
             lifted = len(clips) - _before(reversed(clips))
             until, end = f" to step {lifted}, after which they grew no more,", ""
@@ -82,7 +82,7 @@ def went_back(progress: Progress) -> str:
         since = _before(record.keep < 1 for record in history)
         ways.append(
             f"from step {since} of the training on, every backward step kept only a share of "
-            f"{progress.keep:.3g} of it (Training(keep=1.0) keeps all)"
+            f"{progress.keep:.3g} of the adjoint (Training(keep=1.0) keeps all)"
         )
     if not ways:
         return (
@@ -128,8 +128,8 @@ class TensorBoard:
 
         snapo.solve(…, callbacks=[snapo.log.TensorBoard("runs/first")])
 
-    Scalars by step: objective, exact, exact_error, gradient_norm and temperature; those of the
-    exact simulator at validations. No other library is needed.
+    Scalars by step: objective, exact, exact_error, gradient_norm and temperature; the two exact
+    ones only at validations. No other library is needed.
     """
 
     def __init__(self, folder: Path | str):

@@ -270,8 +270,9 @@ def resolve_auto(
 
 
 def _explores(action: Actions, training: Training) -> bool:
-    """Whether a share of these decisions can be drawn, and they are many; without bounds it is not
-    known knows how far, and the share falls with the temperature."""
+    """Whether a share of these decisions can be drawn, and they are many. Decisions must have
+    bounds, within which they are drawn, and the temperature must fall, since the share falls with
+    it."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     return action.exploration_size > MANY and bounded and training.cools
 

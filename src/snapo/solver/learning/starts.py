@@ -175,7 +175,7 @@ def describe(rounds: tuple[Round, ...]) -> str:
         others = [value - mine for number, value in values if number != winner]
         size = abs(mine)
         if not np.isfinite([size, *others]).all() or not size:
-            summary.append(f"at step {step} some of them had no value for a comparison")
+            summary.append(f"at step {step} some starts had no value for a comparison")
             continue
         endpoints = [100 * item / size for item in (min(others), max(others))]
         furthest = max(furthest, *map(abs, endpoints))

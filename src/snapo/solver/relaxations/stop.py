@@ -166,7 +166,7 @@ class Relaxation(Protocol):
         ...
 
     def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the penalties of the policy's decisions: of mean zero."""
+        """[N] the penalties of the policy's decisions; their mean is zero."""
         ...
 
 
