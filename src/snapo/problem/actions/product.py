@@ -23,7 +23,7 @@ def contains(action: Actions, kind: type[Actions]) -> bool:
 
 
 def decision_names(action: Actions) -> list[str]:
-    """The names of all decisions, one for each group of `together`; empty names outside a `Product`.
+    """The names of all decisions, one per group of `together`; empty names outside a `Product`.
 
     >>> decision_names(snapo.Product(run=snapo.Choice(2), power=snapo.Box(0.0, 1.0, size=2)))
     ['run', 'power[0]', 'power[1]']
