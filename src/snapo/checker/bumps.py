@@ -1,9 +1,10 @@
-"""Every input's adjoint against central differences, on the same few paths, with decisions held
-fixed.
+"""Compares every input's adjoint with central differences on the same few paths, with decisions
+held fixed.
 
-It is done in float64 with smooth limits. All numbers of an input are bumped together with random
-signs, and a few of them separately. An input without effect under the random policy is tested at
-low, middle or high actions. Inputs that change no single path (`in_mean`) are not tested here.
+The comparison is in float64 with smooth limits. All numbers of an input are bumped together with
+random signs, and a few of them separately. An input without effect under the random policy is
+tested at low, middle or high actions. Inputs that change no single path (`in_mean`) are not tested
+here.
 """
 
 from dataclasses import replace
@@ -103,7 +104,7 @@ def bumped(
     gradients: list[dict[str, np.ndarray]] = []
 
     def gradient(k: int, name: str) -> np.ndarray:
-        """[outputs, *shape] of the k-th run; each run takes one adjoint pass, when asked for."""
+        """[outputs, *shape] of the k-th run, by one adjoint pass when it is first needed."""
         while len(gradients) <= k:
             gradients.append(_gradients(simulator, inputs, runs[len(gradients)]))
         return gradients[k][name]

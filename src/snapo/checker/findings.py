@@ -205,7 +205,7 @@ class Notes:
             raise StopCheck from error
 
     def exception(self, error: Exception, method: str) -> None:
-        """An exception as one finding with file:line."""
+        """Adds an exception as one finding, with file:line."""
         self.error(*self.explained(error, method))
 
     def explained(self, error: Exception, method: str) -> tuple[str, str, str]:

@@ -102,7 +102,7 @@ class _Walk:
         self.outside: list[tuple[Array, Array, Array]] = []
 
     def run(self, jaxpr, consts, arguments, given_marks, caller: CodeLine | None):
-        """The results of a program, and the mark of each."""
+        """The results of a program, and whether each result is tainted."""
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments]))
         marks = dict(zip(jaxpr.invars, given_marks))
 

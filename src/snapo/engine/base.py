@@ -41,7 +41,7 @@ class Uncontrolled(Around):
 
 
 def uncontrolled(simulator: Simulator, outputs: tuple[str, ...]) -> Simulator:
-    """The simulator without control variates, except these outputs; itself if it has none."""
+    """The simulator without control variates, except these outputs; unchanged if it has none."""
     left_out = tuple(name for name in simulator.control_variates() if name not in outputs)
     return Uncontrolled(simulator, left_out) if left_out else simulator  # pyright: ignore
 

@@ -41,7 +41,8 @@ class Engines(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The reason why workers were not used in training, if there are some."""
+        """The reason why workers were not used in training; empty if they were, or if there are
+        none."""
         distributed = self.train.distributed if isinstance(self.train, Native) else None
         return (distributed.note,) if distributed is not None and distributed.note else ()
 

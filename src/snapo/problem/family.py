@@ -1,7 +1,7 @@
 """One policy for a range of inputs, which it observes in addition to the state.
 
 In training every path belongs to a member of the family: one of a number of points that fill the
-ranges evenly, each with a separate schedule. Afterwards the policy decides in any member.
+ranges evenly, each with a separate schedule. After training the policy can be used in any member.
 """
 
 from dataclasses import dataclass, replace
@@ -137,8 +137,8 @@ class Family:
 
 
 class ObservedMember(Around):
-    """A simulator whose policy observes some inputs, scaled; constants are (of the base,
-    inputs)."""
+    """A simulator whose policy observes some inputs, scaled. Its constants are the pair (constants
+    of the base simulator, inputs)."""
 
     where: tuple[int, ...] = eqx.field(static=True)
     low: tuple[float, ...] = eqx.field(static=True)

@@ -256,7 +256,7 @@ class Supplied(Scenarios):
 class EqualPaths(Scenarios):
     """Scenarios of a problem without randomness: all paths are equal.
 
-    At least two are used, since a single one has no standard error: here it is zero.
+    At least two are used, since one path has no standard error; that of equal paths is zero.
     """
 
     inner: Scenarios

@@ -91,7 +91,8 @@ class Feasibility(NamedTuple):
 
 
 def nudged(problem: Problem, seed: int = 0) -> Problem:
-    """The problem with each number of its inputs moved by a random relative amount of at most .001.
+    """The problem with each number of its inputs moved by a random relative amount of at most
+    0.001.
 
     Round numbers lead to ties: a store that is filled in exactly eight days is on a kink of its
     limits, where every path has two derivatives. At a nearby point hardly any path is on a kink. A

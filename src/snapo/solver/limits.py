@@ -78,7 +78,8 @@ class Dual(NamedTuple):
         objective: Objective,
         limits: Sequence[Limit],
     ) -> "Dual":
-        """The same with the units of prices on these paths, smoothed over earlier measurements."""
+        """The same, with the units of prices measured on these paths and averaged with earlier
+        units."""
         lengths = np.array([
             np.linalg.norm(slope_of(bound_engine, policy, draws, smooth, item))
             for item in (objective, *(limit.measure for limit in limits))

@@ -51,7 +51,7 @@ class Seats(NamedTuple):
 
     @classmethod
     def of(cls, sizes: Sequence[int], lanes: int) -> "Seats":
-        """For consecutive parts of these numbers of paths."""
+        """The seats for consecutive parts with these numbers of paths."""
         blocks = [-(-size // lanes) for size in sizes]
         starts = np.cumsum([0, *sizes[:-1]])
         slots = [np.arange(count * lanes) for count in blocks]

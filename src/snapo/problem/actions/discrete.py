@@ -1,7 +1,5 @@
-"""One of several options (`Choice`), and rights to be used once each (`Stop`).
-
-When to stop: one right or several, each of which can be used once.
-"""
+"""One of several options (`Choice`), and when to stop: one right or several, each of which can be
+used once (`Stop`)."""
 
 import equinox as eqx
 import jax
@@ -18,7 +16,8 @@ LARGEST = 0.12  # share of the scale that the root mean square of scores stays b
 
 
 class Choice(Actions):
-    """One of `size` unordered options: the action is a weight on each, and they sum to 1.
+    """One of `size` unordered options: the action is a weight on each option, and the weights sum
+    to 1.
 
     In the value the weight is 1 on the option with the largest score. In training there are two
     ways to read the weights:

@@ -187,9 +187,9 @@ class Box(Actions):
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """(1 - share) action + share x, with x uniform between two bounds, or at the absolute
-        value of a normal from a single bound. Without bounds it is action + share x with a normal
-        x."""
+        """(1 - share) action + share x, with x uniform between two bounds, or at a distance from a
+        single bound that is the absolute value of a normal. Without bounds it is action + share x
+        with a normal x."""
         low, high = self.bounds()
         above, below = np.isfinite(low), np.isfinite(high)
         minimum, maximum = (

@@ -99,7 +99,7 @@ MOVES = {
 
 
 def translated(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
-    """The outputs of one such operation.
+    """The outputs of an operation of `MOVES`.
 
     **Raises:** `ValueError` if an index depends on the observation, or is outside its array.
     """

@@ -89,7 +89,7 @@ class Objective(abc.ABC):
         return self.weights(totals)
 
     def influence(self, totals: Totals) -> np.ndarray:
-        """[N] numbers with the value as their mean, whose spread gives its sampling error."""
+        """[N] numbers whose mean is the value and whose spread gives its sampling error."""
         return functional.influence(self, self.used(totals))
 
     def certainty_equivalent(self, value: float) -> float | None:

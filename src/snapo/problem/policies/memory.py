@@ -190,7 +190,7 @@ def first_decision(policy: Policy, observation: Float[Array, " features"]) -> Fl
 class Remembering(Around):
     """A simulator whose state holds a policy's memory as well, for the engines.
 
-    Its observation ends with the memory, and its action with the next one.
+    Its observation ends with the memory, and its action ends with the next memory.
     """
 
     memory: int = eqx.field(static=True)

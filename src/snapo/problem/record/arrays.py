@@ -40,7 +40,7 @@ else:
             return value
 
     class Array:
-        """An array, or a tree of arrays, of a type and a shape that are for readers."""
+        """An array, or a tree of arrays; its type and shape are only for readers."""
 
         def __class_getitem__(cls, shape):
             return cls

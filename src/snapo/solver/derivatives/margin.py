@@ -72,7 +72,8 @@ def margin_of(
 
 
 def floor_of(actions: Actions) -> float:
-    """The minimum gap that is assumed, in targets: it is larger for discrete decisions."""
+    """The minimum gap that is assumed, in units of the target loss; larger for discrete
+    decisions."""
     hard = any(contains(actions, kind) for kind in (Choice, Integers, Stop))
     return HARD_FLOOR if hard else SMOOTH_FLOOR
 

@@ -90,7 +90,8 @@ def verdicts(
 
 
 def holm(probabilities: Mapping[str, float], level: float = LEVEL) -> set[str]:
-    """The names whose hypothesis is refuted; a true one with probability at most `level`."""
+    """The names whose hypothesis is refuted; any true one is refuted with probability at most
+    `level`."""
     refuted = set()
     ordered = sorted(probabilities, key=lambda name: probabilities[name])
     for number, name in enumerate(ordered):

@@ -243,7 +243,7 @@ class Growth(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Growth | None":
-        """The record, from plain data as JSON has it."""
+        """The record from its plain data, as read from JSON."""
         if stored is None:
             return None
         step, usual, largest, leaves = stored

@@ -69,7 +69,7 @@ class FeatureScale(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "FeatureScale | None":
-        """The record, from plain data as JSON has it."""
+        """The record from its plain data, as read from JSON."""
         return None if stored is None else cls(*map(tuple, stored))
 
     def _applied(self, policy: Policy, work: Callable[..., tuple[Any, Any]]) -> Policy:
@@ -132,7 +132,8 @@ def scaled(weights, bias, mean, deviation) -> tuple[Any, Any]:
 
 
 def slope(weights, bias, mean, deviation) -> tuple[Any, Any]:
-    """The gradient by a layer for scaled features, from that by the layer of `plain`."""
+    """The gradient with respect to a layer for scaled features, from that for the layer of
+    `plain`."""
     return (weights - np.outer(bias, mean)) / deviation, bias
 
 

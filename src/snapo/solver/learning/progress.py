@@ -70,7 +70,7 @@ class Round(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Round":
-        """The record, from plain data as JSON has it."""
+        """The record from its plain data, as read from JSON."""
         step, values = stored
         return cls(step, tuple((number, value) for number, value in values))
 

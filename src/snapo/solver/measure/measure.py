@@ -70,7 +70,7 @@ class MeasuredRun(NamedTuple):
 
     @property
     def held_paths(self) -> int:
-        """The paths of the held derivatives."""
+        """The number of paths for the held derivatives."""
         return min(self.evaluation.sensitivity_paths, self.evaluation.paths)
 
     @property

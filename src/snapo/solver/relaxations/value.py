@@ -85,7 +85,7 @@ class Decisions(NamedTuple):
         return jax.tree.unflatten(tree, leaves)
 
     def earned(self, outputs: dict[str, Array]) -> Array:
-        """The value of outputs to the objective."""
+        """The contribution of outputs to the objective."""
         weights = [
             weight * outputs[name] for name, weight in self.values.items() if name in outputs
         ]

@@ -166,7 +166,7 @@ class Room(NamedTuple):
 
     @property
     def near(self) -> bool:
-        """Whether that is negligible."""
+        """Whether this share is negligible."""
         return self.share <= NEAR
 
 
