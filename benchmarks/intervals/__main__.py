@@ -1,4 +1,4 @@
-"""`python -m benchmarks.intervals [PROBLEM …] [--seeds 4] [--runs FOLDER]`: do intervals hold?
+"""`python -m benchmarks.intervals [PROBLEM …] [--seeds 4] [--runs FOLDER]`: checks of intervals.
 
 Every problem with an exact solution is solved with default settings and several seeds. The program
 counts the 95 % intervals that contain the exact derivative of the value when all numbers of an

@@ -53,7 +53,8 @@ class Bump(NamedTuple):
 
     @property
     def error(self) -> float:
-        """The distance from the central difference, at a kink from the nearer one-sided one."""
+        """The distance from the central difference; at a kink, from the nearer one-sided
+        difference."""
         if self.crossing == 1.0:
             low, high = sorted((self.up, self.down))
             return max(low - self.adjoint, self.adjoint - high, 0.0)
@@ -120,7 +121,7 @@ def certify_derivatives(
     Inputs that fail while some paths are on a kink are also checked nearby. Kinks of one path at
     the same point may cancel: both sides then have the same slope. An adjoint that takes a mean at
     every tie misses this slope, and no second difference shows the kinks. For these inputs the
-    nearby check counts. The inputs of `Problem.in_mean` are not included, see `in_the_mean`.
+    nearby check counts. The inputs of `Problem.in_mean` are not included (see `in_the_mean`).
     """
     pathwise = set(problem.inputs_by_name) - set(problem.in_mean)
     results = bump_check(problem, policy, paths=paths, only=pathwise, engine=engine)

@@ -44,7 +44,7 @@ def simulated_series(problem: Problem, policy: Policy, paths: int = PATHS) -> di
 
 
 def series_named(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
-    """One of the series.
+    """The series with this name.
 
     **Raises:** `KeyError` for an unknown name."""
     if name not in series:
@@ -153,7 +153,8 @@ class Figures:
         return figure
 
     def distribution(self, output: str | None = None, *, ax: Any = None) -> Any:
-        """The totals of an output over the evaluation's paths, with mean, and 5 % and 95 % lines.
+        """The totals of an output over the evaluation's paths, with lines at the mean and at the 5
+        % and 95 % quantiles.
 
         Without a name it is the output with the largest spread.
 

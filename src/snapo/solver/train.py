@@ -1,4 +1,4 @@
-"""Training: stochastic gradient ascent on the smooth simulator, one adjoint pass a step.
+"""Training: stochastic gradient ascent on the smooth simulator, one adjoint pass per step.
 
 `train` is a plain loop. Adam with warm-up and cosine decay maximises the objective; the temperature
 of the constraints is annealed; the parameters are averaged; the averaged policy is validated on the

@@ -100,7 +100,7 @@ class Code:
         return f"{prefix}{self.count}"
 
     def raw(self, text: str, prefix: str = "v") -> str:
-        """Appends `%name = text` and gives the name."""
+        """Appends `%name = text` and returns the name."""
         name = "%" + self.fresh(prefix)
         self.lines.append(f"  {name} = {text}")
         return name

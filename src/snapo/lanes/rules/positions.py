@@ -96,7 +96,7 @@ def _clamp(code: Code, x: Ref, last: int) -> Start:
 def limit(op: Op, moved: ProgramValue) -> None:
     """**Raises:** `Unsupported` for more elements than can be written out."""
     if moved.size > LARGEST:
-        raise Unsupported(f"{op.name}: of {moved.size} elements (at most {LARGEST}), at {op.where}")
+        raise Unsupported(f"{op.name}: {moved.size} elements (at most {LARGEST}), at {op.where}")
 
 
 def window_start(

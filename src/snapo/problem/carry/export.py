@@ -157,11 +157,11 @@ def to_onnx(
 
     **Arguments:**
 
-    - `file`: where to write the model; None: it is returned only.
+    - `file`: the file for the model; None: the model is only returned.
     - `features`: the length of an observation; by default that of the policy's network.
-    - `observe`: a function from one vector of raw numbers to one observation, `lambda raw: (raw -
-      50) / 20`;
-      it becomes part of the graph, and `features` counts the raw numbers.
+    - `observe`: a function from one vector of raw numbers to one observation, such as
+      `lambda raw: (raw - 50) / 20`. It becomes part of the graph, and `features` counts the raw
+      numbers.
     - `dtype`: the dtype of the graph. With either dtype the policy's weights are float32.
 
     **Returns:** the `onnx.ModelProto`, checked by onnx.

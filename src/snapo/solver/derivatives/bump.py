@@ -125,8 +125,8 @@ def reactions(
     `centre`: the totals of these paths, and possibly of more, if they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it has no reaction. No
-    input has one if the value is non-finite, as after a ruin. A held derivative that is NaN, such
-    as one that is lost in a rounding, counts as zero: the reaction is the whole bump.
+    input has a reaction if the value is non-finite, as after a ruin. A held derivative that is NaN,
+    such as one that is lost in a rounding, counts as zero: the reaction is the whole bump.
     """
     count = max((len(item.blocks) for item in held.values()), default=BLOCKS)
     bumper = _Bumper(problem, policy, paths, count, maximum, centre, engine)

@@ -69,8 +69,8 @@ class PassResult(NamedTuple):
 
     @property
     def of_others(self) -> Callable[[Problem], dict[str, Estimate]] | None:
-        """Derivatives with respect to the inputs of another problem with this schedule; None if
-        they would keep more than `LARGE` bytes."""
+        """Derivatives with respect to the inputs of another problem with this schedule; None if the
+        derivatives would take more than `LARGE` bytes."""
         return self.schedule.of_inputs if self.schedule.bytes <= LARGE else None
 
 
@@ -103,7 +103,8 @@ class DerivativePass(NamedTuple):
     totals: Mapping[str, np.ndarray] | None = None
 
     def derivatives(self, blocks: list[np.ndarray]) -> PassResult:
-        """From one pass for each block of paths, and a few on a sample of all."""
+        """Derivatives from one pass for each block of paths, and a few passes on a sample of all
+        paths."""
         return self.of((self.problem.objective,), blocks)[0]
 
     def compile(self) -> None:

@@ -115,7 +115,7 @@ class Reported(NamedTuple):
         return self.estimate.value
 
     def along(self, direction: np.ndarray) -> Interval:
-        """The derivative along a direction of the input, shaped like it."""
+        """The derivative along a direction, an array like the input."""
         direction = np.broadcast_to(np.asarray(direction, np.float64), self.by.shape)
         times = _multiple(direction, self.by)
         blocks = (self.estimate.blocks * direction).reshape(len(self.estimate.blocks), -1).sum(1)
@@ -150,7 +150,8 @@ class Reported(NamedTuple):
         ]  # fmt: skip
 
     def capped(self, gap: float) -> "Reported":
-        """The number with this bound on the policy's gap, if it is below the present one."""
+        """The reported derivative with this bound on the policy's gap, if it is below the present
+        gap."""
         minimum = min(gap, self.curvature.gap)
         return self._replace(curvature=self.curvature._replace(gap=minimum))
 

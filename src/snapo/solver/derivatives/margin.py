@@ -1,4 +1,4 @@
-"""By how much the error of the policy may move a derivative.
+"""The amount by which the error of the policy may move a derivative.
 
 With M the change of a derivative along the coordinates and H the curvature of the value, a policy
 whose value is short of the best by g has a derivative that is off by at most sqrt(2 g kappa), where

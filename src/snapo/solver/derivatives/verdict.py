@@ -42,8 +42,8 @@ COLUMNS = (
 def tested_by_bumps(
     problem: Problem, policy: Policy, paths: int, held: Mapping[str, Estimate], **options: Any
 ) -> tuple[dict[str, Reaction], dict[str, Verdict]]:
-    """{input: reaction} and {input: verdict} on held derivatives of `paths`; `options`: those of
-    `reactions`."""
+    """{input: reaction} and {input: verdict} of the held derivatives on `paths`; `options`: those
+    of `reactions`."""
     bumped = reactions(problem, policy, paths, held, **options)
     return bumped, verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
 

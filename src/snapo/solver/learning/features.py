@@ -7,9 +7,9 @@ deviation that do not depend on decisions, as those of prices, demands and times
 decisions affect are left unchanged: under an untrained policy their range differs from that under a
 trained one.
 
-This matters if many numbers are decided, each of which has to distinguish states: a battery of
-24 powers a day earns 95 % of its bound instead of 84 %. With few decisions, a regulator, a pendulum
-and a cart train well without scaling.
+This matters if many numbers are decided, each of which has to distinguish states: a battery that
+decides 24 powers a day earns 95 % of its upper bound with scaling and 84 % without. With few
+decisions, a regulator, a pendulum and a cart train well without scaling.
 
 It also matters for optimal stopping. Stopping without regard to the state is worse than waiting, so
 the first steps lower the hazard everywhere. If features are small, the hazard vanishes before the

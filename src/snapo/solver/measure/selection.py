@@ -104,7 +104,7 @@ class Effort(NamedTuple):
 
     @classmethod
     def for_training(cls, trained: int, horizon: int, maximum: int) -> "Effort":
-        """The effort of a training on a total number of paths with a horizon."""
+        """The effort of a training with this total number of paths and this horizon."""
         fewest = min(max(FEWEST * LONG // max(horizon, 1), FEWEST_LONG), FEWEST)
         return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum, fewest)
 
