@@ -151,7 +151,10 @@ def many_samples() -> Iterator[str]:
     counts = dict(zip(calls, (SAMPLES, SOME, SINGLE, SINGLE)))
     times = alternate(calls, 5)
     each = {name: median(times[name]) / counts[name] for name in calls}
-    yield f"uncertain samples with {len(process.names)} attributes by {len(by)} parameters"
+    yield (
+        f"uncertain samples, each with derivatives of {len(process.names)} attributes with respect "
+        f"to {len(by)} parameters"
+    )
     for name, seconds in each.items():
         yield f"  {name:<28}{1e3 * seconds:8.3f} ms a sample, {1e4 * seconds:6.1f} s for 10,000"
     for name in ("same call, one by one", "matrix, one by one"):

@@ -355,7 +355,7 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 
 
 def check_draws(simulator: Simulator, draws: Draws) -> None:
-    """Checks that there are paths with noise for each step; kernels do not check it."""
+    """Checks that there are paths with noise for each step; kernels do not check this."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; they must have at least one.")
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):

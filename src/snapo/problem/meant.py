@@ -1,6 +1,6 @@
 """The problem of a call: a `Problem`, or a simulator with its inputs and other arguments.
 
-Every public function of a problem takes either, in one order of arguments::
+Every public function of a problem takes either form, with the arguments in the same order::
 
     snapo.evaluate(problem, policy, paths=4096)
     snapo.evaluate(Reservoir(), inputs, policy, paths=4096, objective="cash")

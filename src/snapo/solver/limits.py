@@ -53,8 +53,8 @@ MINIMUM = 1e-12
 
 
 class Dual(NamedTuple):
-    """For every limit its multiplier, its price and the unit of a price now, empty before the first
-    step."""
+    """For every limit its multiplier, its price and the present unit of its price; empty before the
+    first step."""
 
     multipliers: tuple[float, ...] = ()
     prices: tuple[float, ...] = ()

@@ -14,7 +14,7 @@ from .sets import Actions
 def contains(action: Actions, kind: type[Actions]) -> bool:
     """Whether the set of a decision, or one of the sets in a `Product`, is of this kind.
 
-    >>> holds(snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.0, 1.0)), snapo.Stop)
+    >>> contains(snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.0, 1.0)), snapo.Stop)
     True
     """
     if isinstance(action, Product):

@@ -1,6 +1,6 @@
 """Noise with a smooth quantile function of closed form: derivatives along the path are exact.
 
-Gamma and Student noise: quantiles on a grid, computed once, with implicit derivatives.
+Gamma and Student noise have their quantiles on a grid, computed once, with implicit derivatives.
 
 The logarithm y of a gamma number is smooth in the normal z at the same quantile. Its values
 and slopes are on 512 intervals of z, and a draw reads a cubic between two of them: within 1e-8 of

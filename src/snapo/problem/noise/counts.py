@@ -155,8 +155,8 @@ class NegativeBinomial(Counts):
 
 
 class Binomial(Counts):
-    """How many of `maximum` independent trials succeed, each with `probability`; one trial: yes or
-    no."""
+    """The number of successes in `maximum` independent trials, each with `probability`; 0 or 1 in
+    one trial."""
 
     probability: Any
     maximum: int = eqx.field(static=True)

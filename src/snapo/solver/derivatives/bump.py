@@ -314,7 +314,7 @@ class _Bumper:
         return abs(reaction.up - reaction.down) > max(SIGNIFICANT * reaction.side_error, minimum)
 
     def cornered(self, name: str, by: np.ndarray, reaction: Reaction) -> Reaction:
-        """With the kind of a corner, if both sides differ by much."""
+        """The reaction with the kind of its corner, if both sides differ by much."""
         if not self._two_sided(reaction):
             return reaction
         gap = abs(reaction.up - reaction.down)

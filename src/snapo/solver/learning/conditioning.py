@@ -8,7 +8,7 @@ or a jump of one norm above all earlier ones, at no extra cost. Only then are th
 measured, with a memory of sqrt(T) steps, and bounded at the usual size of the largest on a path: a
 larger adjoint comes from chaos, or from a policy that training is leaving. The rule does not depend
 on units. If gradients were far larger than they are now, Adam's memory of them would keep its steps
-small for the rest of the run, so it is reset.
+small for the rest of the run, so this memory is reset.
 
 The bound uses the largest adjoint of the whole horizon: where a plant settles, its last steps have
 small adjoints, and a bound from them would remove the gradient of the approach. (Such a bound moved

@@ -8,7 +8,7 @@ distance that a training can cover, and not over its steps. The shortfall is ass
 proportional to it: a training with a cosine schedule whose second half gained 1 would gain 2.25
 with as many further steps. Eight problems with a known optimum were between 1 and 4.
 
-Whether a decision is in effect a stopping decision that is not written with `Stop`.
+It also tests whether a decision is in effect a stopping decision that is not written with `Stop`.
 """
 
 from collections.abc import Mapping
