@@ -1,4 +1,4 @@
-"""Policies: from an observation to an action. Networks and residuals.
+"""Policies map an observation to an action: networks, residuals, and the base class.
 
 A policy is an `eqx.Module` with `policy(observation, smooth) -> action` and the action in the
 simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that replace

@@ -49,7 +49,7 @@ def value_and_gradient(
     engine: Engine | None = None,
     decisions: Literal["held", "reacting"] = "reacting",
 ) -> tuple[float, Gradient]:
-    """The objective and its exact gradient for the policy and every input.
+    """The objective and its exact gradient with respect to the policy and every input.
 
     They are computed on the first `paths` paths of the problem's evaluation.
 

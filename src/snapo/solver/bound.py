@@ -152,7 +152,7 @@ class Bound:
         ]
         if None not in self.sure:
             lines.append(
-                "as certain totals of equal utility: {:,.7g} to {:,.7g}".format(*self.sure)
+                "certainty equivalents of both bounds: {:,.7g} to {:,.7g}".format(*self.sure)
             )
         if self.says_little:
             lines.append(f"this bound {self.says_little}")

@@ -132,8 +132,8 @@ def of_formula(objective: Any, totals: Any) -> Version:
 
 
 def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
-    """The version of all code in some trees; None if none of it is a user's. Parts that may have
-    changed in place, or cannot be inspected, are compared by the program that `trace` returns.
+    """The version of all code in some trees; None if none of the code is the user's. Parts that may
+    have changed in place, or cannot be inspected, are compared by the program that `trace` returns.
     """
     leaves, structure = jax.tree.flatten(trees)
     held, met = _held.get(), (structure, tuple(map(_kind, leaves)))

@@ -47,7 +47,8 @@ def is_library(name: str) -> bool:
 
 
 def is_known(name: str) -> bool:
-    """Whether a package is snapo, a dependency, or part of Python: none has a user's simulator."""
+    """Whether a package is snapo, a dependency, or part of Python: none of these contains a user's
+    simulator."""
     return name in UNDER or is_python(name)
 
 

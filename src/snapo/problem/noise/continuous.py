@@ -98,7 +98,7 @@ class Exponential(Noise):
 
 
 def many(correlation: Any) -> int:
-    """The number K of numbers whose strict lower triangle this is; 1 for None."""
+    """The dimension K of the matrix whose strict lower triangle this is; 1 for None."""
     if correlation is None:
         return 1
     value = getattr(correlation, "value", correlation)

@@ -1,6 +1,6 @@
 """The reports of a training while it runs: `snapo.log`, callbacks that write files.
 
-The choices of training with their reasons, in sentences for the notes of a solution.
+It also writes the choices of training with their reasons as sentences for a solution's notes.
 """
 
 import struct

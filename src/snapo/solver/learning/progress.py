@@ -236,7 +236,7 @@ def _begun_with(
 def last_calls(
     callbacks: Sequence[Callable[[Progress], object]], progress: Progress
 ) -> tuple[str, ...]:
-    """Calls the callbacks after an interrupt; the error of one that fails becomes a note."""
+    """Calls the callbacks after an interrupt; the error of a callback that fails becomes a note."""
     notes = []
     for callback in callbacks:
         try:

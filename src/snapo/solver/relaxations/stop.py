@@ -3,9 +3,9 @@
 The inner problem is optimal stopping with perfect foresight and any number of rights (Rogers 2002;
 Haugh and Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each
 decision is charged the innovation in its earnings and in a fitted continuation value. Their
-expectations come from nested draws of one step: points of low discrepancy, shifted at random
-for every path and step, so that they are unbiased and their noise is small (Andersen and Broadie
-2004 draw at random, and many steps).
+expectations come from nested draws of one step: points of low discrepancy, shifted at random for
+every path and step, so that they are unbiased and their noise is small (Andersen and Broadie 2004
+draw at random, over many steps).
 """
 
 from collections.abc import Callable

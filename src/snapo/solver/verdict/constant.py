@@ -1,6 +1,6 @@
 """Constant decisions: those of a trained rule, and those that it should beat.
 
-Also detects trainings that end at doing nothing: every path earns the same, whatever the noise.
+It also detects trainings that end at doing nothing: every path earns the same, whatever the noise.
 
 A store that never buys has nothing to sell, and one that never sells has no use for buying: the
 gradient there is zero, whichever of the two came first. Such a rule is detected by validations that

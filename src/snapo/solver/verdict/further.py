@@ -6,7 +6,7 @@ A training's rate rises in the warm-up and falls to zero, so that late steps har
 or not there is something left to gain. Gains are therefore measured over the sum of the rates, the
 distance that a training can cover, and not over its steps. The shortfall is assumed inversely
 proportional to it: a training with a cosine schedule whose second half gained 1 would gain 2.25
-with as many further steps. Eight problems with a known optimum were between 1 and 4.
+with as many further steps. For eight problems with a known optimum this gain was between 1 and 4.
 
 It also tests whether a decision is in effect a stopping decision that is not written with `Stop`.
 """
