@@ -275,7 +275,7 @@ class NativeCall:
         """The gradients (policy, schedule, start) of one column, as NumPy arrays in the engine's
         precision.
 
-        Policy and schedule have a leading axis of parts, if sums are by part.
+        Policy and schedule have a leading axis of parts, if each part of the paths has its own sum.
         """
         lead = out.call_sums.shape[:-1]
         trees, layouts, dtype = runner.kernel.trees, runner.kernel.layouts, self.engine.dtype
