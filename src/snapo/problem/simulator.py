@@ -47,11 +47,11 @@ class Simulator(eqx.Module):
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
     - `first_step`: the number of its first step in the calendar by which the steps of scenarios are
-      counted, 0 by default. `initial_steps`: `initial` receives the noise of the first steps of the
-      calendar, this number of them, one after another, and uses those before `first_step`. If
-      `first_step` is larger than this number, the noise of `initial` is drawn separately, and steps
-      are counted from the simulator's own start. `calendar`: path p is the same scenario only in
-      simulators for which it is equal.
+      counted, 0 by default. `initial_steps`: `initial` receives the noise of this many steps from
+      the calendar's start, one after another, and uses those before `first_step`. If `first_step`
+      is larger than this number, the noise of `initial` is drawn separately, and steps are counted
+      from the simulator's own start. `calendar`: path p is the same scenario only in simulators for
+      which it is equal.
     - `fully_observed`: declares that the observation has all parts of the state that matter for
       decisions; this is then not examined (`problem.unseen`).
     """

@@ -31,7 +31,8 @@ class Bump(NamedTuple):
     - `direction`: the label of the bumped number, or "random direction" over all of the input's
       entries.
     - `adjoint`; `central`, `up`, `down`: the derivative and three differences.
-    - `allowed`: 1e-6 of the family's scale, plus the round-off of a difference.
+    - `allowed`: 1e-6 of the input's largest derivative, or along a direction of the sum of the
+      sizes of its terms, plus the round-off of a difference.
     - `kink`: whether the two one-sided differences disagree, and the adjoint equals one of them.
     - `crossing`: the share of paths with a kink within the step; if the adjoint equals neither
       side, it and the differences are those of the other paths only. If all paths have a kink, the
@@ -182,12 +183,11 @@ def bump_check(
     """The adjoint against finite differences in float64, on the same paths.
 
     It uses the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the
-    policy reacts; without, the exact simulator replays its recorded decisions.
-    Every input, or those named by `only`, is bumped along one random direction of signs, or with
-    `every` entry by entry.
-    Path weights are held fixed, as in the adjoint. At a kink an adjoint equals one of the one-sided
-    differences. If paths lie on different sides of their kinks, it equals neither; then only the
-    paths without a kink within the step are compared (see `Bump.crossing`).
+    policy reacts; without, the exact simulator replays its recorded decisions. Every input, or
+    those named by `only`, is bumped along one direction of random signs, or with `every` entry by
+    entry. Path weights are held fixed, as in the adjoint. At a kink an adjoint equals one of the
+    one-sided differences. If paths lie on different sides of their kinks, it equals neither; then
+    only the paths without a kink within the step are compared (see `Bump.crossing`).
     """
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)

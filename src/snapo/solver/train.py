@@ -2,8 +2,8 @@
 
 `train` is a plain loop. Adam with warm-up and cosine decay maximises the objective; the temperature
 of the constraints is annealed; the parameters are averaged; the averaged policy is validated on the
-EXACT simulator and the best one is kept. Fresh scenarios every step are a function of seed and
-step, so a stopped run continues bit for bit from its `Progress`.
+EXACT simulator and the best one is kept. The fresh scenarios of every step are a function of seed
+and step, so a stopped run continues bit for bit from its `Progress`.
 """
 
 import math

@@ -20,7 +20,7 @@ class CheckpointError(ValueError):
 
 
 def save_named(file: Path, arrays: Mapping[tuple[str, ...], Any], header: Mapping) -> None:
-    """Arrays with names of several parts, with a JSON header."""
+    """Writes the named arrays of several parts, with a JSON header."""
     names = [list(name) for name in arrays]
     numbered = {f"leaf_{i}": np.asarray(array) for i, array in enumerate(arrays.values())}
     write_arrays(file, numbered, {"names": names, "header": dict(header)})

@@ -63,8 +63,8 @@ class FeatureScale(NamedTuple):
         return self._applied(policy, scaled)
 
     def slope(self, gradient: Policy) -> Policy:
-        """The gradient with respect to the numbers of `scaled`, from that with respect to those of
-        `plain`."""
+        """The gradient with respect to the scaled numbers, from that with respect to the plain
+        numbers."""
         return self._applied(gradient, slope)
 
     @classmethod

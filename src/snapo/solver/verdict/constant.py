@@ -141,8 +141,8 @@ def describe(constants: list[ConstantDecision], of: int) -> str:
 
 
 def never_taken(action: Actions, actions: np.ndarray) -> str:
-    """A sentence on the options that no `Choice` of several ever takes in the recorded decisions
-    [T, paths, size]; empty if all options are taken, or only one, which is a constant decision."""
+    """A sentence on the options of every `Choice` that the recorded decisions [T, paths, size]
+    never take. Empty if all options are taken, or only one, which is a constant decision."""
     messages = []
     for name, first, size in _choices(action):
         idle = np.flatnonzero(actions[..., first : first + size].max((0, 1)) < 0.5)
