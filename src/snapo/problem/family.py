@@ -48,7 +48,7 @@ class Family:
     def __post_init__(self):
         if unknown := set(self.ranges) - set(self.problem.inputs_by_name):
             raise ValueError(
-                f"Family: no input {sorted(unknown)}; the inputs are "
+                f"Family: there is no input {sorted(unknown)}; the inputs are "
                 f"{list(self.problem.inputs_by_name)}."
             )
         if not self.ranges:

@@ -238,7 +238,7 @@ class Problem:
         """
         if unknown := set(values) - set(self.inputs_by_name):
             raise KeyError(
-                f"no input {sorted(unknown)}; the inputs are {list(self.inputs_by_name)}."
+                f"there is no input {sorted(unknown)}; the inputs are {list(self.inputs_by_name)}."
             )
         return self.with_inputs(
             [values.get(name, inputs.value) for name, inputs in self.inputs_by_name.items()]

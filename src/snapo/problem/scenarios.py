@@ -341,7 +341,7 @@ class Sources:
 
     @classmethod
     def divided(cls, supplied: Supplied) -> "Sources":
-        """Supplied paths in three parts of three, one and one fifth."""
+        """Supplied paths in three parts: three fifths, one fifth and one fifth."""
         if supplied.size < FEWEST:
             raise ValueError(
                 f"Supplied: {supplied.size} paths are too few to train, validate and evaluate on "

@@ -133,7 +133,7 @@ def has_fallen(norms: Sequence[float], since: int, first: int = EARLY) -> bool:
 
 
 def has_leapt(norms: Sequence[float], since: int) -> bool:
-    """Whether the last gradient is far above the usual size of those between `since` and it."""
+    """Whether the last gradient is far above the usual size of all earlier ones after `since`."""
     local = np.asarray(norms[since:])
     return len(local) > 3 and bool(local[-1] > APART * np.median(local[:-1]))
 

@@ -174,7 +174,7 @@ def exponents(numbers: int) -> list[tuple[int, ...]]:
 
 
 class Scale(NamedTuple):
-    """The scale of the numbers [d] of one step: minus `centre`, times `per`."""
+    """The scale of the numbers [d] of one step: a scaled number is (number - centre) x per."""
 
     centre: Float[Array, " d"]
     per: Float[Array, " d"]

@@ -125,7 +125,7 @@ def constant_decisions(action: Actions, actions: np.ndarray) -> list[ConstantDec
 
 
 def describe(constants: list[ConstantDecision], of: int) -> str:
-    """A sentence on those of several decisions that never change."""
+    """A sentence on the decisions that never change."""
     if len(constants) == of:
         limit = ", at its limit" if at_limit(constants) else ""
         where = numbers_text(np.concatenate([item.value for item in constants]))
