@@ -168,7 +168,7 @@ _bounded.defvjp(_bounded_forward, _bounded_backward)
 class Engine(abc.ABC):
     """Simulates paths, and computes adjoints along the same paths.
 
-    `steady`: the bits of a path's totals do not depend on what is recorded.
+    `steady`: whether the bits of a path's totals are independent of what is recorded.
     """
 
     precision: str = "float32"
@@ -361,7 +361,7 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
         raise ValueError(
             f"engine: the draws pass the noise of {draws.before} steps to `initial`, but "
-            f"initial_noise_size is {simulator.initial_noise_size}; it must be a multiple."
+            f"initial_noise_size, {simulator.initial_noise_size}, is no multiple of this number."
         )
     if isinstance(draws, Stored):
         shapes = {

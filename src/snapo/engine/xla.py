@@ -1,7 +1,7 @@
 """The XLA engine: one path, mapped over paths, scanned over time, compiled by JAX.
 
-Always works: CPU, GPU, many devices. Its adjoint is JAX's reverse mode of the rollout with the
-body of every step rematerialised; it is the oracle of the native engine in tests.
+It always works: on a CPU, on a GPU and on many devices. Its adjoint is JAX's reverse mode of the
+rollout with the body of every step rematerialised; it is the oracle of the native engine in tests.
 """
 
 from collections.abc import Mapping

@@ -61,7 +61,7 @@ def replace(inputs: PyTree, new: Sequence[Any]) -> PyTree:
 
 
 def name_of(path) -> str:
-    """The name of the input at a path of JAX's in the tree of inputs."""
+    """The name of the input at a path (as JAX defines it) in the tree of inputs."""
     parts = [
         getattr(key, "name", None) or str(getattr(key, "key", getattr(key, "idx", key)))
         for key in path

@@ -1,8 +1,8 @@
 """Policies map an observation to an action: networks, residuals, and the base class.
 
 A policy is an `eqx.Module` with `policy(observation, smooth) -> action` and the action in the
-simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that replace
-the network.
+simulator's fixed set; `policies.composed.Plain` makes one of any module. Baselines are policies
+that replace the network.
 
 A policy can be a recipe: `MLP(hidden=(64, 64))` has no numbers yet. `policy.for_problem` makes
 the policy for a simulator's actions and features; `snapo.solve` does so with the training's seed.

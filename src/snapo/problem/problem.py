@@ -245,7 +245,7 @@ class Problem:
         )
 
     def at_values(self, values: dict[str, Any]) -> "Problem":
-        """The problem at other values of the inputs named, with everything that was computed from
+        """The problem at other values of the named inputs, with everything that was computed from
         them recomputed; the policy of a solution can be valued there unchanged.
 
         **Raises:** `KeyError` for a name that is not an input.

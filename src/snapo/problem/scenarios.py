@@ -302,7 +302,7 @@ class Sources:
     def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
         """The sources for the argument `scenarios` of a caller; by default fresh normals of `seed`.
         Scenarios of normals are used for the evaluation only. Supplied paths are divided: the first
-        three fifths train, the next fifth validates, the last evaluates.
+        three fifths train, the next fifth validates, and the last fifth evaluates.
         """
         if isinstance(values, Sources):
             return values

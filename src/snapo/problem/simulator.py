@@ -50,8 +50,8 @@ class Simulator(eqx.Module):
       counted, 0 by default. `initial_steps`: `initial` receives the noise of this many steps from
       the calendar's start, one after another, and uses those before `first_step`. If `first_step`
       is larger than this number, the noise of `initial` is drawn separately, and steps are counted
-      from the simulator's own start. `calendar`: path p is the same scenario only in simulators for
-      which it is equal.
+      from the simulator's own start. `calendar`: path p is the same scenario only in simulators
+      with an equal `calendar`.
     - `fully_observed`: declares that the observation has all parts of the state that matter for
       decisions; this is then not examined (`problem.unseen`).
     """

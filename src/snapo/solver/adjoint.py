@@ -111,7 +111,7 @@ def flat_weights(objective: Objective, paths: int) -> Weights:
 
 
 def float64(totals: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Path totals as float64 NumPy, so that sums over paths lose nothing."""
+    """Path totals as float64 NumPy, so that sums over paths lose no digits."""
     return {name: np.asarray(total, np.float64) for name, total in totals.items()}
 
 

@@ -121,7 +121,7 @@ class Bound:
         return replace(self, lower=lower, upper=upper, sure=certain)
 
     def row(self) -> dict[str, Any]:
-        """As plain data."""
+        """The bound as plain data."""
         result = asdict(self) | {"says_little": self.says_little}
         for name in ("lower", "upper", "gap"):
             result[name] = getattr(self, name)._asdict()

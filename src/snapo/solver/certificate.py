@@ -1,4 +1,4 @@
-"""Evidence for the number: the adjoint against bumps on the same paths, and every limit met."""
+"""Evidence for a value: adjoints compared with bumps on the same paths, and every limit met."""
 
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
@@ -158,7 +158,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
         results.append(
             {
                 "family": name,
-                "inputs": "all by 1 %, on average",
+                "inputs": "all numbers by 1 %, on average",
                 "worst_error": error / step,
                 "allowed": allowed / step,
                 "passed": verdict.source != UNKNOWN,

@@ -1,6 +1,6 @@
 """The value of a policy: path totals on fresh scenarios, and the value with its standard error.
 
-Complete trajectories of a policy: states, decisions and outputs of every step.
+`simulate` returns complete trajectories of a policy: states, decisions and outputs of every step.
 """
 
 import math

@@ -155,7 +155,7 @@ class LimitFound(NamedTuple):
 
     @property
     def binds(self) -> bool:
-        """Whether it has a price."""
+        """Whether the limit has a price."""
         return bool(self.price_error > 0 or self.price != 0)
 
     @property
@@ -167,7 +167,8 @@ class LimitFound(NamedTuple):
         return str(self)
 
     def __str__(self) -> str:
-        value = f"the value of one unit more is {self.price:,.5g} {plus_minus(self.price_error, 3)}"
+        price = f"{self.price:,.5g} {plus_minus(self.price_error, 3)}"
+        value = f"one unit more of the level changes the objective by {price}"
         return (
             f"{self.name}: {self.value:,.6g} {plus_minus(self.standard_error, 3)} (95 %: "
             f"{self.low:,.6g} to {self.high:,.6g}), {self.met}; "

@@ -177,7 +177,9 @@ def second_order(
     for direction in directions:
         unknown = set(direction) - set(names)
         if unknown:
-            raise KeyError(f"second_order: there is no input {sorted(unknown)}; the inputs are {names}.")
+            raise KeyError(
+                f"second_order: there is no input {sorted(unknown)}; the inputs are {names}."
+            )
         along = [
             np.broadcast_to(np.asarray(direction.get(n, 0.0), float), v.shape)
             for n, v in zip(names, values)

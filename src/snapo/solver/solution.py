@@ -79,7 +79,7 @@ class Solution:
     - `maximised`: the objective as text, "mean of cash"; empty in a solution saved without it.
     - `dropped`: {train, evaluate, sensitivities}: the number of non-finite paths, which are left
       out; `notes`: remarks on the value.
-    - `folder`: the folder from which it was loaded.
+    - `folder`: the folder from which the solution was loaded.
     """
 
     value: float
@@ -284,9 +284,9 @@ class Solution:
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
         """The solution that was saved in a folder; nothing in it is executed.
 
-        The folder is that of `solution.save` or of a run of `snapo solve`, or the one above a run.
-        A policy of a user-defined class is stored without its code: `like` is such a policy, of the
-        same shape; without it the solution has no policy.
+        The folder is that of `solution.save` or of a run of `snapo solve`, or the folder above a
+        run. A policy of a user-defined class is stored without its code: `like` is such a policy,
+        of the same shape; without it the solution has no policy.
 
         **Raises:** `CheckpointError` if a file is missing or damaged, or contains a policy that
         differs from `like` in shape, activation or action set.

@@ -71,17 +71,17 @@ def solve(
       are decided. A trained policy, or an earlier `Solution`, is trained further. Any other
       `eqx.Module` is called as `policy(observation, smooth)`, or as `network(observation)`, whose
       outputs are squashed into the action set.
-    - `objective`: maximised; the name of an output means its mean. By default the mean of the only
-      output, unless its name suggests a cost, such as "cost".
+    - `objective`: the objective, which is maximised; the name of an output means its mean. The
+      default is the mean of the only output, unless its name suggests a cost, such as "cost".
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
-      ones of `training.seed`. `Supplied` ones are divided between all roles.
+      scenarios from `training.seed`. `Supplied` scenarios are divided between all roles.
     - `constraints`: one or several limits on means, probabilities or other statistics of all paths,
       such as `[Mean("unserved") <= 0.05]`: an augmented Lagrangian determines their prices in
       training, and the derivatives with respect to inputs are those of the best value within them.
     - `engine`: "auto", "xla" or "native", or an engine.
-    - `callbacks`: called with the `Progress` at every validation; `progress.record` is the last
-      line of its history; a callback that returns True stops the training. `progress`: a state from
-      which to continue.
+    - `callbacks`: functions that are called with the `Progress` at every validation;
+      `progress.record` is the last line of its history; a callback that returns True stops the
+      training. `progress`: a state from which to continue.
     - `check`: whether to run the checks that need only tracing, in tenths of a second.
     - `executor`: a `concurrent.futures.Executor`, such as Dask's `client.get_executor(pure=False)`,
       or several. Its workers compute a part of the paths of every step that takes 50 ms or more

@@ -129,7 +129,7 @@ def critical(degrees: float = np.inf, level: float = LEVEL, comparisons: int = 1
     """The number of standard errors to either side of an estimate, for intervals that hold for all
     `comparisons` estimates together.
 
-    Bonferroni's bound: each may miss with probability (1 - level) / comparisons.
+    By Bonferroni's bound, each interval may miss with probability (1 - level) / comparisons.
     """
     from scipy import special  # late: it takes as long as reading a case
 
@@ -143,7 +143,8 @@ def independent(*errors: float | np.ndarray) -> np.ndarray:
 
 
 def shares(values: np.ndarray, groups: np.ndarray | None = None) -> np.ndarray:
-    """[G] one number for each group, whose mean is the mean over paths; `groups` [N]: from 0."""
+    """[G] one number for each group, whose mean is the mean over paths. `groups` [N]: the number of
+    each path's group, from 0."""
     return ratio_shares(values, np.ones(len(values)), groups)
 
 

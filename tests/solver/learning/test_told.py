@@ -91,7 +91,9 @@ def test_large_growth_is_told_with_step_state_and_bound(how, said):
 
 def test_a_bound_that_was_lifted_is_told_with_its_steps():
     (told,) = start_notes(replace(ended(5000.0, clip=12.3), clip=None))
-    said = "From step 20 of the training on to step 30, after which they grew no more, each path's"
+    said = (
+        "From step 20 of the training on until step 30, after which adjoints no longer grew, each"
+    )
     assert said in told and "at the end" not in told
 
 

@@ -45,7 +45,8 @@ class Choice(Actions):
         self.size, self.scale = count("Choice: size", size, 2, ", the number of options"), scale
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """softmax(kept(raw) / (temperature * scale)); exact: 1 on the largest score."""
+        """softmax(kept / (temperature * scale)), where `kept` are the limited scores; in the exact
+        set 1 on the largest score."""
         return smooth.weights(raw if isinstance(smooth, Exact) else self._kept(raw), self.scale)
 
     def _kept(self, raw: Float[Array, " size"]) -> Float[Array, " size"]:
@@ -75,7 +76,7 @@ class Choice(Actions):
 
         Then the derivative of the mean is correct for any effect of an option, including jumps (the
         likelihood ratio of Glynn, 1990). The noise of this derivative grows with the size of the
-        output: subtract a guess that does not depend on the choice, `guess + weight * (cash -
+        output: subtract a guess that does not depend on the choice, as in `guess + weight * (cash -
         guess)`.
         """
         uniform, upper = ndtr(normal), jnp.cumsum(jax.lax.stop_gradient(action))
@@ -118,7 +119,7 @@ class Stop(Actions):
                           return {…, "right": right}, {"payoff": used * payoff}
         def terminal(…):  return {"payoff": self.action.alive(state["right"]) * payoff}
 
-    Size: one hazard for each number of rights left, since the decision depends on it.
+    The action has one hazard for each number of rights left, since the decision depends on it.
 
     - `rights`: how often the right can be used, at most once per step.
     - `hazard`: the hazard of an untrained network, between 0 and 1; it should be small enough for

@@ -311,11 +311,12 @@ class Integers(Actions):
         return self.box.bounds()
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """Maps unbounded numbers between the bounds, as a `Box` does; exact: rounded."""
+        """Maps unbounded numbers between the bounds, as a `Box` does; in the exact set they are
+        rounded."""
         return self.settle(self.box.squash(raw), smooth)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """base + correction, clipped to the bounds; exact: rounded."""
+        """base + correction, clipped to the bounds; in the exact set it is rounded."""
         return self.settle(self.box.near(base, correction, smooth), smooth)
 
     @property

@@ -52,7 +52,7 @@ def decision_table(
     """
     (one, values), (two, others) = x, y
     if one == two or not all(0 <= item < len(at) for item in (one, two)):
-        message = f"x and y must be two different numbers from 0 to {len(at) - 1}"
+        message = f"the indices of x and y must be two different numbers from 0 to {len(at) - 1}"
         raise ValueError(f"decision_table: {message}; got {one} and {two}.")
     pairs = np.array([(a, b) for a in values for b in others], np.float64).reshape(-1, 2)
     states = np.tile(np.asarray(at, np.float64), (len(pairs), 1))

@@ -22,8 +22,8 @@ class Markov(Noise):
 
     Regimes have no order, so that a path has no derivative with respect to the probabilities.
     `likelihood` is the number 1, with the derivative of the log probability; used as above, it
-    makes the derivative of the mean correct (likelihood ratio). Without it: `draw(noise[:1],
-    state["regime"])`.
+    makes the derivative of the mean correct (likelihood ratio). To draw without the likelihood, use
+    `draw(noise[:1], state["regime"])`.
 
     **Arguments:**
 
@@ -76,9 +76,9 @@ class Markov(Noise):
 class Empirical(Noise):
     """One row of a history, drawn at random: `values` [n], or [n, K] whose rows stay together.
 
-    Rows are in the order of their first number, so that a pair of antithetic paths draws a high
-    and a low row. The derivative with respect to the history's numbers is pathwise, since every
-    draw is one of them.
+    Rows are sorted by their first number, so that a pair of antithetic paths draws a high and a low
+    row. The derivative with respect to the history's numbers is pathwise, since every draw is one
+    of them.
     """
 
     values: Any = parameter()

@@ -33,8 +33,8 @@ ROOM = 1.5  # parameters may rise by a half
 
 
 class Drawn(Noise):
-    """A distribution on 0, 1, …: F, the probabilities above, the probabilities, and the slope of a
-    draw."""
+    """A distribution on 0, 1, …: F, the probabilities above each number, the probabilities, and the
+    slope of a draw."""
 
     separate = True
 

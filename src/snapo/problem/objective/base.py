@@ -295,7 +295,7 @@ class ByPath(OneOutput):
 
 @dataclass(frozen=True)
 class Mean(ByPath):
-    """The mean."""
+    """The mean of an output over the paths."""
 
     @property
     def linear(self) -> bool:

@@ -180,8 +180,8 @@ class ExpectedUtility(ByPath):
 
 @dataclass(frozen=True)
 class CRRA:
-    """Utility W^(1 - risk_aversion) / (1 - risk_aversion) of W = wealth + x; for a risk aversion
-    of 1 the logarithm; minus infinity if W <= 0.
+    """Utility W^(1 - risk_aversion) / (1 - risk_aversion) of W = wealth + x. For a risk aversion of
+    1 it is log(W); if W <= 0 it is minus infinity.
 
     >>> snapo.CRRA(2.0)(np.array([1.0, 2.0])).tolist()
     [-1.0, -0.5]

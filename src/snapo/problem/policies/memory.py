@@ -154,9 +154,7 @@ class LastObservations(Memory):
 
     def decide(self, observation, memory, smooth):
         if not self.width:
-            raise ValueError(
-                "LastObservations: this is a recipe; solve makes it for the simulator."
-            )
+            raise ValueError("LastObservations: this is a recipe; solve makes the policy from it.")
         action = self.policy(jnp.concatenate([observation, memory]), smooth)
         selected = jnp.concatenate([observation, action.astype(observation.dtype), memory])
         return action, selected[: self.memory]

@@ -204,8 +204,8 @@ class _Bumper:
 
         Objects built from the inputs are first held fixed, which is fast. If there is no reaction,
         then with a near-optimal policy there is none to first order with rebuilt objects either.
-        Problems are rebuilt in two threads, while other inputs are valued; in one if paths are
-        long, as their tables are large.
+        Problems are rebuilt in two threads, while other inputs are valued; in one thread if paths
+        are long, since their tables are large.
         """
         problem, table = self.problem, {}
         waiting: list[tuple[str, Future[Problem]]] = []

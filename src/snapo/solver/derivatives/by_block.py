@@ -75,8 +75,8 @@ class PassResult(NamedTuple):
 
 
 class Pulled(NamedTuple):
-    """One adjoint pass: derivatives at the schedule, of the policy [P], its bad paths, and the
-    totals of its paths if they are known."""
+    """One adjoint pass: derivatives with respect to the schedule and the policy [P], its bad paths,
+    and the totals of its paths if they are known."""
 
     schedule: PyTree
     policy: np.ndarray

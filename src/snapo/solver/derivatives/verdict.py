@@ -1,10 +1,10 @@
 """The derivative that is reported: the held one, unless a bump refutes it.
 
 All inputs of a run are tested together: separate tests of twenty inputs at 5 % would falsely refute
-one per run. Holm's procedure (1979) falsely refutes any in at most 1 % of all runs. A refuted held
-derivative is replaced by the bump. A derivative that is not refuted may still be slightly wrong:
-the reaction is then added as far as it exceeds its own error (James and Stein's shrinkage) or
-reduces noise (a control variate), and the interval includes the rest.
+one per run. Holm's procedure (1979) falsely refutes any of them in at most 1 % of all runs. A
+refuted held derivative is replaced by the bump. A derivative that is not refuted may still be
+slightly wrong: the reaction is then added as far as it exceeds its own error (James and Stein's
+shrinkage) or reduces noise (a control variate), and the interval includes the rest.
 """
 
 from collections.abc import Collection, Mapping

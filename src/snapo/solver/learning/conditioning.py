@@ -25,7 +25,7 @@ every path, so that a few paths dominate all others: the gradient is noise, what
 On a plant that is merely unstable they grow equally on all paths. The norms of the first gradients
 show the difference at no extra cost, since they jump up and down between steps in the chaotic case;
 only then are the adjoints of some paths measured. A window is 1.5 times as long as the time over
-which their largest stays near the usual one. The rule does not depend on units.
+which the largest adjoint stays near the usual one. The rule does not depend on units.
 """
 
 import math
@@ -214,12 +214,12 @@ class Growth(NamedTuple):
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
         if not self.large:
-            return f"Backward in time adjoints grow {rounded(times, 3)}-fold, which is usual."
+            return f"Backward in time, adjoints grow {rounded(times, 3)}-fold, which is usual."
         half = _explodes(largest, position)
         state = max(self.leaves, key=lambda name: self.leaves[name][position], default="state")
         apart = largest[position] / max(self.usual[position], np.finfo(float).tiny)
         return (
-            f"Backward in time adjoints grow {rounded(times, 2)}-fold from the last step to step "
+            f"Backward in time, adjoints grow {rounded(times, 2)}-fold from the last step to step "
             f"{position} of {largest.size} (a hundredfold before step {half}), mainly in the "
             f"state {state!r}. At that step the largest adjoint of a path is {rounded(apart, 2)} "
             "times "

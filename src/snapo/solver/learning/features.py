@@ -139,7 +139,7 @@ def slope(weights, bias, mean, deviation) -> tuple[Any, Any]:
 
 def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
     """The scale of the features that no decision moves; None if there is no such feature, if no
-    network of the policy observes it, and if few numbers are decided, without a `Stop`."""
+    network of the policy observes it, or if few numbers are decided and none by a `Stop`."""
     if not layers(policy):
         return None
     if problem.action.size <= MANY and not contains(problem.action, Stop):

@@ -70,10 +70,10 @@ def went_back(progress: Progress) -> str:
     ways = []
     clips = [record.clip > 0 for record in history]
     if any(clips) or progress.clip is not None:
-        until, end = "", f", by {progress.clip or 0.0:,.3g} at the end"
+        until, end = ",", f", by {progress.clip or 0.0:,.3g} at the end"
         if progress.clip is None:
             lifted = len(clips) - _before(reversed(clips))
-            until, end = f" to step {lifted}, after which they grew no more,", ""
+            until, end = f" until step {lifted}, after which adjoints no longer grew,", ""
         ways.append(
             f"from step {_before(clips)} of the training on{until} each path's adjoint was "
             f"bounded{end} (Training(clip=None) turns this off)"

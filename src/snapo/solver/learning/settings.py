@@ -4,7 +4,7 @@ Paths, steps, rates and shares that are not specified are chosen from the proble
 
 A path of many steps contains many decisions, so fewer paths are as informative; and a training step
 over a short horizon is cheap, so there is time for more steps. The work of a path is measured by
-the products of its network, horizon times parameters, and so is the same on every machine.
+the multiplications of its network, horizon times parameters, which are the same on every machine.
 
 More steps allow a higher learning rate, which falls to zero at the end; wider layers need a lower
 one, since all their weights move at once. A `Stop`, also in a `Product`, keeps the usual rate: its

@@ -2,11 +2,11 @@
 
 The values of a training's history are compared on the same few paths again and again, so that the
 highest is biased upwards. The final choice is made once, on fresh paths that are used for nothing
-else, with paired differences and the control variates regressed out of them. The starting rule
-stays unless another is significantly better: training must not make a good rule worse. The paths of
-the reported value are not used for this choice.
+else, with paired differences and the control variates regressed out of them. The starting rule is
+selected unless another is significantly better: training must not make a good rule worse. The paths
+of the reported value are not used for this choice.
 
-The numbers of paths with which a policy is measured.
+The module also contains the numbers of paths with which a policy is measured.
 """
 
 from collections.abc import Callable, Mapping
@@ -73,7 +73,8 @@ class Evaluation:
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
 
     def within(self, horizon: int) -> "Evaluation":
-        """The same with `fewer` paths, if they are long, for everything except the value."""
+        """The same settings with `fewer` paths for everything except the value, if paths are
+        long."""
         counts = {name: fewer(getattr(self, name), horizon) for name in MINIMUM if name != "paths"}
         return replace(self, **counts)
 

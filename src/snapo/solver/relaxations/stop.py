@@ -112,7 +112,8 @@ class StopRelaxation:
             )
 
         def decided(t, state, noise):
-            """[rights + 1, 2] of every decision: its earnings, and with the continuation value."""
+            """[rights + 1, 2] of every decision, twice: its earnings, and these with the
+            continuation value."""
             after, earnings = problem.step(schedule, t, state, noise)
             ahead = value_at(t + 1, after)
             left = jnp.stack([ahead, jnp.append(ahead[:1], ahead[:-1])], axis=1)

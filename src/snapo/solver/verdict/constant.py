@@ -105,7 +105,7 @@ class ConstantDecision(NamedTuple):
 
     @property
     def where(self) -> str:
-        """ "0.9, at its limit"."""
+        """The value as text: "0.9, at its limit"."""
         return numbers_text(self.value) + (", at its limit" if self.limit else "")
 
 

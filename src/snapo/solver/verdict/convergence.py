@@ -103,7 +103,8 @@ def ending(
 
     - `progress`: its `best` is the reported policy; `training`: the settings, with "auto" resolved.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
-    - `held_paths`: the paths of the held derivatives; 0 leaves out the checks that need decisions.
+    - `held_paths`: the number of paths for the held derivatives; 0 leaves out the checks that need
+      decisions.
     - `decisions` [T, held_paths, A]: the decisions of that policy on these paths, if they were
       recorded before.
     - `gradient`: the norm of the policy's gradient and the norm of its noise, if known.
