@@ -223,7 +223,7 @@ def _said(index: int, length: int, size: int) -> str:
 def _write(notes: Notes, method: str, site: CodeSite, message: str) -> None:
     where = f"{method}, {site.line}" if site.line else notes.method(method)
     text = f" In: {site.line.text}" if site.line else ""
-    where_met = "With these inputs" if method == "prepare" else "On a path"
+    where_met = "With these inputs," if method == "prepare" else "On a path,"
     done = "drops such a write" if site.writes else "reads the nearest one"
     note = notes.warning if site.writes else notes.error
     note(

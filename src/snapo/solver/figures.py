@@ -195,7 +195,7 @@ class Figures:
         steps = np.arange(len(series))
         figure, ax = _axes(ax)
         ax.fill_between(steps, low, high, color=SOFT, alpha=0.5, lw=0, label="90 % of paths")
-        ax.fill_between(steps, lower, upper, color=SOFT, lw=0, label="half of them")
+        ax.fill_between(steps, lower, upper, color=SOFT, lw=0, label="50 % of paths")
         ax.plot(steps, np.nanmean(series, 1), color=INK, label="mean")
         ax.set_xlabel("step")
         ax.set_ylabel(name)
@@ -252,11 +252,13 @@ class Figures:
         history = self._history
         figure, ax = _axes(ax)
         steps = [record.step for record in history]
-        ax.plot(steps, [record.objective for record in history], color=SOFT, label="smooth, a step")
+        smooth = [record.objective for record in history]
+        ax.plot(steps, smooth, color=SOFT, label="smooth, at each step")
         # Between two validations the records repeat the last exact value: its first step counts.
         exact = {record.exact: record.step for record in reversed(history)}
         exact = {value: step for value, step in exact.items() if np.isfinite(value)}
-        ax.plot(list(exact.values()), list(exact), "o", color=INK, ms=4, label="exact, validation")
+        validated = list(exact.values())
+        ax.plot(validated, list(exact), "o", color=INK, ms=4, label="exact, at each validation")
         ax.set_xlabel("step of training")
         ax.set_ylabel("objective")
         ax.legend(frameon=False)
