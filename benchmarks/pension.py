@@ -63,7 +63,7 @@ class Row(NamedTuple):
 
 
 def setup_of(size: str) -> Setup:
-    """The example of a size with an untrained policy."""
+    """The example of this size, with an untrained policy."""
     return make_setup(read_case(Path(str(DOMAIN.templates[size]))), "native")
 
 

@@ -68,7 +68,7 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
-        raise CheckpointError(f"{file}: this is not a file of this kind.") from None
+        raise CheckpointError(f"{file}: this is not the checkpoint of a training.") from None
     summary = {"history": history, "growth": growth, "dual": dual, "raced": raced}
     summary |= {**steps, "unchanged": int(state.get("unchanged", 0))}
     return replace(like, **trees, **plain, **summary, scale=scale)

@@ -295,7 +295,7 @@ class Solution:
         try:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
-            message = f"{folder / SOLUTION}: this is not a file of this kind ({error})."
+            message = f"{folder / SOLUTION}: this is not the file of a solution ({error})."
             raise solution_file.CheckpointError(message) from None
 
     @classmethod

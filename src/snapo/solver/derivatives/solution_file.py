@@ -38,7 +38,7 @@ def entries(file: Path, both: Any, *keys: str) -> list[Any]:
     try:
         return [both[key] for key in keys]
     except (KeyError, TypeError, IndexError):
-        raise CheckpointError(f"{file}: this is not a file of this kind.") from None
+        raise CheckpointError(f"{file}: this file was not written by snapo.") from None
 
 
 def read_checked(file: Path) -> tuple[dict[str, np.ndarray], Any]:
@@ -155,4 +155,4 @@ def sensitivities_in(file: Path) -> Sensitivities | None:
     try:
         return sensitivities_of(arrays, header) if header["inputs"] else None
     except (KeyError, TypeError, AttributeError, IndexError) as error:
-        raise CheckpointError(f"{file}: this is not a file of this kind ({error}).") from None
+        raise CheckpointError(f"{file}: this is not the file of a solution ({error}).") from None
