@@ -223,7 +223,7 @@ def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pension")
     known = (*SIZES, "engines", "memory")
     parser.add_argument("what", nargs="*", help=f"some of {', '.join(known)}; by default all sizes")
-    parser.add_argument("--picture", type=Path, help="writes speed-up over inputs as SVG")
+    parser.add_argument("--picture", type=Path, help="writes the speed-ups as SVG")
     asked = parser.parse_args(arguments)
     if unknown := set(asked.what) - set(known):
         parser.error(f"there is no {', '.join(sorted(unknown))}; available are {', '.join(known)}")

@@ -54,7 +54,7 @@ def solved(name: str, seed: int) -> dict[str, Any]:
 
 
 def scored(run: dict[str, Any]) -> list[tuple[bool, float, float]]:
-    """(whether it holds, half-width, distance from the truth), the last two relative, by input."""
+    """Of each input: whether the interval contains the truth, relative half-width and distance."""
     level, scores = abs(run["exact"]), []
     for row in run["rows"].values():
         value, low, high, *_ = row["interval"]
