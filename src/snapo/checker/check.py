@@ -106,7 +106,7 @@ def _looked(simulator: Simulator, inputs: PyTree, look: Callable[[Notes], None])
 
 
 def _decides(notes: Notes, problem: Problem, policy: Policy, features: int) -> None:
-    """The actions of a policy of the user's own, at a few observations, lie in the set."""
+    """Checks that the actions of a user's policy, at a few observations, lie in the set."""
     if type(policy).__module__.startswith("snapo.") and not isinstance(policy, Constant):
         return
     size, action = problem.action.size, problem.action

@@ -166,7 +166,7 @@ def _shifted(x: Array, shift: Any) -> Array:
 def _indices(eqn, values, dirty: list[int]) -> tuple[Array, list[tuple[int, int]]] | None:
     """The indices [..., axes] of a read or write, and (length, size of a part) of each axis.
 
-    None if they are known as a method is traced, and where the program itself defines reads
+    None if they are known when the method is traced, or if the program itself defines reads
     outside: `mode="clip"` or "fill".
     """
     kind, params = eqn.primitive.name, eqn.params

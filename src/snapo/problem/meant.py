@@ -156,7 +156,7 @@ def outputs_of(problem: Problem) -> list[str]:
 
 
 def _only_output(verb: str, names: list[str]) -> str:
-    """The only output, when there is but one, and nothing shows that it should be small."""
+    """The only output, if there is just one, and its name does not suggest a cost."""
     if len(names) != 1:
         raise ValueError(
             f"{verb}: the simulator has the outputs {sorted(names)}; name the one to "

@@ -37,8 +37,8 @@ class Policy(eqx.Module):
     ) -> Float[Array, " size"]:
         """The action [size] at one observation [features], an array or a list of numbers.
 
-        It is that of the exact simulator: whole numbers, stop or continue, one option. With
-        `Smooth(temperature)` it is that of training.
+        The action is that of the exact simulator: whole numbers, stop or continue, one option. With
+        `Smooth(temperature)` it is the action of training.
         """
 
     def for_problem(self, interface: Interface, key) -> "Policy":

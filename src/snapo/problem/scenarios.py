@@ -151,7 +151,7 @@ class Sobol(Scenarios):
         return *super().world(simulator), last, self._separate(simulator)
 
     def _separate(self, simulator: Simulator) -> int:
-        """How many normals of the start are none of a step's; they take the first dimensions."""
+        """How many normals of the start belong to no step; they take the first dimensions."""
         return 0 if _start(simulator) else simulator.initial_noise_size
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
@@ -354,8 +354,8 @@ class Sources:
 
 
 def _counted_from(simulator: Simulator) -> int:
-    """The step of the calendar from which a simulator counts its noise: 0, or that of its own start
-    where its initial state is no function of the noise before."""
+    """The step of the calendar from which a simulator counts its noise: 0, or its own start if its
+    initial state is not a function of earlier noise."""
     return simulator.first_step if simulator.first_step > simulator.initial_steps else 0
 
 

@@ -142,7 +142,7 @@ class Simulator(eqx.Module):
 
 
 def _explained(init: Callable[..., None]) -> Callable[..., None]:
-    """An `__init__` whose error explains the fix when it sets an attribute that is not a field."""
+    """An `__init__` that explains the fix if it sets an attribute that is not a field."""
 
     @wraps(init)
     def explained(self: Any, *values: Any, **by_name: Any) -> None:

@@ -240,7 +240,7 @@ Sample = list[tuple[np.ndarray, Draws, Rollout]]
 
 
 class _Paths:
-    """The policy's paths, and the two numbers of each."""
+    """The policy's paths, with the earnings of the policy and the bound of each path."""
 
     def __init__(self, problem: Problem, policy: Policy, relaxation: Relaxation, engine: Engine):
         self.problem, self.policy_, self.relaxation = problem, policy, relaxation
@@ -272,7 +272,8 @@ def _fresh(problem: Problem, seed: int, use: int) -> Scenarios:
 
 
 def _descended(value: Callable[[np.ndarray], float], scale: np.ndarray) -> np.ndarray:
-    """Scales at which the bound, convex in them, is lower: one at a time, by parabolas."""
+    """Scales at which the bound, which is convex in them, is lower: one scale at a time, by
+    parabolas."""
     minimum = value(scale)
     for sweep in range(SWEEPS):
         width = STEP / 2**sweep

@@ -266,9 +266,9 @@ class Figures:
 
 
 def _axes(ax: Any, height: float = 3.6) -> tuple[Any, Any]:
-    """The figure and its axes: those given, without a figure to return, or new ones.
+    """The figure and its axes: the supplied axes without a figure to return, or new ones.
 
-    A new figure draws itself under the cell of a notebook, whatever backend matplotlib has.
+    A new figure shows itself under the cell of a notebook, with any backend of matplotlib.
     """
     if ax is not None:
         return None, ax

@@ -340,7 +340,8 @@ PLAIN = (
 
 @contextmanager
 def _pages(verb: str, extra: str) -> Iterator[Any]:
-    """The module that makes pages, in a room above this one; a missing package names its extra."""
+    """The module that makes pages, from a package above this one; a missing library names its
+    extra."""
     try:
         yield import_module("snapo.domains.own.in_python")
     except ModuleNotFoundError as error:
@@ -357,7 +358,7 @@ def folder_of(folder: Path | str) -> Path:
 
 
 def _policy(file: Path, like: Policy | None) -> Policy | None:
-    """The policy of a file; None if its class is user code and there is nothing like it."""
+    """The policy of a file; None if its class is user code and there is no `like`."""
     try:
         if like is None:
             return stored(file, Policy).policy

@@ -156,7 +156,7 @@ def _over(engines: Engines, executor: Executor | Sequence[Executor]) -> Engines:
 
 
 def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Settings:
-    """The settings given, or the usual ones.
+    """The supplied settings, or the default ones.
 
     **Raises:** `ValueError` if they are of another kind, such as a dictionary.
     """
@@ -177,7 +177,7 @@ def in_order(problem: Any, inputs: PyTree, policy: Any) -> tuple[PyTree, Any]:
 
 
 def _recipe(policy: Policy | eqx.Module | Solution | None) -> Policy:
-    """The policy to train: the one given, or that of an earlier solution."""
+    """The policy to train: the supplied policy, or that of an earlier solution."""
     if isinstance(policy, Solution):
         policy = policy.policy
         if policy is None:
@@ -193,7 +193,7 @@ def _begun(
     fresh: bool,
     bar: ProgressLine,
 ) -> Progress:
-    """The start, or the best of several after the rounds in which the others fell out.
+    """The start, or the best of several after the rounds in which the others were dropped.
 
     Networks that are `fresh`, made here from a recipe, are drawn for the unscaled features.
     """
@@ -217,7 +217,7 @@ def _interrupted(step: int, steps: int) -> str:
 
 
 def _fresh_starts(policy: Policy, training: TrainingPlan) -> Callable[[int], Policy]:
-    """Starts that no race has had: for a training that has to restart."""
+    """Starts that were in no race, for a training that has to restart."""
     first = 1 + training.starts
     return lambda number: others(policy, first + number, training.seed)[-1]
 

@@ -252,7 +252,7 @@ def _operation(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tenso
 
 
 def _folded(graph: Graph, equation: Any, available: list[Any]) -> list[Tensor]:
-    """What does not depend on the observation is a constant."""
+    """The results of an equation that does not depend on the observation, as constants."""
     result = equation.primitive.bind(*map(jnp.asarray, available), **equation.params)
     result = result if equation.primitive.multiple_results else [result]
     return [graph.constant(np.asarray(item)) for item in result]

@@ -70,7 +70,8 @@ class Drawn(Noise):
         )
 
     def _index(self, z: Array) -> Array:
-        """How many F(k) lie below u, the upper half counted from above, where digits are kept."""
+        """The number of F(k) below u; the upper half is counted from above, which keeps more
+        digits."""
         z = jax.lax.stop_gradient(z)
         low = uniform(-jnp.abs(z))
         passed = jnp.where(z < 0, low > self.below[:-1], low < self.above[:-1])
@@ -175,7 +176,7 @@ class Binomial(Counts):
 
 
 def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: float = ROOM) -> int:
-    """The largest number that is distinguished."""
+    """The largest number that a draw can have."""
     if maximum is not None:
         return maximum
     values = [concrete(item) for item in parameters or ()]

@@ -282,7 +282,7 @@ class OneOutput(Objective):
 
     @abc.abstractmethod
     def _influence(self, x: np.ndarray) -> np.ndarray:
-        """Numbers whose mean is the value and whose spread is its sampling error."""
+        """Numbers whose mean is the value and whose spread gives its sampling error."""
 
 
 class ByPath(OneOutput):

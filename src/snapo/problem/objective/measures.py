@@ -9,7 +9,7 @@ from .base import ByPath, Objective, OneOutput, Totals, Weights
 
 
 class _Risk(OneOutput):
-    """A measure of risk: of a cost it looks at the other tail."""
+    """A measure of risk; for a cost it takes the other tail."""
 
     @property
     def as_cost(self) -> "OfCost":
@@ -20,7 +20,7 @@ class _Risk(OneOutput):
 
     @abc.abstractmethod
     def _words(self, cost: bool) -> str:
-        """The measure, or that of a cost, as a phrase."""
+        """The measure of a gain or of a cost, as a phrase."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 else:
 
     class _Library(ModuleType):
-        """A library that is imported when one of its names is first asked for, and keeps them."""
+        """A library that is imported when one of its names is first used; it stores its names."""
 
         def __getattr__(self, name: str):
             if name.startswith("__"):

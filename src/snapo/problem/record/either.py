@@ -180,7 +180,7 @@ def solve_lower(matrix: Any, right: Any) -> Any:
 
 
 def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
-    """With NaNs, as in JAX, where a matrix has no such result."""
+    """The function with NaNs, as in JAX, if a matrix has no such result."""
 
     def call(*arrays: Any) -> Any:
         try:
@@ -192,7 +192,8 @@ def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _absolute(x: Any) -> Any:
-    """The sign of a complex number is that of its real part: it is a number that moves."""
+    """The absolute value by the sign of the real part: a complex number is a real one that is
+    moved."""
     return np.where(np.real(x) < 0, -x, x) if np.iscomplexobj(x) else np.abs(x)
 
 

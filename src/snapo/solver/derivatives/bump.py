@@ -160,8 +160,8 @@ def settled(reaction: Reaction, precise: float, negligible: float = 0.0) -> bool
 
 
 def _uncertainty(reaction: Reaction) -> float:
-    """The error of the reaction relative to the held derivative; above 1 if that is surely
-    wrong, and the bump will be reported."""
+    """The error of the reaction relative to the held derivative; above 1 if that derivative is
+    surely wrong, so that the bump will be reported."""
     value, error = reaction.estimate
     if not np.isfinite(value):
         return 0.0
@@ -237,7 +237,7 @@ class _Bumper:
         return table
 
     def _without_reaction(self, still: Reaction) -> bool:
-        """Whether an input shows none that matters, on either side."""
+        """Whether an input has no significant reaction on either side."""
         negligible = NEGLIGIBLE * abs(self.value)
         return settled(still, COARSE, negligible) and not self._two_sided(still)
 
@@ -308,7 +308,7 @@ class _Bumper:
         )
 
     def _two_sided(self, reaction: Reaction) -> bool:
-        """Whether more and less of the input differ by much."""
+        """Whether the changes for more and for less of the input differ much."""
         size = max(abs(reaction.up), abs(reaction.down))
         minimum = max(MATERIAL * size, NEGLIGIBLE * abs(self.value))
         return abs(reaction.up - reaction.down) > max(SIGNIFICANT * reaction.side_error, minimum)

@@ -158,7 +158,7 @@ class Reported(NamedTuple):
     def _interval(
         self, estimate: Estimate, unseen: float, slopes: np.ndarray, others: np.ndarray
     ) -> Interval:
-        """From the blocks of a derivative, and how it changes with the policy."""
+        """The interval from the blocks of a derivative and its changes with the policy."""
         inverse, covariance, gap = self.curvature
         blocks, value = len(estimate.blocks), float(estimate.value)
         # Without noise there is one block, and no error.
@@ -177,7 +177,7 @@ class Reported(NamedTuple):
 
 
 def _multiple(direction: np.ndarray, by: np.ndarray) -> float | None:
-    """How many times `by` a direction is; None if it is another one."""
+    """How many times `by` a direction is; None if it is not a multiple."""
     square = float(np.sum(by * by))
     if not square:
         return None

@@ -164,7 +164,7 @@ def _of(
 
 
 def _range(base: Reported, verdict: Verdict, reaction: Reaction, share: np.ndarray) -> Reported:
-    """Between both one-sided derivatives; a held one that is not between them gives way."""
+    """A derivative between both one-sided ones; a held derivative outside of them is replaced."""
     less, more = sorted((verdict.down, verdict.up))
     result = base._replace(
         sides=(verdict.down, verdict.up), unseen=verdict.side_error / SHARE_UNSEEN * np.abs(share)
@@ -182,8 +182,8 @@ def _spread(complete: np.ndarray, share: np.ndarray) -> Estimate:
 def _through(
     base: Reported, reaction: Reaction, smooth: Estimate | None, share: np.ndarray
 ) -> Reported:
-    """The bump; of an input with many numbers the smooth derivatives, scaled to it, where their sum
-    agrees with it."""
+    """The bump. For an input with many numbers: the smooth derivatives, scaled to the bump, if
+    their sum agrees with it."""
     complete = reaction.held.mean() - reaction.held[: len(reaction.reaction)].mean() + reaction.bump
     value, error = _pair(complete)
     error = float(np.hypot(error, reaction.extra))

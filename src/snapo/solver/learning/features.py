@@ -177,7 +177,7 @@ def fixed(problem: Problem) -> FeatureScale | None:
 
 
 class _Unmoved(Around):
-    """A simulator of whose state only the parts move that no decision moves, without outputs."""
+    """A simulator without outputs, in whose state only the parts move that no decision moves."""
 
     moved: PyTree = eqx.field(static=True)
 

@@ -49,7 +49,7 @@ def start_notes(progress: Progress) -> tuple[str, ...]:
 
 
 def _slowed(steps: tuple[int, ...]) -> str:
-    """One sentence on the steps that broke, after which the rate was lowered."""
+    """One sentence on the steps that failed, after which the rate was lowered."""
     *first, last = map(str, steps)
     summary = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     return (

@@ -218,7 +218,7 @@ def begin_again(
 def _begun_with(
     problem: Problem, training: TrainingPlan, progress: Progress, policy: Policy, step: int
 ) -> Progress:
-    """On from a policy after `step`."""
+    """The state that continues from a policy after `step`."""
     critic = None if progress.window is None else learner(problem, training.seed)
     return replace(
         progress,

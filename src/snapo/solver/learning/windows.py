@@ -268,7 +268,8 @@ def window_adjoint(
 
 
 def _turn(number: int, count: int) -> int:
-    """Which window is next: each once a round, in an order that a round's number shuffles."""
+    """The next window: each window once per round, in an order shuffled by the number of the
+    round."""
     turn, position = divmod(number, count)
     return int(np.random.default_rng(turn).permutation(count)[position])
 

@@ -200,7 +200,7 @@ def select(
 
 
 def _nothing(result: Selection, level: float) -> bool:
-    """Whether there is next to nothing to gain over the start."""
+    """Whether almost nothing can be gained over the start."""
     return result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level)
 
 
@@ -214,7 +214,7 @@ def _selected(
     available: dict[str, Totals],
 ) -> tuple[Selection, float, list[str]]:
     """The choice on a number of paths, the value of the initial rule on them, and the candidates
-    that are not plainly below the best one.
+    that are not clearly below the best one.
 
     `available`: {candidate: totals} on the first of these paths; returns those on all of them.
     """
