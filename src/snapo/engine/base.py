@@ -361,7 +361,7 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
         raise ValueError(
             f"engine: the draws pass the noise of {draws.before} steps to `initial`, but "
-            f"initial_noise_size, {simulator.initial_noise_size}, is no multiple of this number."
+            f"initial_noise_size, {simulator.initial_noise_size}, is not a multiple of this number."
         )
     if isinstance(draws, Stored):
         shapes = {
