@@ -119,7 +119,7 @@ def test_a_window_of_ones_own_has_its_record_too(tmp_path):
     found = snapo.solve(problem(), policy=RULE, training=bounded, evaluation=FEW, engine="xla")
     assert (found.clip, found.keep) == (2.0, 0.9) and found.growth is not None
     assert {record.clip for record in found.history} == {2.0}
-    assert found.summary()["clip"] == 2.0 and "at 2 in the end" in " ".join(found.notes)
+    assert found.summary()["clip"] == 2.0 and "by 2 at the end" in " ".join(found.notes)
 
 
 @pytest.mark.prove
