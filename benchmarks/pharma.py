@@ -156,7 +156,7 @@ def many_samples() -> Iterator[str]:
         f"to {len(by)} parameters"
     )
     for name, seconds in each.items():
-        yield f"  {name:<28}{1e3 * seconds:8.3f} ms a sample, {1e4 * seconds:6.1f} s for 10,000"
+        yield f"  {name:<28}{1e3 * seconds:8.3f} ms per sample, {1e4 * seconds:6.1f} s for 10,000"
     for name in ("same call, one by one", "matrix, one by one"):
         share = ratio(times, name, "batch") * SAMPLES / SINGLE
         yield f"  batch over {name}: {share:.1f} times the throughput (needed 20)"

@@ -197,7 +197,7 @@ def store(
 
 
 def growth(alpha=0.4, beta=0.96, mu=0.05, s=0.1, y0=1.0, steps=30) -> float:
-    """Brock and Mirman's growth with logarithmic utility (s moves no mean)."""
+    """Brock and Mirman's growth with logarithmic utility; the deviation s has no effect."""
     level, slope_ = 0.0, 1.0
     for _ in range(steps - 1):
         saved = alpha * beta * slope_

@@ -23,8 +23,7 @@ def pull_back(
     simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
 ) -> dict[str, np.ndarray]:
     """Transforms derivatives from the schedule to the inputs: {name: [len(schedules), *shape]}.
-
-    The transpose of `prepare`.
+    This is the transpose of `prepare`.
     """
     values, version = inputs_.values(inputs), of_preparation(simulator, inputs)
     bare = inputs_.unnamed(inputs)

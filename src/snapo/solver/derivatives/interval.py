@@ -214,7 +214,7 @@ class Verdict(NamedTuple):
     - `held`, `bump`, `reaction`: pairs (change, standard error); `reaction` is `bump` minus `held`,
       paired.
     - `up`, `down`: the change of the value for an increase and a decrease of the input;
-      `side_error` of their difference.
+      `side_error`: the standard error of their difference.
     - `probability`: the p-value of the reaction; `tested`: whether there is one.
     - `corner`: "kink", "jump" or "".
     """

@@ -184,7 +184,7 @@ UNKNOWN = (
 
 
 def bounded(problem: Problem) -> bool:
-    """Whether `relaxation_of` has one, as far as this can be decided without computation."""
+    """Whether there is a relaxation, as far as this can be decided without computation."""
     return isinstance(problem.simulator, Relaxable) or isinstance(problem.action, Stop)
 
 
