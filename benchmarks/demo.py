@@ -52,8 +52,8 @@ def main() -> None:
             ours, theirs = map(ended, [started(HERE, here), started(other, there)])
         ratios.append((ours[0] / theirs[0], ours[1] / theirs[1]))
         print(f"here {ours[0]:.1f} s (processor {ours[1]:.1f}), there {theirs[0]:.1f} "
-              f"({theirs[1]:.1f}): {ratios[-1][0]:.3f} ({ratios[-1][1]:.3f})")  # fmt: skip
-    print("medians {:.3f} ({:.3f})".format(*map(median, zip(*ratios))))
+              f"({theirs[1]:.1f}); ratio {ratios[-1][0]:.3f} ({ratios[-1][1]:.3f})")  # fmt: skip
+    print("median ratios: {:.3f} (processor {:.3f})".format(*map(median, zip(*ratios))))
 
 
 if __name__ == "__main__":

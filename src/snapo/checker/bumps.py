@@ -196,7 +196,7 @@ class _Comparison:
         return result if (np.abs(result) * bump > minimum).any() else None
 
     def moves_decisions(self, bump: float) -> bool:
-        """Whether outputs move where the policy decides, through its observations (a measurement
+        """Whether outputs move if the policy decides, through its observations (as by a measurement
         error)."""
         there = self.run.values(self.simulator, False, schedule=self._schedule(bump))
         back = self.run.values(self.simulator, False, schedule=self._schedule(-bump))
