@@ -1,6 +1,6 @@
-"""`python -m benchmarks`: what gradients cost here, domain by domain; the native engine; checks.
+"""`python -m benchmarks`: the cost of gradients by domain, of the native engine and of checks.
 
-The figures that README and docs quote are written into them (`benchmarks/figures.py`)."""
+It writes the figures that README and docs quote into these pages (`benchmarks/figures.py`)."""
 
 from . import checking, figures, gas_storage, native, pension, pharma
 from .machine import machine
@@ -10,7 +10,7 @@ SMALLER = ("small", "medium")
 
 if __name__ == "__main__":
     print(machine())
-    # Of the large fund bumps alone take minutes: `python -m benchmarks.pension` has it.
+    # The large fund is left out: its bumps take minutes (`python -m benchmarks.pension`).
     tables = {
         "gas_storage": gas_storage.table(),
         "native": native.table(),

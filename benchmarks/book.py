@@ -1,12 +1,12 @@
-"""What a book costs: shapes, overhead, size, and a model of its wall time.
+"""The cost of a book: compiled shapes, overhead, size, and a model of its wall time.
 
-    python -m benchmarks.book shapes       a contract of a known shape, of other dates, a stress
-    python -m benchmarks.book overhead     what the driver costs, and how long workers wait
+    python -m benchmarks.book shapes       contracts of equal and of other shapes, and a stress
+    python -m benchmarks.book overhead     the cost of the driver, and how long workers wait
     python -m benchmarks.book large        100 contracts under 20 stresses
-    python -m benchmarks.book model        wall time at 1, 2 and 4 workers, and what was expected
-    python -m benchmarks.book training     steps of 16,384 paths over one process and over two
+    python -m benchmarks.book model        wall time with 1, 2 and 4 workers, and that of a model
+    python -m benchmarks.book training     steps of 16,384 paths in one process and in two
 
-All are books of the gas storage template; times depend on what else the machine does.
+All books use the gas storage template. Times depend on what else the machine does.
 """
 
 import json
@@ -52,7 +52,7 @@ STRESSES = "".join(CURVE.format(change=x, scale=1 + x / 100) for x in CHANGES) +
 def write_book(
     folder: Path, rows: Sequence[dict[str, Any]], stresses: str, tasks: str = "", run: str = ""
 ) -> Path:
-    """A book of the template of a gas store, with the keys of each row."""
+    """A book of contracts from the gas storage template, each with the keys of one row."""
     template = find("gas-storage", "").templates
     store = folder / "store"
     store.mkdir(parents=True, exist_ok=True)
@@ -70,7 +70,7 @@ def write_book(
 
 
 def rows(count: int) -> list[dict[str, Any]]:
-    """Stores that differ in costs, level and volatility, not in their shape."""
+    """Stores that differ in costs, inventory and volatility, but have one compiled shape."""
     return [
         {
             "name": f"store {i}",
@@ -83,7 +83,7 @@ def rows(count: int) -> list[dict[str, Any]]:
 
 
 class Timed(NamedTuple):
-    """A job, what it took, and the seconds of compiling in it."""
+    """A job, its processor seconds, and its seconds of compiling."""
 
     name: str
     cpu_seconds: float
@@ -91,8 +91,9 @@ class Timed(NamedTuple):
 
 
 def shapes() -> list[str]:
-    """One process: the first contract, a further one, one with its policy; two that start later,
-    the second on other dates; another number of days; two with bumps; the first under a stress."""
+    """Contracts in one process: the first, a further one, and one with the policy of the first; two
+    that start later, on different dates; one with another number of days; two with bumps; and the
+    first one under a stress."""
     import jax
 
     heard: list[float] = []
@@ -144,14 +145,14 @@ def shapes() -> list[str]:
     cpu = {x.name: x.cpu_seconds for x in table}
     limits = {"further": 0.2, "other dates": 0.25, "other number of days": 0.67}
     needed = {
-        name: f"{cpu[name] / cpu['first']:.2f} of the first (needed {limit:.2f})"
+        name: f"{cpu[name] / cpu['first']:.2f} of the first (required: {limit:.2f})"
         for name, limit in limits.items()
     }
     needed["with its policy"] = f"{cpu['with its policy'] / cpu['first']:.2f} of the first"
     share = cpu["a stress"] / cpu["further"]
-    needed["a stress"] = f"{share:.2f} of a further contract (needed 0.50)"
+    needed["a stress"] = f"{share:.2f} of a further contract (required: 0.50)"
     return [
-        "one process, the gas storage template; processor seconds",
+        "gas storage template, in one process; processor seconds of a job, and those of compiling",
         *(
             f"{x.name:<22}{x.cpu_seconds:>8.2f} s, compiling {x.compile_seconds:>6.2f} s   "
             f"{needed.get(x.name, '')}"
@@ -168,7 +169,7 @@ def as_worker() -> None:
 
 
 def idle(job: bytes, seconds: float = 0.25) -> bytes:
-    """Works for so long, and returns bytes of the size of a result."""
+    """Works for this number of seconds, and returns as many bytes as a result has."""
     ended, started = time.perf_counter() + seconds, time.perf_counter()
     while time.perf_counter() < ended:
         pass
@@ -176,7 +177,7 @@ def idle(job: bytes, seconds: float = 0.25) -> bytes:
 
 
 def overhead(count: int = 200) -> list[str]:
-    """Small jobs on one worker, so that the driver has a core: how long the worker waits."""
+    """How long a worker waits: small jobs on one worker, which leaves a core to the driver."""
     with tempfile.TemporaryDirectory() as folder:
         book = read_book(write_book(Path(folder), rows(count), STRESSES))
         plan = plan_of(book)
@@ -191,8 +192,9 @@ def overhead(count: int = 200) -> list[str]:
     span = spans[-1][1] - spans[0][0]
     return [
         f"{count} jobs of 0.25 s on one worker: {seconds:.1f} s",
-        f"the worker waits {1 - busy / span:.1%} of its time (needed at most 10 %)",
-        f"the driver's processor time is {cpu / seconds:.1%} of the wall time (needed at most 5 %)",
+        f"the worker waits {1 - busy / span:.1%} of its time (required: at most 10 %)",
+        f"processor time of the driver: {cpu / seconds:.1%} of the wall time "
+        "(required: at most 5 %)",
     ]
 
 
@@ -208,16 +210,18 @@ def large(contracts: int = 100) -> list[str]:
     growth = [max(of[20:]) / of[19] - 1 for of in peaks.values() if len(of) > 20]
     return [
         f"{contracts} contracts, {len(result['sums'])} points each: {result['status']}",
-        f"{result['seconds']['total'] / 60:.1f} min of wall time (needed 25 for 100 contracts)",
-        f"{result['cpu_seconds'] / points:.2f} processor seconds a point",
-        f"workers at most {result['peak_mb']:.0f} MB (needed 900), driver {driver:.0f} MB "
-        "(needed 400)",
-        f"growth of a worker after its 20th job: {max(growth, default=0.0):.1%} (needed 5 %)",
+        f"{result['seconds']['total'] / 60:.1f} min of wall time "
+        "(required: at most 25 with 100 contracts)",
+        f"{result['cpu_seconds'] / points:.2f} processor seconds per point",
+        f"peak memory: workers {result['peak_mb']:.0f} MB (required: at most 900), "
+        f"driver {driver:.0f} MB (required: at most 400)",
+        f"growth of a worker after its 20th job: {max(growth, default=0.0):.1%} "
+        "(required: at most 5 %)",
     ]
 
 
 def _peaks(folder: Path) -> dict[str, list[float]]:
-    """{worker: memory at most, after each of its jobs}."""
+    """{worker: its peak memory in MB after each of its jobs}."""
     table: dict[str, list[float]] = {}
     for file in sorted(folder.glob("answers/*/*"), key=lambda x: x.stat().st_mtime):
         cost: Cost = opened(file.read_bytes())[1]
@@ -226,8 +230,8 @@ def _peaks(folder: Path) -> dict[str, list[float]]:
 
 
 def expected(durations: Sequence[float], first: float, workers: int, begin: float) -> float:
-    """Wall time by event simulation: every worker starts, compiles with its first order, and takes
-    the next one when it is free. A machine's cores are shared by its workers."""
+    """Wall time by event simulation: every worker starts, compiles during its first job, and takes
+    the next job when it is free. Workers share the cores of a machine."""
     free = [begin] * workers
     fresh = [True] * workers
     for duration in durations:
@@ -238,8 +242,8 @@ def expected(durations: Sequence[float], first: float, workers: int, begin: floa
 
 
 def model(contracts: int = 16) -> list[str]:
-    """Wall time with 1, 2 and 4 workers on the cores of this machine, and that of the model, from
-    one worker's jobs alone."""
+    """Wall time with 1, 2 and 4 workers on the cores of this machine, and that of the model, which
+    uses only the times of one worker's jobs."""
     cores = len(os.sched_getaffinity(0))
     lines, jobs = [], []
     start = first = 0.0
@@ -257,16 +261,17 @@ def model(contracts: int = 16) -> list[str]:
         # More workers than cores share them.
         share = max(1.0, workers / cores)
         wall = expected([x * share for x in jobs], first * share, workers, start * share)
-        fitted = "the numbers are those of this run" if workers == 1 else f"expected {wall:.1f} s"
+        fitted = "the model is fitted to this run" if workers == 1 else f"model {wall:.1f} s"
         off = "" if workers == 1 else f" ({seconds / wall - 1:+.0%})"
         lines.append(f"{workers} workers: {seconds:.1f} s, {fitted}{off}")
-    about = f"start {start:.1f} s, a shape {first:.1f} s, a contract {jobs[0]:.1f} s"
-    return [f"{contracts} contracts on {cores} cores: {about} (needed within 20 %)", *lines]
+    about = f"start {start:.1f} s, compiling a shape {first:.1f} s, a contract {jobs[0]:.1f} s"
+    needed = "required: within 20 % of the model"
+    return [f"{contracts} contracts on {cores} cores: {about} ({needed})", *lines]
 
 
 def training(paths: int = 16384, rounds: int = 5) -> list[str]:
-    """Training steps of one one-core process and of two, in turns; then one of the two is killed
-    in the middle of a step."""
+    """Training steps of one process on one core and of two such processes, in turns; then one of
+    the two is killed in the middle of a step."""
     settings = (f"training.paths={paths}", "training.validation_paths=512")
     with tempfile.TemporaryDirectory() as folder, Workers(worker_pools("", 2)) as workers:
         write_book(Path(folder), rows(1), "")
@@ -301,7 +306,7 @@ def training(paths: int = 16384, rounds: int = 5) -> list[str]:
         steps, moved = after(two)
         killer.join()
         assert not victim.is_alive()
-    lines = [f"a step of {paths:,} paths of the gas storage template, with a share of a validation"]
+    lines = [f"step of {paths:,} paths, gas storage template, including its share of validation"]
     for name in Steps._fields:
         pairs = [(getattr(x, name), getattr(y, name)) for x, y in zip(alone, shared)]
         first, second, ratio = (
@@ -311,18 +316,18 @@ def training(paths: int = 16384, rounds: int = 5) -> list[str]:
         least, most = min(x / y for x, y in pairs), max(x / y for x, y in pairs)
         lines.append(
             f"{name:<5} one process {first:.2f} s, two {second:.2f} s: {ratio:.2f} times as fast, "
-            f"from {least:.2f} to {most:.2f} in {rounds} rounds in turns (needed 1.70)"
+            f"from {least:.2f} to {most:.2f} in {rounds} alternating rounds (required: 1.70)"
         )
     return [
         *lines,
-        "cpu is that of the driver and of the busier worker: the wall time of free cores",
-        f"bits: {'the same' if all(same) else 'OTHER'}; after a kill in the middle of a step "
-        f"{'the same' if _equal(expected, moved) else 'OTHER'}, {steps.wall:.2f} s a step",
+        "cpu: processor time of the driver and of the busier worker, the wall time on free cores",
+        f"bits of both: {'equal' if all(same) else 'DIFFERENT'}; after a kill within a step: "
+        f"{'equal' if _equal(expected, moved) else 'DIFFERENT'}, {steps.wall:.2f} s per step",
     ]
 
 
 class Steps(NamedTuple):
-    """What a step takes: wall time, and processor time one after another."""
+    """Seconds of a step: wall time, and processor time of the driver plus the busier worker."""
 
     wall: float
     cpu: float

@@ -1,11 +1,12 @@
-"""What `snapo check` takes: processor seconds of the whole command, on the template of each kind.
+"""The time of `snapo check`: processor seconds of the whole command, for each kind's template.
 
     python -m benchmarks.checking [KIND …]
 
-Each command runs in a process of its own, in turns with one that only imports JAX and Equinox; the
-least of a few rounds is printed, and the ratio of the two beside the one that is required. A case
-of kind "own" has none: its check compiles the user's simulator and examines it. Both run from
-bytecode, as installed packages do: the first round writes it, whatever the environment says.
+Each command runs in a separate process, in turns with a process that only imports JAX and Equinox.
+The table has the minimum of a few rounds for both, their ratio, and the ratio that is required. A
+case of kind "own" has no required ratio: its check compiles the user's simulator and examines it.
+Both processes run from bytecode, as installed packages do: the first round writes it, whatever the
+environment variables are.
 """
 
 import os

@@ -1,9 +1,9 @@
-"""The main job, `snapo solve` of the flagship store, in two checkouts at the same time.
+"""The time of `snapo solve` of the flagship store, in two checkouts at the same time.
 
     python -m benchmarks.demo ../base [times]
 
-Each begins with empty caches of compiled code. Side by side, both suffer the same from whatever
-else the machine does, which moves a run on its own by a fifth and more.
+Each run begins with empty caches of compiled code. Both runs are slowed alike by whatever else the
+machine does; two runs one after the other may differ by a fifth and more for this reason.
 """
 
 import os
@@ -25,7 +25,7 @@ print("took", time.perf_counter() - started, used.ru_utime + used.ru_stime)
 
 
 def started(root: Path, folder: str) -> subprocess.Popen[str]:
-    """The case made in an empty folder, and its solution on the way."""
+    """Makes the case in an empty folder, and starts its solution."""
     environment = os.environ | {"PYTHONPATH": str(root / "src"), "XDG_CACHE_HOME": folder}
     child = [sys.executable, "-c", CHILD]
     quiet = {"cwd": folder, "env": environment, "text": True, "stderr": subprocess.DEVNULL}
@@ -36,7 +36,7 @@ def started(root: Path, folder: str) -> subprocess.Popen[str]:
 
 
 def ended(run: subprocess.Popen[str]) -> tuple[float, float]:
-    """Seconds on the clock, and of the processors."""
+    """Wall seconds and processor seconds of a run, once it has ended."""
     text, _ = run.communicate()
     line = next(line for line in text.splitlines() if line.startswith("took"))
     wall, used = map(float, line.split()[1:])
@@ -44,7 +44,7 @@ def ended(run: subprocess.Popen[str]) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Prints each pair, and the medians of the ratios."""
+    """Prints each pair of times, and the medians of the ratios of this checkout to the other."""
     other, times = Path(sys.argv[1]).resolve(), int(sys.argv[2]) if len(sys.argv) > 2 else 3
     ratios = []
     for _ in range(times):
@@ -52,8 +52,8 @@ def main() -> None:
             ours, theirs = map(ended, [started(HERE, here), started(other, there)])
         ratios.append((ours[0] / theirs[0], ours[1] / theirs[1]))
         print(f"here {ours[0]:.1f} s (processor {ours[1]:.1f}), there {theirs[0]:.1f} "
-              f"({theirs[1]:.1f}): {ratios[-1][0]:.3f} ({ratios[-1][1]:.3f})")  # fmt: skip
-    print("medians {:.3f} ({:.3f})".format(*map(median, zip(*ratios))))
+              f"({theirs[1]:.1f}); ratio {ratios[-1][0]:.3f} ({ratios[-1][1]:.3f})")  # fmt: skip
+    print("median ratios: {:.3f} (processor {:.3f})".format(*map(median, zip(*ratios))))
 
 
 if __name__ == "__main__":

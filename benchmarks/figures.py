@@ -1,4 +1,4 @@
-"""The figures of README and docs. They stand once, in `docs/figures.toml`.
+"""The figures of README and docs, which are stored in one place, `docs/figures.toml`.
 
     python -m benchmarks.figures                pages take their figures from that file
     python -m benchmarks.figures demo RUN       first the table `demo`, and its picture, from a run
@@ -84,7 +84,7 @@ def pages(root: Path = ROOT) -> list[Path]:
 
 
 def record(table: str, command: str, values: Mapping[str, str]) -> None:
-    """Writes a table of the file anew, with machine and date; figures it does not name stay."""
+    """Rewrites a table of the file, with machine and date; figures without a new text stay."""
     from .machine import machine
 
     tables = figures() if FILE.exists() else {}
@@ -102,7 +102,7 @@ def _written(tables: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
 
 
 def text_of(name: str, tables: Mapping[str, Mapping[str, str]]) -> str:
-    """What a page says between the comments of a figure."""
+    """The text of a page between the comments of a figure."""
     table, _, key = name.partition(".")
     text = tables[table][key]
     return FENCE.format(text) if "\n" in text else text
@@ -124,8 +124,8 @@ def fill() -> None:
 
 
 def taken(table: str, lines: list[str]) -> dict[str, str]:
-    """The figures of a table of `make bench`, from its lines; those of programs that are missing
-    on the machine stay as they are."""
+    """The figures of a table of `make bench`, from its lines; those of programs that are missing on
+    this machine are unchanged."""
     found = {}
     for name, pattern in TAKEN[table].items():
         texts = [m[1] for line in lines if (m := re.search(pattern, line.rstrip()))]
@@ -164,7 +164,7 @@ def demo(run: Path) -> dict[str, str]:
 
 
 def exact(run: Path) -> dict[str, str]:
-    """Value and error of dynamic programming, of a run with `--reference`; none of another."""
+    """Value and error of dynamic programming in a run with `--reference`; else nothing."""
     result = json.loads((run / "result.json").read_text(encoding="utf-8"))
     value = result["references"].get("dynamic_programming")
     errors = result.get("reference_errors") or {}
@@ -228,7 +228,7 @@ def reservoir() -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> None:
-    """One table where it is named, then all pages."""
+    """Measures one table, if the arguments select one; then fills all pages."""
     if arguments[:1] == ["demo"]:
         from snapo.domains.gas_storage.report import readme_picture
 

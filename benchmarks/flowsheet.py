@@ -1,11 +1,12 @@
-"""The best recipe of a flowsheet by exact derivatives, against Nelder and Mead without any.
+"""The best recipe of a flowsheet by exact derivatives, compared with Nelder and Mead's method.
 
     python -m benchmarks.flowsheet [CASE]
 
 The case is `examples/plug_flow`: plug-flow reactor, tank, batch crystalliser, filter; six
-decisions, three of them temperatures. It re-poses the optimisation tutorial of PharmaPy, whose 400
-evaluations by Nelder and Mead took 543 s and stopped short. Here both search the same compiled
-flowsheet; Nelder and Mead see the constraints as a quadratic penalty, as in that tutorial.
+decisions, three of them temperatures. The problem is that of the optimisation tutorial of PharmaPy,
+in which Nelder and Mead's method took 543 s for 400 evaluations and ended without convergence. Here
+both methods search the same compiled flowsheet; Nelder and Mead's method takes the constraints as a
+quadratic penalty, as in that tutorial.
 """
 
 import sys
@@ -26,7 +27,7 @@ EVALUATIONS, PENALTY = 400, 100.0
 
 
 def nelder_mead(process: PharmaProcess, found: Optimum) -> tuple[float, float, int, float, bool]:
-    """Goal and largest violation at the end, evaluations, seconds, and whether it converged."""
+    """Objective and largest violation at the end, evaluations, seconds, whether it converged."""
     ask = process.case.optimise
     assert ask is not None
     call = jax.jit(goal_and_room(process, found.bounds, found.ramps))
@@ -65,7 +66,7 @@ def table(case=EXAMPLE) -> Iterator[str]:
     assert ask is not None
     yield (
         f"{process.case.title}: {len(ask.decisions)} decisions, {len(found.bounds)} limits, "
-        f"{2 * len(found.ramps)} ramps; needed is an optimum with its conditions in 10 s"
+        f"{2 * len(found.ramps)} ramps; required: an optimum that meets its conditions, in 10 s"
     )
     yield f"{'':<22}{'goal':>10}{'violation':>11}{'evaluations':>13}{'seconds':>9}  "
     yield f"{'start':<22}{found.before:>10.6f}"
@@ -77,7 +78,7 @@ def table(case=EXAMPLE) -> Iterator[str]:
     )
     yield f"{'':<22}{found.mode}"
     verdict = "converged" if recipe.converged else "NOT converged"
-    yield f"{'':<22}{verdict}: stationarity {conditions.stationarity:.1e}, relative"
+    yield f"{'':<22}{verdict}: relative stationarity {conditions.stationarity:.1e}"
     for each, x, below, above in zip(ask.decisions, recipe.x, conditions.low, conditions.high):
         side = "low" if below else "high" if above else ""
         worth = f"  at {side}, multiplier {(below + above) * each.scale:.3g}" if side else ""
@@ -91,11 +92,11 @@ def table(case=EXAMPLE) -> Iterator[str]:
     for i, each in enumerate(found.ramps):
         worth = conditions.above[len(found.bounds) + 2 * i :][:2].max()
         if worth:
-            yield f"{'':<22}{each.name} as steep as it may be, multiplier {worth:.3g}"
+            yield f"{'':<22}{each.name} at its largest slope, multiplier {worth:.3g}"
     goal, violation, count, spent, success = nelder_mead(process, found)
     yield (
         f"{'Nelder and Mead':<22}{goal:>10.6f}{violation:>11.1e}{count:>13}{spent:>9.2f}  "
-        f"{'converged' if success else 'stopped short'}"
+        f"{'converged' if success else 'not converged'}"
     )
 
 

@@ -1,8 +1,9 @@
-"""The cost of a value with all gradients over the value alone, with 12, 365 and 3650 inputs.
+"""The cost of a value with all its derivatives, relative to the value, for 12 to 3650 inputs.
 
-One storage contract of a year, the same paths and the same policy; only the number of inputs
-changes, from monthly prices to ten numbers a day. Both sides start from the inputs: the value
-is prepare and one forward sweep; with gradients comes the adjoint pass, and back to the inputs.
+A storage contract of one year with the same paths and the same policy. Only the number of inputs
+changes: 12 (monthly prices), 365, or 3650 (ten numbers a day). Both computations start from the
+inputs: the value is `prepare` and one forward sweep; with derivatives, the adjoint pass and the
+transpose of `prepare` are added.
 """
 
 import time
@@ -50,7 +51,7 @@ PER_DAY = (
 
 
 class Year(StorageSimulator):
-    """A year of storage whose inputs are factors on the schedule's numbers, `counts` of them."""
+    """A year of storage; its inputs are `counts` factors on the numbers of the schedule."""
 
     fixed: dict = eqx.field(default_factory=dict)
 
@@ -71,7 +72,7 @@ class Year(StorageSimulator):
 
 
 class Row(NamedTuple):
-    """Medians in seconds, of `PATHS` paths; `ratio` is the median of alternating runs' ratios."""
+    """Median seconds with `PATHS` paths; `ratio`: the median of the ratios of alternating runs."""
 
     engine: str
     derivative: str
@@ -82,7 +83,7 @@ class Row(NamedTuple):
 
 
 def problem(count: int) -> tuple[Problem, StoragePolicy]:
-    """The year with this many inputs, and a policy."""
+    """The problem with this number of inputs, and a policy."""
     case = DOMAIN.read(*load(CASE))
     bare = bare_problem(case)
     found = marginal_values(bare.schedule, factors(bare), case.contract.ratchets.interpolation)
@@ -94,14 +95,14 @@ def problem(count: int) -> tuple[Problem, StoragePolicy]:
 
 
 def measure(engine, count: int) -> Iterator[Row]:
-    """Smooth derivatives through the policy, and those with decisions held."""
+    """The cost of smooth derivatives through the policy, and of those with decisions held fixed."""
     given, policy = problem(count)
     draws = Pseudo(1).draws(np.arange(PATHS), given.simulator)
     weights = {OUTPUT: np.full(PATHS, 1 / PATHS)}
     smooth = Smooth(jnp.asarray(0.01))
 
     def prepared():
-        """The same problem, to be prepared again: both sides start from the inputs."""
+        """The same problem before its `prepare`: both computations start from the inputs."""
         return replace(given)
 
     def value(constraints):
@@ -124,7 +125,7 @@ def measure(engine, count: int) -> Iterator[Row]:
 
 
 def alternate(one: Callable, other: Callable) -> tuple[float, float, float]:
-    """Median seconds of both, and the median of their ratios, in alternating runs."""
+    """Median seconds of both calls in alternating runs, and the median of their ratios."""
     one(), other()
     pairs = [(timed(one), timed(other)) for _ in range(RUNS)]
     ratios = [second / first for first, second in pairs]

@@ -1,11 +1,12 @@
-"""The XLA engine on a GPU: the same numbers as on the processor, and the time of a gradient.
+"""The XLA engine on a GPU: whether it agrees with the processor, and the time of a gradient.
 
     python -m benchmarks.gpu [PATHS …]
 
-The flagship store, the medium fund and two tanks, each with an untrained policy: the value of the
-paths and the gradient for policy and inputs in one pass, by the XLA engine on the GPU and by the
-native engine on this machine's processor. Everything before the first timed call, compiling too,
-is left out; medians of runs in turn. Without a GPU that JAX can use it ends with one message.
+The problems are the flagship store, the medium fund and two tanks, each with an untrained policy.
+The XLA engine on the GPU and the native engine on this machine's processor compute the value of the
+paths, and in one pass its gradient with respect to policy and inputs. Times are medians of
+alternating runs, without compiling and everything else before the first timed call. If there is no
+GPU that JAX can use, the program ends with one message.
 """
 
 import sys
@@ -62,7 +63,7 @@ def workloads() -> Iterator[Workload]:
 
 
 def passes(work: Workload, engine: Engine, paths: int) -> tuple[Callable, Callable]:
-    """The mean of the output over the paths; and its gradient for policy and schedule."""
+    """Two calls: the mean of the output, and its gradient with respect to policy and schedule."""
     bound = engine.bind(work.problem)
     draws = Pseudo(1).draws(np.arange(paths), work.problem.simulator)
     weights = {work.output: np.full(paths, 1 / paths)}
@@ -88,8 +89,8 @@ def rows(paths: Sequence[int]) -> Iterator[str]:
 
 
 def row(work: Workload, precision: str, paths: int, gpu, processor) -> str:
-    """Milliseconds; `ratio` is the processor's gradient over the GPU's, `apart` how far the
-    gradients of both differ, relative to the largest entry."""
+    """Milliseconds; `ratio`: the time of the processor's gradient divided by that of the GPU's;
+    `apart`: the largest difference of both gradients, relative to the largest entry."""
 
     def there(call: Callable) -> Callable:
         def on_processor():
@@ -112,7 +113,7 @@ def row(work: Workload, precision: str, paths: int, gpu, processor) -> str:
 
 
 def distance(one, other) -> float:
-    """The largest difference of two gradients over the largest entry."""
+    """The largest difference of two gradients, relative to the largest entry."""
     pairs = list(zip(jax.tree.leaves(one), jax.tree.leaves(other)))
     pairs = [(np.asarray(a, np.float64), np.asarray(b, np.float64)) for a, b in pairs]
     largest = max(np.abs(b).max(initial=0) for _, b in pairs)

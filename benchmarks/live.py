@@ -1,10 +1,10 @@
-"""How long the page of `snapo open` takes to answer a move, as its worker is asked by the server.
+"""The time in which the worker of the page of `snapo open` answers a move of an input.
 
     python -m benchmarks.live RUN [MOVES]
 
-RUN is a solved run. Its first input with many numbers (of a store, the forward curve) is moved at
-one handle after another. Printed are the medians of the time to every table, the worst time to the
-last of them that a page shows, and the processor time of a move.
+RUN is a solved run. The handles of its first input with many numbers (for a store, the forward
+curve) are moved one after another. For every table of the page the median and the longest time
+until it is computed are printed, and then the processor time of a move.
 """
 
 import sys

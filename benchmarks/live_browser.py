@@ -1,12 +1,13 @@
-"""How long a person waits for a move on the page of `snapo open`, as a browser sees it.
+"""The time that a user waits after a move of an input on the page of `snapo open`, in a browser.
 
     python -m benchmarks.live_browser RUN [MOVES] [--simulator MODULE:CLASS]
 
-RUN is a solved run. Chromium opens its page and moves one handle after another of its first input
-with many numbers (of a store, the forward curve; without any, its sliders) by the keyboard. The
-times are those from the key to the table or chart on the page, each one seen by an observer of the
-document, the last one after the frame was painted. "Processor" is the worker's own time until then.
-Needs playwright, and Chromium on the path.
+RUN is a solved run. Chromium opens its page and moves, by the keyboard, one handle after another of
+its first input with many numbers (for a store, the forward curve), or its sliders if there is no
+such input. The times are those from the key press until a table or chart of the page changes, as an
+observer of the document reports it; the last one is that at which the frame was painted.
+"processor" is the processor time of the worker until then. The program needs playwright, and
+Chromium on the path.
 """
 
 import asyncio
@@ -69,7 +70,7 @@ async ([at, key, places]) => {
 
 @contextmanager
 def served(run: Path, simulator: tuple[str, str] | None = None, **about: Any) -> Iterator[Server]:
-    """The page's server of a run; `about`: entries in place of the run's."""
+    """The server of the page of a run; `about`: entries that replace those of the run."""
     command = [sys.executable, "-m", "snapo.live.worker", str(run)]
     if simulator is not None:
         command += ["--simulator", ":".join(simulator)]
@@ -79,7 +80,7 @@ def served(run: Path, simulator: tuple[str, str] | None = None, **about: Any) ->
 
 @contextmanager
 def running(server: Server) -> Iterator[Server]:
-    """A server, in a thread of its own."""
+    """A server in a separate thread."""
     loop, up = asyncio.new_event_loop(), threading.Event()
 
     async def start() -> None:
@@ -149,7 +150,7 @@ def table(run: Path, moves: int = MOVES, simulator: tuple[str, str] | None = Non
 
 
 def _value(server: Server) -> tuple[float, float]:
-    """What the last move is worth, and its standard error."""
+    """The value after the last move, and its standard error."""
     found = list(server._last.values())[-1]["value"]
     return found["value"], found["standard_error"]
 

@@ -1,4 +1,4 @@
-"""What the figures were measured on."""
+"""The machine on which the figures were measured."""
 
 import os
 import platform
@@ -7,7 +7,7 @@ import jax
 
 
 def machine() -> str:
-    """Processor, cores and versions, for whoever reads the figures."""
+    """Processor, cores and versions, for the reader of the figures."""
     name = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as lines:

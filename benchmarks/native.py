@@ -2,10 +2,10 @@
 
     python -m benchmarks.native [--quick]
 
-Every figure is a median over rounds in which the engines take turns, so that a busy machine
-slows them alike. The floor is the time that the multiply-adds of a network's forward pass and its
-two transposes take when every thread does nothing else, in registers; it takes its turns too. The
-time of XLA over the floor limits the ratio of any engine to it, unless that leaves out zeros.
+Every figure is a median over rounds in which the engines take turns, so that a busy machine slows
+them alike. The floor is the time of only the multiply-adds of a network's forward pass and its two
+transposes, done in registers by all threads; it is measured in the same rounds. No engine can be
+faster relative to XLA than the floor is, unless it leaves out products with zero.
 """
 
 import argparse
@@ -171,7 +171,8 @@ CHAINS, TURNS = 12, 2_000_000  # enough to hide the latency, few enough for 16 r
 
 
 def multiply_adds(threads: int) -> tuple[Callable, int]:
-    """A call in which every thread multiplies and adds in registers, and how often it does."""
+    """A call in which every thread multiplies and adds in registers, and its number of
+    multiply-adds."""
     register = host().register
     lanes = register // 4
     kind = f"<{lanes} x float>"
@@ -258,7 +259,7 @@ print(1000 * sorted(times)[2])
 
 
 def torch_milliseconds(python: str, threads: int) -> float | None:
-    """The same rollout in PyTorch eager, in an interpreter that has it."""
+    """The time of the same rollout in PyTorch (eager), in an interpreter that has it."""
     code = TORCH.format(threads=threads, paths=1024)
     done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=False)
     return float(done.stdout) if done.returncode == 0 else None
@@ -276,7 +277,7 @@ print(time.perf_counter() - begin)
 
 
 def first_results() -> tuple[float, float]:
-    """Seconds to a fresh process's first gradient: nothing cached, and its kernel on disk."""
+    """Seconds to the first gradient of a new process: without a cache, and with its kernel."""
     with tempfile.TemporaryDirectory() as folder:
         seconds = [
             float(

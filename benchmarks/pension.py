@@ -1,14 +1,14 @@
-"""All sensitivities of a fund by one adjoint pass, against bumping every input one after another.
+"""All sensitivities of a fund by one adjoint pass, compared with bumping one input after another.
 
     python -m benchmarks.pension [small medium large] [--picture FILE.svg]
     python -m benchmarks.pension engines
     python -m benchmarks.pension memory
 
-Same engine, same paths, both compiled. A bump is one-sided, prepare and a forward sweep, so that
-n inputs take n + 1 of them; where there are more than `SAMPLE`, that many random ones are timed
-and stand for all. The native engine has no batches of schedules: bumps run one by one.
-`engines`: native against XLA on the medium case. `memory`: the most that a process of its own
-holds for a value and all derivatives of the large case.
+Both methods use the same engine and the same paths, and are compiled. A bump is one-sided and takes
+`prepare` and a forward sweep, so that n inputs take n + 1 of them. If there are more than `SAMPLE`
+inputs, the mean of `SAMPLE` random bumps is used for all. The native engine has no batches of
+schedules: bumps run one by one. `engines` compares the native engine with XLA on the medium case.
+`memory` is the peak memory of a separate process for a value and all derivatives of the large case.
 """
 
 import argparse
@@ -63,12 +63,13 @@ class Row(NamedTuple):
 
 
 def setup_of(size: str) -> Setup:
-    """The example of a size with an untrained policy."""
+    """The example of this size, with an untrained policy."""
     return make_setup(read_case(Path(str(DOMAIN.templates[size]))), "native")
 
 
 def passes(setup: Setup, engine: Engine, paths: int = PATHS) -> tuple[Callable, Callable]:
-    """The value at given inputs, and all its derivatives; either prepares its schedule anew."""
+    """Two calls, the value at some inputs and all its derivatives; each prepares its schedule
+    again."""
     problem, policy = setup.problem, setup.policy
     simulator = problem.simulator
     draws = Pseudo(1).draws(np.arange(paths), simulator)
@@ -119,7 +120,7 @@ def measure(size: str, engine: Engine) -> Row:
 
 def table(sizes: Sequence[str] = SIZES, rows: list[Row] | None = None) -> Iterator[str]:
     """The lines of the table, each as soon as it is known; `rows` collects the figures."""
-    yield f"{PATHS} paths in float64, native engine; needed are 8, 80 and 500 times the speed"
+    yield f"{PATHS} paths in float64, native engine; required speed-ups: 8, 80 and 500"
     yield (
         f"{'fund':<8}{'inputs':>7}{'steps':>7}{'value':>11}{'adjoint':>11}{'ratio':>8}"
         f"{'all bumps':>12}{'speed-up':>9}"
@@ -136,7 +137,7 @@ def table(sizes: Sequence[str] = SIZES, rows: list[Row] | None = None) -> Iterat
 
 
 def sweeps(setup: Setup, engine: Engine) -> tuple[Callable, Callable]:
-    """The share of an engine in a value and in its derivatives: everything but `prepare`."""
+    """The time that an engine takes for a value and for its derivatives, without `prepare`."""
     bound = engine.bind(setup.problem)
     draws = Pseudo(1).draws(np.arange(PATHS), setup.problem.simulator)
     weights = {OUTPUT: np.full(PATHS, 1 / PATHS)}
@@ -148,9 +149,9 @@ def sweeps(setup: Setup, engine: Engine) -> tuple[Callable, Callable]:
 
 
 def engines() -> Iterator[str]:
-    """Native against XLA on the medium case; at least 5 times the speed is needed."""
+    """Native compared with XLA on the medium case; required: at least 5 times the speed."""
     setup = setup_of("medium")
-    yield f"medium fund, {PATHS} paths, medians of alternating runs; XLA over native"
+    yield f"medium fund, {PATHS} paths, medians of alternating runs; ratio: XLA / native"
     yield f"{'precision':<11}{'':<10}{'native':>10}{'XLA':>10}{'ratio':>8}"
     for precision in ("float32", "float64"):
         ours, theirs = (sweeps(setup, each(precision)) for each in (Native, Xla))
@@ -160,15 +161,15 @@ def engines() -> Iterator[str]:
 
 
 def memory() -> Iterator[str]:
-    """Peak resident memory, each precision in a process of its own."""
-    yield f"large fund, {MANY} paths, native engine: value and all derivatives; needed is < 4 GB"
+    """Peak resident memory, for each precision in a separate process."""
+    yield f"large fund, {MANY} paths, native engine: value and all derivatives; required: < 4 GB"
     for precision in ("float64", "float32"):
         command = [sys.executable, "-m", "benchmarks.pension", "peak", precision]
         yield subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def peak(precision: str) -> str:
-    """The peak of this process: after start-up, after a value, after all derivatives."""
+    """The peak memory of this process after its start, after a value, and after all derivatives."""
     found = []
     setup = setup_of("large")
     found.append(_resident())
@@ -178,17 +179,18 @@ def peak(precision: str) -> str:
     gradient()
     found.append(_resident())
     ready, valued, all_of_it = found
-    return f"{precision}: {ready:.2f} GB ready, {valued:.2f} after a value, {all_of_it:.2f} in all"
+    after = f"{valued:.2f} after a value, {all_of_it:.2f} after all derivatives"
+    return f"{precision}: {ready:.2f} GB at the start, {after}"
 
 
 def _resident() -> float:
-    """The most that this process has held in memory so far, in gigabytes."""
+    """The peak memory of this process so far, in gigabytes."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most * (1 if sys.platform == "darwin" else 1024) / GIGABYTE
 
 
 def picture(speed_ups: Mapping[int, float], about: str) -> str:
-    """Speed-up over the number of inputs as SVG, with the speed-up needed and the machine."""
+    """The speed-up against the number of inputs as SVG, with the required one and the machine."""
     from snapo.report.drawing import LIGHT, draw_alone
 
     inputs, found = list(speed_ups), list(speed_ups.values())
@@ -220,8 +222,8 @@ def main(arguments: Sequence[str]) -> None:
         return
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pension")
     known = (*SIZES, "engines", "memory")
-    parser.add_argument("what", nargs="*", help=f"of {', '.join(known)}; by default all sizes")
-    parser.add_argument("--picture", type=Path, help="writes speed-up over inputs as SVG")
+    parser.add_argument("what", nargs="*", help=f"some of {', '.join(known)}; by default all sizes")
+    parser.add_argument("--picture", type=Path, help="writes the speed-ups as SVG")
     asked = parser.parse_args(arguments)
     if unknown := set(asked.what) - set(known):
         parser.error(f"there is no {', '.join(sorted(unknown))}; available are {', '.join(known)}")

@@ -1,9 +1,10 @@
-"""What derivatives of a process chain cost: against CasADi with CVODES, and against differences.
+"""The cost of derivatives of a process chain, compared with CasADi and with finite differences.
 
     python -m benchmarks.pharma
 
-The chain is that of `snapo new pharma`. Every ratio is the median over rounds in which both sides
-take turns. Everything runs in float64 on the processor; compiling is not counted.
+The chain is that of `snapo new pharma`; CasADi uses CVODES. Every ratio is the median over rounds
+in which both programs take turns. Everything runs in float64 on the processor; compiling is not
+counted.
 """
 
 import importlib.util
@@ -34,7 +35,7 @@ SAMPLES, CHUNK = 10_000, 128
 
 
 def alternate(calls: dict[str, Callable], rounds: int = ROUNDS) -> dict[str, list[float]]:
-    """Seconds of every call, by turns; the first of each is not counted."""
+    """Seconds of every call, in turns; the first run of each call is not counted."""
     for call in calls.values():
         call()
     found: dict[str, list[float]] = {name: [] for name in calls}
@@ -45,13 +46,13 @@ def alternate(calls: dict[str, Callable], rounds: int = ROUNDS) -> dict[str, lis
 
 
 def ratio(times: dict[str, list[float]], slow: str, fast: str) -> float:
-    """The median of how many times as long `slow` takes."""
+    """The median ratio of the times of `slow` to those of the other call."""
     return median(s / f for s, f in zip(times[slow], times[fast]))
 
 
 def against_casadi() -> Iterator[str]:
-    """5 attributes by 4 parameters, both ways on both sides."""
-    yield "5 attributes by 4 parameters; error of any entry over its row's largest (needed 1e-5)"
+    """Derivatives of 5 attributes with respect to 4 parameters, in both modes, by both programs."""
+    yield "5 attributes by 4 parameters; errors relative to the largest of a row (required: 1e-5)"
     if importlib.util.find_spec("casadi") is None:
         yield "  skipped: CasADi is not installed (pip install 'snapo[peer]')"
         return
@@ -101,7 +102,7 @@ def against_casadi() -> Iterator[str]:
 
 
 def against_differences() -> Iterator[str]:
-    """One attribute by 200 temperatures: the adjoint, and central differences."""
+    """One attribute with respect to 200 temperatures: the adjoint, and central differences."""
     process = PharmaProcess(with_nodes(read_case(CASE), PROFILE, NODES))
     entries = tuple((PROFILE, k) for k in range(NODES))
     name, here = process.names[1], process.at(entries)
@@ -135,7 +136,7 @@ def against_differences() -> Iterator[str]:
 
 
 def many_samples() -> Iterator[str]:
-    """Uncertain batches with every attribute by every parameter."""
+    """Uncertain batches, each with the derivatives of all attributes."""
     case = read_case(CASE)
     process = PharmaProcess(case)
     entries = all_entries(case)
@@ -150,9 +151,12 @@ def many_samples() -> Iterator[str]:
     counts = dict(zip(calls, (SAMPLES, SOME, SINGLE, SINGLE)))
     times = alternate(calls, 5)
     each = {name: median(times[name]) / counts[name] for name in calls}
-    yield f"uncertain samples with {len(process.names)} attributes by {len(by)} parameters"
+    yield (
+        f"uncertain samples, each with derivatives of {len(process.names)} attributes with respect "
+        f"to {len(by)} parameters"
+    )
     for name, seconds in each.items():
-        yield f"  {name:<28}{1e3 * seconds:8.3f} ms a sample, {1e4 * seconds:6.1f} s for 10,000"
+        yield f"  {name:<28}{1e3 * seconds:8.3f} ms per sample, {1e4 * seconds:6.1f} s for 10,000"
     for name in ("same call, one by one", "matrix, one by one"):
         share = ratio(times, name, "batch") * SAMPLES / SINGLE
         yield f"  batch over {name}: {share:.1f} times the throughput (needed 20)"

@@ -1,9 +1,9 @@
-"""The flagship process chain in CasADi with CVODES: the peer of `benchmarks.pharma`.
+"""The flagship process chain in CasADi with CVODES, for comparison in `benchmarks.pharma`.
 
-The same equations written out for CasADi as its users would for speed: scaled states, symbols of
-the fast kind (SX) in the right-hand sides, which are compiled where a C compiler is at hand. Kinks,
-at the nodes of the temperature profile and where supersaturation crosses zero, are left to the
-error control of CVODES (an integrator for each piece of the profile took as long).
+The equations are the same, written for CasADi as a user would write them for speed: scaled states,
+and the fast symbols (SX) in the right-hand sides, which are compiled if there is a C compiler.
+Kinks, at the nodes of the temperature profile and where supersaturation crosses zero, are left to
+the error control of CVODES (an integrator for each piece of the profile took as long).
 """
 
 from collections.abc import Callable
@@ -20,8 +20,8 @@ UNITS = NUMBER * SIZE ** np.arange(6)
 
 
 class Settings(NamedTuple):
-    """Of CVODES: relative and absolute `tolerance` (states are scaled); `jit`: right-hand sides
-    compiled by the machine's C compiler."""
+    """Settings of CVODES. `tolerance`: relative and absolute (states are scaled); `jit`: whether
+    right-hand sides are compiled by the machine's C compiler."""
 
     tolerance: float
     jit: bool = False
@@ -38,7 +38,7 @@ class Settings(NamedTuple):
 
 
 def _reactor(settings: Settings) -> Callable:
-    """Extents of both reactions after the batch, by the reactor's temperature."""
+    """Extents of both reactions after the batch, from the temperature of the reactor."""
     x, warm = ca.SX.sym("x", 2), ca.SX.sym("T")
     k1 = 2.654e4 * ca.exp(-4.0e4 / (GAS * warm))
     k2 = 5.3e2 * ca.exp(-3.0e4 / (GAS * warm))
@@ -49,7 +49,7 @@ def _reactor(settings: Settings) -> Callable:
 
 
 def _crystals(settings: Settings) -> Callable:
-    """Scaled moments at the end, by those at the start, the solute at the start in kg/m3 and the
+    """Scaled moments at the end, from the moments and the solute (kg/m3) at the start, and the
     temperatures at the four nodes of the profile."""
     t, y, solute, nodes = (
         ca.SX.sym(name, n) for name, n in (("t", 1), ("y", 6), ("c", 1), ("T", 4))
@@ -100,8 +100,8 @@ def chain(settings: Settings) -> ca.Function:
 
 
 def adjoint(settings: Settings, rows: list[int], columns: list[int], at_once: bool) -> Callable:
-    """[rows, columns] derivatives and the values by one adjoint pass for each row with its forward
-    run, or `at_once` by one forward run and all passes side by side."""
+    """[rows, columns] derivatives and the values. Each row takes one adjoint pass with its forward
+    run; `at_once`: one forward run, and all adjoint passes together."""
     run = chain(settings)
     count = len(rows) if at_once else 1
     back, seeds = run.reverse(count), np.eye(6)[rows]
@@ -117,7 +117,7 @@ def adjoint(settings: Settings, rows: list[int], columns: list[int], at_once: bo
 
 
 def forward(settings: Settings, rows: list[int], columns: list[int]) -> Callable:
-    """The same by forward sensitivities, all directions side by side."""
+    """The same by forward sensitivities, all directions together."""
     run = chain(settings)
     push, seeds = run.forward(len(columns)), np.eye(6)[:, columns]
 
@@ -129,8 +129,8 @@ def forward(settings: Settings, rows: list[int], columns: list[int]) -> Callable
 
 
 def differences(tolerance: float = 1e-12) -> tuple[np.ndarray, np.ndarray]:
-    """Values and matrix at `POINT` that no derivative code made: fourth-order central differences
-    of tight runs."""
+    """Values and derivatives at `POINT` without automatic differentiation: fourth-order central
+    differences of runs with a tight tolerance."""
     run, columns = chain(Settings(tolerance)), []
     for k, step in enumerate([0.1, 0.1, 0.1, 0.1, 0.02, 0.1]):
         moves = step * np.eye(6)[k]

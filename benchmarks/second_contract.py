@@ -1,11 +1,11 @@
-"""What a second contract costs in a process that has solved a first one of the same shape.
+"""The cost of a second contract in a process that has solved a first one of the same shape.
 
     python -m benchmarks.second_contract [DOMAIN …]
 
-The second contract has other prices, rates, volumes, costs and dates than the first one, but as
-many of them. Training and evaluation are as short as they may be, so that what remains is the work
-around them. Printed are processor seconds and how many programs were compiled, of JAX and of the
-native engine, and whether the numbers have the bits that a process of their own gives.
+The second contract has as many prices, rates, volumes, costs and dates as the first one, but other
+values. Training and evaluation are as short as possible, so that the remaining
+work is measured. The program prints processor seconds, the numbers of compiled programs of JAX and
+of the native engine, and whether the results have the same bits as in a separate process.
 """
 
 import datetime
@@ -35,7 +35,7 @@ FEW = {"paths": 128, "sensitivity_paths": 128, "judge_paths": 0, "search_paths":
 
 
 def storage(second: bool) -> Setup:
-    """The template of a gas store; the second one starts a year later, in another market."""
+    """The template of a gas store; the second store starts a year later, in another market."""
     from snapo.domains.gas_storage import setup
     from snapo.domains.gas_storage.read.case import read_case
 
@@ -61,7 +61,7 @@ def storage(second: bool) -> Setup:
 
 
 def _later(text: str) -> str:
-    """A table whose dates are a year later, and whose last numbers are a twentieth larger."""
+    """A table whose dates are a year later, and whose last column is larger by a twentieth."""
 
     def row(line: str) -> str:
         start, _, last = line.rpartition(",")
@@ -73,7 +73,7 @@ def _later(text: str) -> str:
 
 
 def stores(second: bool) -> Setup:
-    """The template of a depot with stores; the second one has other costs."""
+    """The template of a depot with stores; the second case has other costs."""
     from snapo.domains.inventory import setup
     from snapo.domains.inventory.read.network import read_network
 
@@ -86,12 +86,12 @@ def stores(second: bool) -> Setup:
 
 
 def fund(second: bool) -> Setup:
-    """The template of a small fund; the second one is a year later, and its members older."""
+    """The template of a small fund; the second fund is a year later, and its members are older."""
     return _fund("small", second)
 
 
 def pots(second: bool) -> Setup:
-    """The template of a fund of personal pots; the second one as that of a fund."""
+    """The template of a fund of personal pots; the second case is changed like that of a fund."""
     return _fund("wtp", second)
 
 
@@ -126,7 +126,7 @@ def _older(age: re.Match) -> str:
 
 
 def plant(second: bool) -> Setup:
-    """The template of a pendulum; the second one is heavier, and its cost another."""
+    """The template of a pendulum; the second pendulum is heavier, and has another cost."""
     from snapo.domains.control import read, study
 
     file, data = load(Path(study.__file__).parent / "template" / "pendulum")
@@ -138,8 +138,8 @@ def plant(second: bool) -> Setup:
 
 
 def reactor(second: bool) -> Setup:
-    """The reactor of the template of a process, in closed loop; the second one is fed more, and
-    its reactions are faster."""
+    """The reactor of the template of a process, in closed loop; the second reactor has more feed
+    and faster reactions."""
     from snapo.domains.pharma import study
     from snapo.domains.pharma.control.closed_loop import ClosedLoop
     from snapo.domains.pharma.read.case import resolve
@@ -177,7 +177,7 @@ DOMAINS: dict[str, Callable[[bool], Setup]] = {
 
 
 def solved(domain: str, second: bool) -> dict[str, Any]:
-    """One contract, made ready and solved: its seconds, its compilations, and a digest of its
+    """One contract, prepared and solved: its seconds, its compilations, and a digest of its
     numbers."""
     made = dict.fromkeys(EVENTS.values(), 0)
 
@@ -204,7 +204,7 @@ def solved(domain: str, second: bool) -> dict[str, Any]:
 
 
 def apart(domain: str, *which: bool) -> list[dict[str, Any]]:
-    """Contracts solved one after another in a process of their own, without kernels on disk."""
+    """Contracts solved one after another in a separate process, without kernels on disk."""
     words = [sys.executable, "-m", "benchmarks.second_contract", "--apart", domain]
     with tempfile.TemporaryDirectory() as empty:
         own = os.environ | {"XDG_CACHE_HOME": empty}
@@ -219,12 +219,12 @@ def table(domain: str) -> Iterator[str]:
     (alone,) = apart(domain, True)
     for name, found in (("first", first), ("second", second), ("second alone", alone)):
         yield (
-            f"{domain:<12} {name:<13} {found['seconds']:6.2f} s of processors, "
+            f"{domain:<12} {name:<13} {found['seconds']:6.2f} processor s, "
             f"{found['XLA']:4d} programs of XLA, {found['native']:3d} of the native engine, "
             f"value {found['value']:,.2f}"
         )
     same = "the same bits" if second["digest"] == alone["digest"] else "OTHER BITS"
-    yield f"{domain:<12} the second one has {same} as in a process of its own"
+    yield f"{domain:<12} the second contract has {same} as in a separate process"
 
 
 if __name__ == "__main__":

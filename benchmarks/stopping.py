@@ -1,10 +1,10 @@
-"""`python -m benchmarks.stopping [SEEDS [NAME …]]`: stopping problems of known value, by seed.
+"""`python -m benchmarks.stopping [SEEDS [NAME …]]`: stopping problems whose value is known.
 
-Each is written the obvious way, with `Stop`; trained, valued on a million fresh paths, and
-certified on 4,096 of them: the bound from above needs nothing from the user. Values: American put
-by finite differences (Longstaff and Schwartz, *Review of Financial Studies* 14, 2001, table 1),
-max-calls by a lattice and by an interval (Andersen and Broadie, *Management Science* 50, 2004,
-table 2), swing puts by a fine lattice (tests/solver/test_bound.py).
+Each problem is written with `Stop`, trained with several seeds and valued on a million fresh paths.
+An upper bound, which needs no input from the user, is computed on 4,096 of these paths. Known
+values: American put by finite differences (Longstaff and Schwartz, *Review of Financial Studies*
+14, 2001, table 1), max-calls by a lattice and by an interval (Andersen and Broadie, *Management
+Science* 50, 2004, table 2), swing puts by a fine lattice (tests/solver/test_bound.py).
 """
 
 import sys
@@ -57,7 +57,7 @@ class Case(NamedTuple):
 
 
 def cases() -> dict[str, Case]:
-    """All of them by name."""
+    """All problems by name."""
     share = {name: snapo.Input(x) for name, x in SHARE.items()}
     return {
         "put": Case(american_put.Put(), american_put.inputs, 4.478),
@@ -69,7 +69,7 @@ def cases() -> dict[str, Case]:
 
 
 def trained(case: Case, seed: int, paths: int = 4096) -> tuple[snapo.Problem, snapo.Solution]:
-    """The problem, and its solution with nothing but its value."""
+    """The problem, and its solution with only a value (no sensitivities)."""
     problem = snapo.Problem(
         case.simulator, case.inputs, snapo.Mean("cash"), snapo.Sources.of(None, seed)
     )
@@ -80,7 +80,7 @@ def trained(case: Case, seed: int, paths: int = 4096) -> tuple[snapo.Problem, sn
 
 
 def measured(case: Case, seed: int, paths: int = 4096) -> snapo.Bound:
-    """The policy's value and the bound from above, on the same paths."""
+    """The policy's value and the upper bound, on the same paths."""
     problem, solution = trained(case, seed)
     assert solution.policy is not None
     return snapo.bound(problem, solution.policy, paths=paths)

@@ -1,10 +1,11 @@
-"""What a battery over a year by the hour takes: `snapo solve` on 8,760 steps.
+"""The time and memory of `snapo solve` for a battery over a year by the hour, 8,760 steps.
 
     python -m benchmarks.year_by_hour
 
-The template's battery with the template's settings, on a curve with daily, weekly and yearly shape.
-Printed are the value, wall and processor seconds and peak memory of the whole command, in a process
-of its own. Required are 300 seconds on two quiet cores, and 2 GB.
+The battery and the settings are those of the template; the price curve has a daily, a weekly and a
+yearly shape. The program prints the value, the wall and processor seconds and the peak memory of
+the whole command, which runs in a separate process. At most 300 seconds on two idle cores, and 2
+GB, are required.
 """
 
 import datetime as dt
@@ -26,7 +27,7 @@ OF_DAY = (
 
 
 def price(hour: dt.datetime) -> float:
-    """The forward price of an hour: dear winters and evenings, cheap weekends and sunny noons."""
+    """The forward price of an hour: high in winter and evenings, low at weekends and noon."""
     day = hour.timetuple().tm_yday
     season = 1 + 0.15 * math.cos(2 * math.pi * (day - 20) / 365)
     light = 0.25 * max(0.0, math.cos(2 * math.pi * (day - 172) / 365))
@@ -35,7 +36,7 @@ def price(hour: dt.datetime) -> float:
 
 
 def make_case(folder: Path) -> None:
-    """Writes the template's case with the dates and the curve of the year."""
+    """Writes the template's case with the dates and the price curve of the year."""
     subprocess.run([sys.executable, "-m", "snapo", "new", "battery", str(folder)], check=True)
     file = folder / "case.toml"
     text = file.read_text("utf-8")

@@ -1,10 +1,11 @@
-"""`python -m benchmarks.intervals [PROBLEM …] [--seeds 4] [--runs FOLDER]`: do intervals hold?
+"""`python -m benchmarks.intervals [PROBLEM …] [--seeds 4] [--runs FOLDER]`: checks of intervals.
 
-Every problem with an exact answer is solved with default settings and several seeds. Counted are
-the 95 % intervals of derivatives, of all numbers of an input together, that hold the exact one or
-the exact secant over one percent to either side: where decisions are whole numbers the value has
-corners, and a derivative at a point says little. `--runs`: where solutions are kept, so that a run
-that was stopped goes on. `python -m benchmarks.intervals.sampling` checks sampling errors alone.
+Every problem with an exact solution is solved with default settings and several seeds. The program
+counts the 95 % intervals that contain the exact derivative of the value when all numbers of an
+input move together, or the exact secant over one percent to either side. Secants count because the
+value has corners if decisions are whole numbers, and a derivative at a point then says little.
+`--runs` is the folder for solutions: a run that was stopped continues from them. `python -m
+benchmarks.intervals.sampling` checks only sampling errors.
 """
 
 import argparse
@@ -27,7 +28,7 @@ SMALL = 1e-3  # of the value: a smaller derivative has no relative width
 
 
 def solved(name: str, seed: int) -> dict[str, Any]:
-    """One problem solved once: the intervals of its derivatives per share of an input."""
+    """One problem solved once: intervals of derivatives with respect to relative changes."""
     known, began = PROBLEMS[name], time.perf_counter()
     solution = snapo.solve(
         known.simulator,
@@ -53,7 +54,7 @@ def solved(name: str, seed: int) -> dict[str, Any]:
 
 
 def scored(run: dict[str, Any]) -> list[tuple[bool, float, float]]:
-    """(whether it holds, half-width, distance from the truth), the last two relative, by input."""
+    """Of each input: whether the interval contains the truth, relative half-width and distance."""
     level, scores = abs(run["exact"]), []
     for row in run["rows"].values():
         value, low, high, *_ = row["interval"]
@@ -70,9 +71,9 @@ def scored(run: dict[str, Any]) -> list[tuple[bool, float, float]]:
 
 
 def table(runs: list[dict[str, Any]]) -> list[str]:
-    """One line a problem, and one for all."""
+    """One line for each problem, and one for all."""
     lines = [
-        f"{'problem':24}{'inputs':>8}{'hold':>8}{'half-width':>12}{'off':>8}{'below exact':>14}"
+        f"{'problem':24}{'inputs':>8}{'contain':>8}{'half-width':>12}{'off':>8}{'below exact':>14}"
     ]
     groups = {name: [run for run in runs if run["problem"] == name] for name in PROBLEMS}
     groups["all"] = runs
@@ -87,7 +88,8 @@ def table(runs: list[dict[str, Any]]) -> list[str]:
             f"{np.nanmedian(away):8.2%}{short:14.3%}"
         )
     half = np.array([score[1] for run in runs for score in scored(run)])
-    lines.append(f"nine tenths of the half-widths are below {np.nanquantile(half, 0.9):.1%}")
+    limit = np.nanquantile(half, 0.9)
+    lines.append(f"90 % of the half-widths, relative to the derivative, are below {limit:.1%}")
     return lines
 
 
@@ -96,7 +98,7 @@ def main() -> None:
     parser.add_argument("problems", nargs="*", default=list(PROBLEMS), metavar="PROBLEM")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--runs", type=Path, help="a folder for what was solved")
+    parser.add_argument("--runs", type=Path, help="a folder for the solved problems")
     asked = parser.parse_args()
     runs = []
     for seed in range(asked.first, asked.first + asked.seeds):

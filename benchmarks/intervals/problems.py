@@ -30,7 +30,7 @@ class Known:
 
 
 def countdown(steps: int):
-    """[T] the share of the steps that is left."""
+    """[T] the share of the steps that remains."""
     return (steps - jnp.arange(float(steps))) / steps
 
 
@@ -186,7 +186,7 @@ class MeasuredRegulator(snapo.Simulator):
 
 
 class Once(snapo.Simulator):
-    """One step whose constants are the inputs, and whose observation is nothing."""
+    """One step whose constants are the inputs, without any observation."""
 
     horizon: int = 1
 
@@ -281,7 +281,7 @@ class Digital(Once):
 
 
 class Store(snapo.Simulator):
-    """A store; `relative`: the policy sees the price over the forward one, not the price."""
+    """A store; `relative`: the policy observes the price relative to the forward price."""
 
     horizon: int = 16
     noise_size: int = 1

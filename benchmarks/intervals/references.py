@@ -1,7 +1,7 @@
-"""Exact values of the small problems, independent of snapo: NumPy and SciPy alone.
+"""Exact values of the small problems, computed with only NumPy and SciPy, without snapo.
 
-Dynamic programming where the state is small, else quadrature or a closed form. Every function has
-the inputs of its problem as arguments and returns the value of the best policy.
+The method is dynamic programming if the state is small, else quadrature or a closed form. Every
+function has the inputs of its problem as arguments and returns the value of the best policy.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ CURVE = 20 + 4 * np.sin(2 * np.pi * np.arange(16) / 16 - 2.2)
 
 
 def slope(value, inputs: dict, name: str, share: float) -> float:
-    """Central difference of an exact value for a share of an input, per share of it."""
+    """Central difference of an exact value with respect to a relative change of an input."""
     x = np.asarray(inputs[name], float)
     by = x if x.any() else np.ones(x.shape)
     high, low = (value(**(inputs | {name: x + sign * share * by})) for sign in (1, -1))
@@ -22,14 +22,14 @@ def slope(value, inputs: dict, name: str, share: float) -> float:
 
 
 def poisson(mean: float, most: int = 40) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers from 0, and their probabilities, cut off at `most`."""
+    """The numbers from 0 to `most`, and their Poisson probabilities."""
     numbers = np.arange(most + 1)
     weights = stats.poisson.pmf(numbers, mean)
     return numbers, weights / weights.sum()
 
 
 def fixed_order(K=5.0, h=1.0, p=4.0, mean=6.0, periods=50, start=6, most=40) -> float:
-    """Backlogged demand with a fixed cost of an order."""
+    """Backlogged demand, with a fixed cost of each order."""
     low, high = -60, 60
     levels = np.arange(low, high + 1)
     demand, weights = poisson(mean)
@@ -46,7 +46,7 @@ def fixed_order(K=5.0, h=1.0, p=4.0, mean=6.0, periods=50, start=6, most=40) -> 
 
 
 def lost_sales(h=1.0, p=4.0, c=0.5, mean=5.0, periods=30, most=20, cap=60) -> float:
-    """Lost sales; an order of now is in stock two periods later. Stock and order start at 5."""
+    """Lost sales; an order arrives two periods later. Stock and outstanding order start at 5."""
     demand, weights = poisson(mean)
     stock, orders = np.arange(cap + 1), np.arange(most + 1)
     left = np.maximum(stock[:, None] - demand, 0)
@@ -64,7 +64,7 @@ def lost_sales(h=1.0, p=4.0, c=0.5, mean=5.0, periods=30, most=20, cap=60) -> fl
 
 
 def dual_sourcing(ce=20.0, h=5.0, b=495.0, periods=60, start=6, low=-8, high=20, most=8) -> float:
-    """Two suppliers: one delivers after two periods, one at once at `ce` a unit more."""
+    """Two suppliers: one delivers after two periods, the other at once for `ce` more per unit."""
     stock = np.arange(low, high + 1)
     demand = np.arange(5)
     cost = np.zeros((len(stock), most + 1, most + 1))
@@ -115,7 +115,7 @@ def regulator(a=0.9, b=0.5, q=1.0, r=0.3, s=0.4, x0=1.0, steps=20) -> float:
 
 
 def measured_regulator(r=0.5, w=0.3, v=0.7, s0=1.0, steps=20) -> float:
-    """The same seen through noise: Riccati recursion and Kalman filter, separated."""
+    """The same with noisy observations: the Riccati recursion and the Kalman filter."""
     worth = np.zeros(steps + 1)
     for t in range(steps - 1, -1, -1):
         worth[t] = 1 + worth[t + 1] - worth[t + 1] ** 2 / (r + worth[t + 1])
@@ -146,7 +146,7 @@ def merton(rate=0.02, drift=0.06, volatility=0.2, gamma=3.0, steps=12, dt=0.25) 
 
 
 def at_limit(mu_a=0.08, mu_b=0.01, sd_a=0.15, sd_b=0.2, gamma=2.0, steps=8, dt=0.25) -> float:
-    """Two assets, of which the first alone is held."""
+    """Two assets; the best share of the second is zero, a limit."""
     first, second = (
         np.exp((mu - sd**2 / 2) * dt + sd * np.sqrt(dt) * NODES)
         for mu, sd in ((mu_a, sd_a), (mu_b, sd_b))
@@ -197,7 +197,7 @@ def store(
 
 
 def growth(alpha=0.4, beta=0.96, mu=0.05, s=0.1, y0=1.0, steps=30) -> float:
-    """Brock and Mirman's growth with logarithmic utility (s moves no mean)."""
+    """Brock and Mirman's growth with logarithmic utility; the deviation s has no effect."""
     level, slope_ = 0.0, 1.0
     for _ in range(steps - 1):
         saved = alpha * beta * slope_
@@ -208,12 +208,13 @@ def growth(alpha=0.4, beta=0.96, mu=0.05, s=0.1, y0=1.0, steps=30) -> float:
 
 
 def signal(v=2.0, w=1.0) -> float:
-    """The variance that is left of a normal number seen through noise."""
+    """The conditional variance of a normal number that is observed with noise."""
     return -v * w / (v + w)
 
 
 def allocation(c1=1.0, c2=0.7, c3=0.4, sd=0.3, budget=2.0) -> float:
-    """Three projects with returns c sqrt(money); the first one's c is seen as c1 exp(sd z - …).
+    """Three projects with returns c sqrt(money); the c of the first is observed as c1 exp(sd z -
+    …).
 
     With c known the best return is sqrt(budget (c1^2 + c2^2 + c3^2)).
     """
@@ -222,7 +223,7 @@ def allocation(c1=1.0, c2=0.7, c3=0.4, sd=0.3, budget=2.0) -> float:
 
 
 def batches(k=2.0, h=0.5, p=3.0, mean=3.0, steps=20, start=4, cap=30) -> float:
-    """Lost sales; in each period nothing, 4 or 8 units are made, at the cost of k or 1.6 k."""
+    """Lost sales; each period 0, 4 or 8 units are made, at a cost of 0, k or 1.6 k."""
     demand, weights = poisson(mean, 30)
     stock = np.arange(cap + 1)
     value = np.zeros(cap + 1)
@@ -238,7 +239,7 @@ def batches(k=2.0, h=0.5, p=3.0, mean=3.0, steps=20, start=4, cap=30) -> float:
 
 
 def offers(low=10.0, high=20.0, beta=0.97, wait=0.2, steps=12) -> float:
-    """A house to sell: offers are uniform, one a period; the last one is taken."""
+    """A house to sell: each period has one uniform offer; the last one must be taken."""
     value = (low + high) / 2
     for _ in range(steps - 1):
         least = np.clip(beta * value - wait, low, high)
@@ -248,7 +249,7 @@ def offers(low=10.0, high=20.0, beta=0.97, wait=0.2, steps=12) -> float:
 
 
 def cake(beta=0.95, mu=0.03, sd=0.2, x0=1.0, gamma=2.0, steps=10) -> float:
-    """Wealth that grows at random is eaten over ten periods: V = A x^(1 - gamma) / (1 - gamma)."""
+    """Wealth with random growth is consumed over ten periods: V = A x^(1 - gamma) / (1 - gamma)."""
     worth = 1.0
     growth_ = np.exp((1 - gamma) * (mu - sd**2 / 2) + ((1 - gamma) * sd) ** 2 / 2)
     for _ in range(steps - 1):

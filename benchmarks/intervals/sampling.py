@@ -1,7 +1,7 @@
-"""`python -m benchmarks.intervals`: do 95 % intervals hold the numbers that they estimate?
+"""`python -m benchmarks.intervals.sampling`: whether 95 % intervals contain what they estimate.
 
-One trained policy of a small case, evaluated with 100 seeds. Counted are the intervals
-for its value that hold its value on 4 million paths, and the same for one of its deltas.
+One trained policy of a small case is evaluated with 100 seeds. The program counts the intervals
+that contain the policy's value on 4 million paths, and the same for one of its deltas.
 """
 
 from dataclasses import replace
@@ -26,7 +26,7 @@ FIRST_STREAM = 1000  # far from those of training, validation and evaluation
 
 
 class Trained:
-    """One trained policy, and its worth on any scenarios."""
+    """One trained policy, and its value and delta on any scenarios."""
 
     def __init__(self):
         self.setup = make_setup(DOMAIN.read(*load(CASE)))
@@ -58,7 +58,7 @@ class Trained:
 
 
 def hold(measure, truth: float, width: float) -> tuple[int, float]:
-    """How many seeds' intervals hold the truth, and their mean standard error."""
+    """The number of seeds whose intervals contain the truth, and the mean standard error."""
     found = [measure(Pseudo(seed, stream=FIRST_STREAM), PATHS) for seed in range(SEEDS)]
     inside = [abs(value - truth) <= width * error for value, error in found]
     return sum(inside), float(np.mean([error for _, error in found]))
@@ -75,8 +75,8 @@ def main() -> None:
         truth, error = measure(many, MANY)
         held, typical = hold(measure, truth, width)
         print(
-            f"{name}: {held} of {SEEDS} intervals of {PATHS} paths hold {truth:.5f} ± {error:.5f} "
-            f"(found on {MANY} paths); their standard error is {typical:.5f}"
+            f"{name}: {held} of {SEEDS} intervals of {PATHS} paths contain {truth:.5f} ± "
+            f"{error:.5f}, estimated on {MANY} paths; their mean standard error is {typical:.5f}"
         )
 
 

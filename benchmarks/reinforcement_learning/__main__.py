@@ -19,7 +19,8 @@ QUICK = {"snapo": 5, "ppo": 20_000, "sac": 4_000, "td3": 12_000}
 
 
 def run(problem: str, method: str, seed: int, asked: argparse.Namespace) -> None:
-    """One training in this process; imports are no part of its clock. Points go to the file."""
+    """One training in this process, whose clock does not count imports. Its points go to the
+    file."""
 
     def tell(point: Point) -> None:
         print(point.told(TOLD[problem].shown), flush=True)
@@ -46,17 +47,17 @@ def run(problem: str, method: str, seed: int, asked: argparse.Namespace) -> None
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs what the arguments ask for (None: those of the command line), and prints the table."""
+    """Runs the requested trainings (None: arguments of the command line), and prints the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.reinforcement_learning")
-    parser.add_argument("problems", nargs="*", metavar="PROBLEM", help=f"of {', '.join(TOLD)}")
+    parser.add_argument("problems", nargs="*", metavar="PROBLEM", help=f"some of {', '.join(TOLD)}")
     parser.add_argument("--algorithm", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
-    parser.add_argument("--steps", type=int, help="simulated, of an agent; updates, of snapo")
-    parser.add_argument("--seconds", type=float, default=300.0, help="of processor time, by agent")
-    parser.add_argument("--wall", type=float, default=3600.0, help="the same, of wall time in all")
-    parser.add_argument("--out", type=Path, help="CSV; rows are appended, the table is of all")
+    parser.add_argument("--steps", type=int, help="simulated steps (agents) or updates (snapo)")
+    parser.add_argument("--seconds", type=float, default=300.0, help="processor time per training")
+    parser.add_argument("--wall", type=float, default=3600.0, help="wall time per training")
+    parser.add_argument("--out", type=Path, help="CSV to which rows are appended")
     parser.add_argument("--figure", type=Path, help="SVG of all curves in the file")
-    parser.add_argument("--quick", action="store_true", help="a short run of everything")
+    parser.add_argument("--quick", action="store_true", help="short runs, as a test")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     asked = parser.parse_args(arguments)
     if unknown := set(asked.problems) - set(TOLD):
@@ -86,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _apart(problem: str, method: str, seed: int, asked: argparse.Namespace, out: Path) -> None:
-    """One training in a process of its own, so that none finds what another has compiled."""
+    """One training in a separate process, so that no training uses what another has compiled."""
     command = [sys.executable, "-m", __package__, problem, "--algorithm", method, "--alone"]
     command += ["--seeds", str(seed), "--out", str(out), "--seconds", str(asked.seconds)]
     command += ["--wall", str(asked.wall)]

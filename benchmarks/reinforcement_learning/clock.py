@@ -1,4 +1,4 @@
-"""Time that a training takes, without the time in which it is measured; and curves as CSV."""
+"""The time of a training without the time of its valuations; and curves as CSV."""
 
 import csv
 import time
@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 
 class Point(NamedTuple):
-    """A rule during its training: simulated steps (of one path each), processor and wall seconds
-    until it was there, and its value on the common paths."""
+    """A rule during its training: simulated steps (of one path each), processor and wall seconds up
+    to this point, and the value of the rule on the common paths."""
 
     problem: str
     method: str
@@ -29,7 +29,7 @@ Tell = Callable[[Point], None]  # gets every point as soon as it is measured
 
 
 class Clock:
-    """Processor time of all threads, and wall time, since it was made; stands still in `paused`."""
+    """Processor time of all threads, and wall time, since the clock was made, without pauses."""
 
     def __init__(self) -> None:
         self._started = _now()
@@ -37,7 +37,7 @@ class Clock:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Nothing within this block counts."""
+        """Stops the clock within this block."""
         before = _now()
         yield
         after = _now()
@@ -56,13 +56,13 @@ class Clock:
 
 
 class Budget(NamedTuple):
-    """The most processor seconds of a training, and the most wall seconds, measuring included."""
+    """Limits of a training: processor seconds, and wall seconds, valuations included."""
 
     processor: float
     wall: float
 
     def spent(self, clock: Clock) -> bool:
-        """Whether either is used up."""
+        """Whether one of both limits is reached."""
         return clock.read()[0] > self.processor or clock.age() > self.wall
 
 

@@ -1,7 +1,7 @@
 """Many paths of a problem as an environment of Stable-Baselines3; all move in one compiled call.
 
-Gymnasium's vectorised environments start a path anew at its next step; those of Stable-Baselines3
-in the same one, and tell the last observation apart.
+When a path ends, Gymnasium's vectorised environments start a new one at the next step. Those of
+Stable-Baselines3 start it in the same step, and return the last observation separately.
 """
 
 from typing import Any
@@ -54,7 +54,7 @@ class Paths(VecEnv):
         return np.array(seen), np.array(rewards, np.float32), over, infos
 
     def _moved(self, t, state, raw, noise):
-        """All paths moved; those that are over at their first state again."""
+        """All paths one step later; paths that have ended are at their first state again."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         action = jnp.asarray(jax.vmap(self.task.decode)(raw), jnp.float32)
         moved = jax.vmap(self.dynamics.step)(t, state, action, noise[1])
@@ -70,7 +70,7 @@ class Paths(VecEnv):
         return self._random.standard_normal((self.num_envs, size), np.float32)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Does nothing: no resource is open."""
 
     def get_attr(self, attr_name: str, indices=None) -> list[Any]:
         return [getattr(self, attr_name, None)] * self.num_envs
@@ -86,7 +86,7 @@ class Paths(VecEnv):
 
 
 def raw_of(task: Task, actions: np.ndarray, options: bool) -> np.ndarray:
-    """[N, size] between -1 and 1, of an agent's actions."""
+    """[N, size] numbers between -1 and 1, from an agent's actions."""
     given = np.asarray(actions)
     if options:
         given = 2.0 * given.reshape(-1, 1) / (task.options - 1) - 1

@@ -21,7 +21,8 @@ FLOOR = 0.4  # below the least best value of a run, of the distance to the highe
 
 
 def draw(points: Sequence[Point], told: Mapping[str, Told], file: Path) -> None:
-    """Two panels by problem, a line for every method and seed; dashed: the best possible."""
+    """Two panels for each problem, with a line for every method and seed; dashed: the best possible
+    value."""
     problems = [name for name in told if any(point.problem == name for point in points)]
     # The same file from the same runs: no date in it, and no random names.
     with matplotlib.rc_context({"svg.hashsalt": "snapo", "font.size": 8, "svg.fonttype": "none"}):
@@ -61,7 +62,7 @@ def _panel(panel: Axes, points: Sequence[Point], told: Told, column: str) -> Non
 
 
 def _number(exact: str) -> float | None:
-    """The best possible, where it is known."""
+    """The best possible value, if it is known."""
     try:
         return float(exact.split(",")[0])
     except ValueError:

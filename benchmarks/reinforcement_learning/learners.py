@@ -20,8 +20,8 @@ MEASURED = 8  # points of a curve
 def learn(
     problem: str, algorithm: str, seed: int, steps: int | None, budget: Budget, tell: Tell
 ) -> None:
-    """Tells the points of one run of `steps` simulated steps (None: the settings'), or of less
-    where the budget ends before."""
+    """Reports the points of one run of `steps` simulated steps (None: those of the settings), or
+    fewer if the budget ends earlier."""
     torch.set_num_threads(1)
     task, chosen = TASKS[problem](seed), settings(problem, algorithm)
     options = bool(task.options) and algorithm == "ppo"
@@ -43,7 +43,7 @@ def learn(
 
 
 class Record(BaseCallback):
-    """Measures the rule at growing intervals while the clock stands still."""
+    """Values the rule at growing intervals, during which the clock is stopped."""
 
     def __init__(self, yardstick, clock, task, options, names, total, budget, tell):
         super().__init__()

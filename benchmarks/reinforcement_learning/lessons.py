@@ -1,4 +1,4 @@
-"""How a Pendulum is taught: two trainings, the second one from the policy of the first."""
+"""The training of a Pendulum in two lessons, the second from the policy of the first."""
 
 import numpy as np
 
@@ -12,12 +12,12 @@ HORIZON = 90  # steps
 
 
 def lessons(seed: int, validation_every: int) -> list[tuple[snapo.Problem, snapo.Training]]:
-    """Both, on starts around the bottom, where most of what is lost is lost.
+    """Both lessons, on starts around the bottom, where most of the reward is lost.
 
     Which way to swing, and how often, is a choice that a path's own derivative does not see. Under
-    large disturbances it becomes a matter of degree: the first lesson. The second one, without
-    them, needs many paths, as few of them pass a ridge. Half of the horizon is enough: nearly all
-    of the rest is spent upright.
+    large disturbances, in the first lesson, the outcome changes gradually with the decisions. The
+    second lesson, without disturbances, needs many paths, since few of them are near a change of
+    the choice. Half of the horizon is enough: in nearly all of the rest the pendulum is upright.
     """
     found = []
     for noise, steps, paths, rate in LESSONS:
@@ -33,6 +33,6 @@ def lessons(seed: int, validation_every: int) -> list[tuple[snapo.Problem, snapo
 
 
 def plant(inputs, horizon: int) -> snapo.Problem:
-    """The Pendulum of these inputs, and its mean reward."""
+    """The Pendulum with these inputs, and its mean reward."""
     made = Pendulum(inputs, horizon=horizon)  # pyright: ignore[reportCallIssue]
     return snapo.Problem(made, inputs, snapo.Mean("reward"))

@@ -1,4 +1,4 @@
-"""Training by snapo: the curve of one run, nothing compiled before."""
+"""Training by snapo: the curve of one run, with empty caches of compiled code."""
 
 from dataclasses import replace
 
@@ -17,11 +17,10 @@ from .yardstick import Yardstick
 
 
 def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
-    """Tells the points of one run of `steps` updates (None: the settings').
-
-    The first is the rule before any training, for which nothing was simulated. The clock starts
-    before the problem is made: it includes what snapo prepares, such as the value table of a gas
-    store, what it compiles, and the paths on which it validates.
+    """Reports the points of one run of `steps` updates (None: those of the settings). The first
+    point is the rule before any training, for which nothing was simulated. The clock starts before
+    the problem is made: it includes what snapo prepares, such as the value table of a gas store,
+    what it compiles, and the paths on which it validates.
     """
     clock = Clock()
     task = TASKS[problem](seed)
@@ -57,7 +56,7 @@ def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
 
 
 def simulated(lesson: Problem, training: Training, progress: Progress) -> int:
-    """Steps of the simulator, of one path each, that a training has made."""
+    """The number of simulated steps, of one path each, in a training."""
     horizon = lesson.simulator.horizon
     validated = 2 + (progress.step - 1) // training.validation_every
     # A step back through windows: a sweep, and that many windows.

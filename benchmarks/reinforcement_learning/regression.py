@@ -1,6 +1,6 @@
 """Least-squares Monte Carlo in NumPy: Longstaff and Schwartz (2001) for the put, and for the store
-the same on a grid of inventories (Boogert and de Jong 2008). Rules are fitted on paths of their
-own and valued on those of the yardstick."""
+the same on a grid of inventories (Boogert and de Jong 2008). Rules are fitted on separate paths and
+valued on those of the yardstick."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ FITTED = {"put": 50_000, "storage": 5_000}  # paths of the regression
 
 
 def regress(problem: str, seed: int, tell: Tell) -> None:
-    """Tells the one point of a method that has no curve; only of "put" and "storage"."""
+    """Reports the only point of a method without a curve, for "put" and "storage"."""
     task = TASKS[problem](seed)
     noise = Yardstick(task.problem, task.paths).noise()[1][..., 0].astype(float)
     solver = {"put": put, "storage": storage}[problem]
@@ -26,7 +26,7 @@ def regress(problem: str, seed: int, tell: Tell) -> None:
 
 
 def put(task, fitting: np.ndarray):
-    """The rule that stops where the payoff is above the regression of what waiting has earned."""
+    """The rule that stops if the payoff is above the regression of the earnings of waiting."""
     given = {name: float(entry.value) for name, entry in task.problem.inputs.items()}
     dates, strike = len(fitting), given["strike"]
     drift = (given["rate"] - given["volatility"] ** 2 / 2) / dates
@@ -70,7 +70,7 @@ def put(task, fitting: np.ndarray):
 
 
 def storage(task, fitting: np.ndarray):
-    """One unit a day in or out, on whole units of inventory; empty at both ends."""
+    """One unit a day in or out, on whole units of inventory; empty at the start and the end."""
     simulator = task.problem.simulator
     forward = task.problem.inputs_by_name[simulator.curve.name].value
     days, levels, keep, shock = len(fitting), 101, 0.88, 365**-0.5
@@ -89,7 +89,7 @@ def storage(task, fitting: np.ndarray):
         return np.vander(x * 5, DEGREE)
 
     def choice(t: int, x: np.ndarray, spot: np.ndarray) -> np.ndarray:
-        """[levels, N] the flow, 1 in, -1 out, by the expected worth of what is left."""
+        """[levels, N] the best flow, 1 in or -1 out, by the expected value of the inventory."""
         worth = betas[t] @ basis(x).T  # [levels, N]
         options = np.full((3, levels, x.size), -np.inf)
         options[0, 1:] = worth[:-1] + spot

@@ -1,11 +1,11 @@
 """Settings of Stable-Baselines3 by problem and algorithm, with their source.
 
-Of Pendulum those of RL Zoo (DLR-RM/rl-baselines3-zoo, hyperparams/ppo.yml, sac.yml and td3.yml,
-where PPO's are marked as tuned).
-The zoo has none for the other four: there PPO has the library's own, with more paths side by side
-and larger batches, and rewards divided by their running deviation (the zoo's "normalize"); SAC and
-TD3 have the library's own with two layers of 64 (256 by default: a gradient step takes four times
-as long) on eight paths side by side, with a gradient step for every fourth simulated step, since
+For Pendulum they are those of RL Zoo (DLR-RM/rl-baselines3-zoo, hyperparams/ppo.yml, sac.yml and
+td3.yml, where those of PPO are marked as tuned). RL Zoo has none for the other four problems. For
+these PPO has the defaults of the library, with more parallel paths and larger batches, and with
+rewards divided by their running deviation ("normalize" in RL Zoo). SAC and TD3 have the defaults of
+the library with two layers of 64 units (with 256, the default, a gradient step takes four times as
+long), on eight parallel paths. They make one gradient step for every fourth simulated step, since
 these problems are noisy and their simulators cheap.
 """
 
@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 
 
 class Settings(NamedTuple):
-    """`steps` simulated steps on `paths` paths side by side; keywords of the algorithm; standard
-    deviation of TD3's exploration; whether rewards are divided by their running deviation."""
+    """`steps` simulated steps on `paths` parallel paths; the keywords of the algorithm; the
+    standard deviation of TD3's exploration; whether rewards are divided by their running
+    deviation."""
 
     steps: int
     paths: int
@@ -48,5 +49,5 @@ OWN = {
 
 
 def settings(problem: str, algorithm: str) -> Settings:
-    """Those of a problem and of "ppo", "sac" or "td3"."""
+    """The settings of "ppo", "sac" or "td3" for a problem."""
     return (ZOO if problem == "pendulum" else OWN)[algorithm]

@@ -1,4 +1,4 @@
-"""Curves beside each other: when snapo is as good as the best of each agent."""
+"""Comparison of curves: when snapo reaches the best value of each agent."""
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,8 +11,8 @@ NEEDED = {"processor": 20, "steps": 50}  # times less than an agent
 
 
 class Reached(NamedTuple):
-    """The best value of a run, the steps and processor seconds to it, and those of another run
-    to the same value (None: it never gets there)."""
+    """The best value of a run, the steps and processor seconds to it, and those of another run to
+    the same value (None: it never reaches it)."""
 
     value: float
     steps: float
@@ -45,14 +45,14 @@ def when(points: Sequence[Point], value: float, column: str) -> float | None:
 
 
 def reached(theirs: Sequence[Point], ours: Sequence[Point]) -> Reached:
-    """The best of an agent's run beside a run of snapo."""
+    """The best value of an agent's run, compared with a run of snapo."""
     best = max(theirs, key=lambda each: each.value)
     found = {column: when(ours, best.value, column) for column in NEEDED}
     return Reached(best.value, best.steps, best.processor, found["steps"], found["processor"])
 
 
 def lines(points: Sequence[Point], shown: dict) -> Iterator[str]:
-    """A row for every run: of an agent with the comparison, of snapo with its last value.
+    """A row for every run: for an agent with the comparison, for snapo with its last value.
 
     `shown`: {problem: function from a value to the number in the table}.
     """
@@ -85,8 +85,8 @@ def lines(points: Sequence[Point], shown: dict) -> Iterator[str]:
 def summary(points: Sequence[Point], shown: dict) -> Iterator[str]:
     """A row for every method, with all its seeds: the table of docs/reinforcement.md.
 
-    Values and times fewer are lists in the order of the seeds; steps and seconds are ranges. Twenty
-    times and more are bold.
+    Values and ratios of seconds are lists in the order of the seeds; steps and seconds are ranges.
+    Ratios of twenty and more are bold.
     """
     yield (
         "| problem | method, seeds | best value, by seed | CPU seconds to this value "

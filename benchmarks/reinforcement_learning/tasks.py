@@ -34,14 +34,17 @@ ROOT = Path(__file__).parents[2]
 class Task:
     """A problem and the two ways to learn it.
 
-    - `problem`: the one whose value counts; `training`: snapo's settings, and `policy` its network;
-      `lesson`: the problem that snapo trains on, by default the same; `before`: a problem with
-      settings of its own that it trains on before.
-    - `played`: the problem an agent trains on; `endless`: its end is a limit of time alone.
-    - `decode`: from an agent's action [size], each between -1 and 1, to the simulator's action.
-    - `options`: of PPO, where the decision is one of several; 0: numbers.
-    - `paths`: common ones, on which every rule is valued.
-    - `unit`: of an agent's rewards, so that they are of order one; `discount` its factor by step.
+    - `problem`: the problem whose value counts; `training`, `policy`: the settings and the network
+      of snapo; `lesson`: the problem on which snapo trains, by default the same; `before`: an
+      earlier problem, with its settings, on which snapo trains first.
+    - `played`: the problem on which an agent trains; `endless`: whether its end is only a limit of
+      time.
+    - `decode`: a function from an agent's action [size], between -1 and 1, to the simulator's
+      action.
+    - `options`: the number of options of PPO if the decision is one of several; 0: it has numbers.
+    - `paths`: the number of common paths, on which every rule is valued.
+    - `unit`: divides an agent's rewards, so that they are of order one; `discount`: the agent's
+      discount factor per step.
     """
 
     problem: snapo.Problem
@@ -107,7 +110,7 @@ def storage(seed: int) -> Task:
 
 
 def plain_storage(seed: int) -> Task:
-    """The same with a plain network in place of the rule that prices gas."""
+    """The same with a plain network instead of the rule that uses prices of gas."""
     found = storage(seed)
     return replace(found, policy=snapo.MLP())
 

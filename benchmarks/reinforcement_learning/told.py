@@ -1,11 +1,11 @@
-"""The problems in words, and their values as the table tells them; nothing is made for it."""
+"""Descriptions of the problems, and their values as the table shows them, without computation."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 
 class Told(NamedTuple):
-    """A problem in words, the best possible, and from a value to the number that the table has."""
+    """A problem's description, its best possible value, and the number of the table for a value."""
 
     words: str
     exact: str
@@ -13,7 +13,7 @@ class Told(NamedTuple):
 
 
 def certainty(utility: float) -> float:
-    """The funding ratio that is worth as much when it is sure: utility is -F^-4 / 4."""
+    """The certainty equivalent of a mean utility -F^-4 / 4, as a funding ratio F."""
     return (-4 * utility) ** -0.25
 
 

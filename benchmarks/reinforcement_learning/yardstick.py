@@ -16,7 +16,7 @@ Rule = Callable[[np.ndarray], np.ndarray]  # from observations [N, features] to 
 
 
 class Yardstick:
-    """`paths` paths of a problem, half of them the antithetic ones of the others."""
+    """`paths` paths of a problem, in antithetic pairs."""
 
     def __init__(self, problem: Problem, paths: int, decode: Callable | None = None):
         self.dynamics, self.paths = GymDynamics(problem), paths
@@ -25,7 +25,7 @@ class Yardstick:
         self._step = jax.jit(jax.vmap(self._moved, in_axes=(None, 0, 0, 0)))
 
     def noise(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the first state [N, k], and of all steps [T, N, m]."""
+        """The noise of the first state [N, k], and of all steps [T, N, m]."""
         simulator, half = self.dynamics.simulator, self.paths // 2
         random = np.random.default_rng(SEED)
         first = random.standard_normal((half, simulator.initial_noise_size), np.float32)

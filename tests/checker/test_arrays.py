@@ -196,7 +196,7 @@ def test_indices_that_leave_their_array_on_a_path():
         "gather": f"an index is 4, but {four}",
         "slice": "2 entries are taken from index 3 on, but the array has 4",
         "write": f"an index is 4, but {four}",
-        "prepare": "With these inputs an index is 3, but the array has 2 entries",
+        "prepare": "With these inputs, an index is 3, but the array has 2 entries",
     }
     findings = check(Moving(how=tuple(expected)), inputs(), paths=8)
     wrong = [item for item in findings if "index" in item.subject]

@@ -227,14 +227,14 @@ def stops(simulator) -> list[str]:
 @pytest.mark.parametrize("rights", [1, 2])
 def test_a_stop_that_is_not_used_up_is_told(rights):
     (subject,) = stops(Sells(action=Stop(rights)))
-    assert "more often than it has rights" in subject
+    assert "more often than there are rights" in subject
     assert stops(SellsOnce(action=Stop(rights))) == []
 
 
 @pytest.mark.prove
 def test_the_whole_check_looks_at_stops():
     found = check(Sells(action=Stop(2)), inputs())
-    assert any("more often than it has rights (2)" in each.subject for each in found), str(found)
+    assert any("more often than there are rights (2)" in each.subject for each in found), str(found)
 
 
 def test_errors_of_user_code_name_file_and_line():

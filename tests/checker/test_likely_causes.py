@@ -46,7 +46,7 @@ class NoFirstNoise(Hedge):
     "simulator, fix",
     [
         (ByKey(), "self.action.parts(action)"),
-        (NoNoise(), ": noise_size is 0"),
+        (NoNoise(), ", noise_size is 0"),
         (NoFirstNoise(), "initial_noise_size is 0"),
         (Hedge, "Hedge()"),
     ],

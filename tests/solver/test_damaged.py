@@ -89,7 +89,7 @@ def test_another_kind_of_file(file, progress, tmp_path):
     trees = {name: getattr(progress, name) for name in checkpoint._TREES}
     for header in ({}, [], {"step": 1, "best_value": 0.0, "stale": 0, "status": "", "history": 3}):
         checkpoint.save_arrays(file, trees, header)  # pyright: ignore[reportArgumentType]
-        with pytest.raises(solution_file.CheckpointError, match="not a file of this kind"):
+        with pytest.raises(solution_file.CheckpointError, match="not the checkpoint of a training"):
             checkpoint.load(file, progress)
     with pytest.raises(solution_file.CheckpointError, match="cannot be read"):
         checkpoint.load(tmp_path, progress)

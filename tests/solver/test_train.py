@@ -327,7 +327,7 @@ class Breaks(snapo.Simulator):
          "path, in state water."),
         ("output", "32 of 64 paths are non-finite in output 'cash', first at step 2 of the 4 of a "
          "path, in output cash."),
-        ("derivative", "non-finite, though all totals are. step, "),
+        ("derivative", "non-finite, although all totals are finite. step, "),
     ],
 )  # fmt: skip
 def test_a_training_that_breaks_says_where(kind, said):

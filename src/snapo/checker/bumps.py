@@ -1,9 +1,10 @@
-"""Every input's adjoint against central differences, on the same few paths, with decisions held
-fixed.
+"""Compares every input's adjoint with central differences on the same few paths, with decisions
+held fixed.
 
-It is done in float64 with smooth limits. All numbers of an input are bumped together with random
-signs, and a few of them separately. An input without effect under the random policy is tested at
-low, middle or high actions. Inputs that change no single path (`in_mean`) are not tested here.
+The comparison is in float64 with smooth limits. All numbers of an input are bumped together with
+random signs, and a few of them separately. An input without effect under the random policy is
+tested at low, middle or high actions. Inputs that change no single path (`in_mean`) are not tested
+here.
 """
 
 from dataclasses import replace
@@ -24,15 +25,15 @@ from .findings import Notes, StopCheck
 from .rollout import ENGINE, CheckedRollout
 
 NOT_DIFFERENTIABLE = (
-    "A root, logarithm, power or division at zero has no derivative, even inside a branch that "
-    "jnp.where does not take: give the branch a harmless argument, f(jnp.where(ok, x, 1.0)), too."
+    "A root, logarithm, power or division at zero has no derivative, even in a branch that "
+    "jnp.where does not take. Give that branch a harmless argument: f(jnp.where(ok, x, 1.0))."
 )
 
 
 def locate(notes: Notes, simulator: Simulator, run: CheckedRollout) -> NoReturn:
     """Names the method and step at which a derivative is non-finite, and stops.
 
-    The reverse sweep starts at the end, so it meets the last bad step first.
+    The reverse sweep starts at the end, so it reaches the last bad step first.
     """
     constants, T, N = run.schedule.constants, simulator.horizon, run.draws.size
 
@@ -103,7 +104,7 @@ def bumped(
     gradients: list[dict[str, np.ndarray]] = []
 
     def gradient(k: int, name: str) -> np.ndarray:
-        """[outputs, *shape] of the k-th run; each run takes one adjoint pass, when asked for."""
+        """[outputs, *shape] of the k-th run, by one adjoint pass when it is first needed."""
         while len(gradients) <= k:
             gradients.append(_gradients(simulator, inputs, runs[len(gradients)]))
         return gradients[k][name]
@@ -195,7 +196,7 @@ class _Comparison:
         return result if (np.abs(result) * bump > minimum).any() else None
 
     def moves_decisions(self, bump: float) -> bool:
-        """Whether outputs move where the policy decides, through its observations (a measurement
+        """Whether outputs move if the policy decides, through its observations (as by a measurement
         error)."""
         there = self.run.values(self.simulator, False, schedule=self._schedule(bump))
         back = self.run.values(self.simulator, False, schedule=self._schedule(-bump))
@@ -239,8 +240,8 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
         "Likely causes: a jump (comparison, rounding, argmax) that bumps cross, a stop_gradient "
         "between input and output, a derivative written by hand. If the input is a parameter of "
-        "a noise of whole numbers that is created in prepare or in the step, its derivative is "
-        "correct only in the mean over paths: name it, def in_mean(self): return "
+        "a noise of whole numbers that prepare or step creates, such as Poisson, its derivative is "
+        "correct only in the mean over paths. Declare this with def in_mean(self): return "
         f"({pair.entry.name!r},).",
     )
     return True
@@ -266,7 +267,7 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
                 k = int(np.argmax(np.abs(wide) / pair.size))
                 notes.warning(
                     where,
-                    f"Its derivative is exactly zero, but a rise by {factor * bump:.3g} moves "
+                    f"Its derivative is exactly zero, but a bump of {factor * bump:.3g} moves "
                     f"{outputs[k]}.",
                     "If a limit does not bind at these inputs, this is not a mistake; an integer "
                     "cast, rounding or a comparison is one.",

@@ -46,8 +46,8 @@ _faultless: OrderedDict[Hashable, Shapes] = OrderedDict()  # by form, of snapo's
 
 def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
     """Mistakes of a simulator and its inputs: declarations, shapes, slices, indices, tables, loops
-    and numbers drawn in Python. It never raises, and takes tenths of a second; `snapo.check`
-    examines much more.
+    and numbers drawn in Python. It never raises an exception, and takes tenths of a second;
+    `snapo.check` examines much more.
     """
 
     def look(notes: Notes) -> None:
@@ -74,8 +74,7 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
 
 def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
     """Mistakes in an objective, limits and the actions of a policy for a simulator that has none.
-
-    It never raises.
+    It never raises an exception.
     """
 
     def look(notes: Notes) -> None:
@@ -107,7 +106,7 @@ def _looked(simulator: Simulator, inputs: PyTree, look: Callable[[Notes], None])
 
 
 def _decides(notes: Notes, problem: Problem, policy: Policy, features: int) -> None:
-    """The actions of a policy of the user's own, at a few observations, lie in the set."""
+    """Checks that the actions of a user's policy, at a few observations, lie in the set."""
     if type(policy).__module__.startswith("snapo.") and not isinstance(policy, Constant):
         return
     size, action = problem.action.size, problem.action
@@ -156,7 +155,8 @@ def check(
     temperature: float = 0.05,
     seed: int = 0,
 ) -> Findings:
-    """Examines a simulator and its inputs; returns the list of mistakes and never raises.
+    """Examines a simulator and its inputs; returns the list of mistakes and never raises an
+    exception.
 
     **Arguments:**
 

@@ -66,7 +66,7 @@ def _fresh_actions(simulator: Simulator, run: CheckedRollout, seed: int) -> np.n
 
 
 def _numbered(group: list[int], size: int) -> str:
-    """The index of components that move together; empty if they are all."""
+    """The index of components that move together; empty if these are all components."""
     if len(group) == 1:
         return f"[{group[0]}]"
     return "" if len(group) == size else f"[{group[0]}:{group[-1] + 1}]"
@@ -125,8 +125,8 @@ def stopped_once(notes: Notes, simulator: Simulator, run: CheckedRollout) -> Non
     if all(counts(part) for part in np.array_split(np.arange(len(always)), action.rights + 1)):
         notes.warning(
             f"{notes.method('step')}: action",
-            f"It can stop more often than it has rights ({action.rights}): if every step stops, "
-            "more steps than that change an output.",
-            'Keep the right in the state, right, used = self.action.use(state["right"], action), '
-            "and multiply the payment by `used`.",
+            f"It can stop more often than there are rights ({action.rights}): if every step "
+            f"stops, more than {action.rights} of them change an output.",
+            'Keep the right in the state: right, used = self.action.use(state["right"], action). '
+            "Multiply the payment by `used`.",
         )

@@ -36,7 +36,7 @@ def _guess(message: str, simulator: Any, method: str) -> str:
     """The likely cause of an index that JAX refuses; empty if there is none."""
     size = {"initial": "initial_noise_size", "step": "noise_size"}.get(method, "")
     if "out of bounds for axis 0 with size 0" in message and getattr(simulator, size, None) == 0:
-        return f"If this is the noise: {size} is 0; set it to the number of normals that are read."
+        return f"If this is the noise, {size} is 0: set it to the number of normals that are read."
     if "string indexing" in message and isinstance(getattr(simulator, "action", None), Product):
         return "If this is an action: self.action.parts(action) has its parts by name."
     return ""
@@ -74,8 +74,8 @@ _READABLE = [
     ),
     (
         jax.errors.TracerBoolConversionError,
-        "Python uses a number that differs by path to decide something here (if, while, and, or, "
-        "min, max).",
+        "Python uses a number that differs between paths to decide something here (if, while, and, "
+        "or, min, max).",
         "Write jnp.where, or smooth.indicator, smooth.minimum, smooth.choose for a limit.",
     ),
     (
@@ -86,7 +86,7 @@ _READABLE = [
     ),
     (
         jax.errors.NonConcreteBooleanIndexError,
-        "A mask selects a number of entries that differs by path.",
+        "A mask selects a number of entries that differs between paths.",
         "Do not change the shape: write jnp.where(mask, x, 0.0).",
     ),
     (
@@ -205,7 +205,7 @@ class Notes:
             raise StopCheck from error
 
     def exception(self, error: Exception, method: str) -> None:
-        """An exception as one finding with file:line."""
+        """Adds an exception as one finding, with file:line."""
         self.error(*self.explained(error, method))
 
     def explained(self, error: Exception, method: str) -> tuple[str, str, str]:

@@ -206,7 +206,7 @@ def _matters(points: SamplePoints, number: int, which: np.ndarray) -> bool:
 
 
 def _met(site: CodeSite, index: np.ndarray, axis: np.ndarray) -> tuple[int, int, int]:
-    """The index farthest outside, as it was written, the length and the size of the part."""
+    """The index farthest outside as written, the length of the axis, and the size of the part."""
     ranges = np.array(site.ranges)[axis]
     k = int(np.argmax(np.where(index < 0, -index, index - ranges[:, 0] + ranges[:, 1])))
     length, size = (int(n) for n in ranges[k])
@@ -223,7 +223,7 @@ def _said(index: int, length: int, size: int) -> str:
 def _write(notes: Notes, method: str, site: CodeSite, message: str) -> None:
     where = f"{method}, {site.line}" if site.line else notes.method(method)
     text = f" In: {site.line.text}" if site.line else ""
-    where_met = "With these inputs" if method == "prepare" else "On a path"
+    where_met = "With these inputs," if method == "prepare" else "On a path,"
     done = "drops such a write" if site.writes else "reads the nearest one"
     note = notes.warning if site.writes else notes.error
     note(

@@ -106,7 +106,9 @@ def rollouts(
         draws = scenarios.draws(np.arange(paths), simulator)
         if not isinstance(draws, Stored):
             notes.error(
-                "scenarios", "They are drawn.", "Pass Supplied or Sobol scenarios, or none."
+                "scenarios",
+                "Engines draw their noise during a rollout; this check needs stored noise.",
+                "Pass Supplied or Sobol scenarios, or none.",
             )
             raise StopCheck
     features = observation.shape[0]

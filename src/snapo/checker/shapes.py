@@ -27,7 +27,7 @@ ONE = "A vector of one number is not a number; write action[0] or noise[0] for t
 
 
 def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
-    """The declared sizes, action set and inputs."""
+    """Checks the declared sizes, action set and inputs."""
     if isinstance(simulator, type):
         name = simulator.__name__
         notes.error("simulator", f"{name} is a class.", f"Pass an object: {name}().")
@@ -49,7 +49,7 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
 
 
 def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
-    """The schedule: its type, its leading axis, finite and in float64."""
+    """Checks the schedule: its type, its leading axis, and that it is finite and in float64."""
     method = notes.method("prepare")
     with jax.enable_x64(True), notes.during("prepare"):
         made = jax.eval_shape(
@@ -88,7 +88,7 @@ def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
 
 
 class Shapes(NamedTuple):
-    """The observation in shape and type, and the names of all outputs."""
+    """The shape and type of the observation, and the names of all outputs."""
 
     observation: Any
     outputs: frozenset[str]

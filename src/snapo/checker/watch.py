@@ -102,7 +102,7 @@ class _Walk:
         self.outside: list[tuple[Array, Array, Array]] = []
 
     def run(self, jaxpr, consts, arguments, given_marks, caller: CodeLine | None):
-        """The results of a program, and the mark of each."""
+        """The results of a program, and whether each result is tainted."""
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments]))
         marks = dict(zip(jaxpr.invars, given_marks))
 
@@ -166,7 +166,7 @@ def _shifted(x: Array, shift: Any) -> Array:
 def _indices(eqn, values, dirty: list[int]) -> tuple[Array, list[tuple[int, int]]] | None:
     """The indices [..., axes] of a read or write, and (length, size of a part) of each axis.
 
-    None if they are known as a method is traced, and where the program itself defines reads
+    None if they are known when the method is traced, or if the program itself defines reads
     outside: `mode="clip"` or "fill".
     """
     kind, params = eqn.primitive.name, eqn.params
@@ -276,7 +276,8 @@ def moments(
 ) -> Iterator[SamplePoints]:
     """Every method at the inputs and at moments of the runs.
 
-    The points are NumPy's: with JAX's arrays, each selection would be compiled for each simulator.
+    The points are NumPy arrays: with JAX arrays, each selection would be compiled for each
+    simulator.
     """
     run, times = runs[0], _times(simulator.horizon)
     paths = min(PATHS, run.draws.size, max(2, POINTS // (len(runs) * len(times))))

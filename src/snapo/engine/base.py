@@ -41,7 +41,7 @@ class Uncontrolled(Around):
 
 
 def uncontrolled(simulator: Simulator, outputs: tuple[str, ...]) -> Simulator:
-    """The simulator without control variates, except these outputs; itself if it has none."""
+    """The simulator without control variates, except these outputs; unchanged if it has none."""
     left_out = tuple(name for name in simulator.control_variates() if name not in outputs)
     return Uncontrolled(simulator, left_out) if left_out else simulator  # pyright: ignore
 
@@ -168,7 +168,7 @@ _bounded.defvjp(_bounded_forward, _bounded_backward)
 class Engine(abc.ABC):
     """Simulates paths, and computes adjoints along the same paths.
 
-    `steady`: the bits of a path's totals do not depend on what is recorded.
+    `steady`: whether the bits of a path's totals are independent of what is recorded.
     """
 
     precision: str = "float32"
@@ -190,7 +190,7 @@ class Engine(abc.ABC):
         """This engine bound to the simulator and the schedule of a problem.
 
         `controls`: whether outputs that are only control variates are computed too; `simplest`:
-        whether a policy is replaced by its equivalent `simplest` (not in training).
+        whether a policy is replaced by its `simplest` form (not in training).
         """
         simulator, outputs = problem.simulator.on_paths(), problem.objective.outputs
         simulator = simulator if controls else uncontrolled(simulator, outputs)
@@ -355,13 +355,13 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
 
 
 def check_draws(simulator: Simulator, draws: Draws) -> None:
-    """Checks that there are paths, with noise for each step, or a kernel reads out of range."""
+    """Checks that there are paths with noise for each step; kernels do not check this."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; they must have at least one.")
     if isinstance(draws, Counter) and simulator.initial_noise_size % max(draws.before, 1):
         raise ValueError(
-            f"engine: the draws give `initial` the noise of {draws.before} steps, but "
-            f"initial_noise_size is {simulator.initial_noise_size}, which is not a multiple of it."
+            f"engine: the draws pass the noise of {draws.before} steps to `initial`, but "
+            f"initial_noise_size, {simulator.initial_noise_size}, is not a multiple of this number."
         )
     if isinstance(draws, Stored):
         shapes = {

@@ -29,7 +29,7 @@ class Engines(NamedTuple):
     def over(self, workers: Workers) -> "Engines":
         """These engines, with workers that compute groups of paths if that saves time.
 
-        **Raises:** `ValueError` for other engines than the native one.
+        **Raises:** `ValueError` for engines other than the native one.
         """
         train, evaluate = self.train, self.evaluate
         if not (isinstance(train, Native) and isinstance(evaluate, Native)):
@@ -41,7 +41,8 @@ class Engines(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The reason why workers were not used in training, if there are some."""
+        """The reason why workers were not used in training; empty if they were, or if there are
+        none."""
         distributed = self.train.distributed if isinstance(self.train, Native) else None
         return (distributed.note,) if distributed is not None and distributed.note else ()
 
@@ -52,10 +53,10 @@ EngineName = str | Engine | Engines
 def choose(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The requested engines, which may be a name, one engine, or a pair that was chosen before.
 
-    "auto" takes the native engine if it can run this problem, even if there is a GPU: its
-    gradient of 512 paths takes a tenth of the time, and a GPU is faster only from about 20,000
-    paths (`python -m benchmarks.gpu`). An engine that is passed as an object trains in float32 and
-    evaluates in float64, whatever its precision.
+    "auto" takes the native engine if it can run this problem, even if there is a GPU: its gradient
+    of 512 paths takes a tenth of the time that a GPU takes, and a GPU is faster only from about
+    20,000 paths (`python -m benchmarks.gpu`). An engine that is passed as an object trains in
+    float32 and evaluates in float64, whatever its precision.
 
     **Raises:** `ValueError` for an unknown name, or if "native" cannot run this problem, or cannot
     run at all because llvmlite is missing.

@@ -42,7 +42,7 @@ def adjoint_norms(
     """The norm of each path's adjoint at every step, for the whole state and for its leaves.
 
     The adjoint of sum(weights x totals), times the simulator's `state_scale`, divided by the path's
-    largest weight: the number that `Clip` bounds. XLA computes it. With a memory the horizon is
+    largest weight: the number that `Clip` bounds. XLA computes it. With `memory` the horizon is
     divided into parts of this number of steps, and no adjoint passes from one part to the part
     before it.
     """

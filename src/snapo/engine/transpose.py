@@ -23,8 +23,7 @@ def pull_back(
     simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
 ) -> dict[str, np.ndarray]:
     """Transforms derivatives from the schedule to the inputs: {name: [len(schedules), *shape]}.
-
-    The transpose of `prepare`.
+    This is the transpose of `prepare`.
     """
     values, version = inputs_.values(inputs), of_preparation(simulator, inputs)
     bare = inputs_.unnamed(inputs)
@@ -57,7 +56,7 @@ def compiled_meanwhile(
 
 
 def _zeros(leaf) -> np.ndarray:
-    """Zeros like a leaf; of a large one a single zero in its shape."""
+    """Zeros like a leaf; for a large leaf a single zero, broadcast to its shape."""
     large = np.size(leaf) > LARGE
     return np.broadcast_to(np.zeros(()), np.shape(leaf)) if large else np.zeros(np.shape(leaf))
 

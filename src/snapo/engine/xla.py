@@ -1,7 +1,7 @@
 """The XLA engine: one path, mapped over paths, scanned over time, compiled by JAX.
 
-Always works: CPU, GPU, many devices. Its adjoint is JAX's reverse mode of the rollout with the
-body of every step rematerialised; it is the oracle of the native engine in tests.
+It always works: on a CPU, on a GPU and on many devices. Its adjoint is JAX's reverse mode of the
+rollout with the body of every step rematerialised; it is the oracle of the native engine in tests.
 """
 
 from collections.abc import Mapping
@@ -190,8 +190,8 @@ def _adjoint(
 def _over_devices(engine: Xla, work, values, axes, out):
     """`work` on every device's share of the paths; results without an axis of paths are summed.
 
-    Each device simulates only its own paths, and the gradients are added once, at the end: were
-    the arrays merely laid out over the devices, XLA would add them up at every step.
+    Each device simulates only its own paths, and the gradients are added once, at the end. If the
+    arrays were only sharded over the devices, XLA would add them up at every step.
     """
     size = values[0].draws.size
     if engine.devices is None or size % len(engine.devices):
@@ -323,7 +323,8 @@ def _path(
 
 
 def _scan(step, carry, xs, length: int, segments: int | None):
-    """`lax.scan`, with segments rematerialised when asked: memory like the root of the horizon."""
+    """`lax.scan`, with rematerialised segments if requested: memory grows like the root of the
+    horizon."""
     if segments is None or segments < 2 or length < 4:
         return jax.lax.scan(step, carry, xs)
     size = -(-length // min(segments, length))

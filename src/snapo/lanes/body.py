@@ -232,7 +232,8 @@ def loop(values: EmittedValues, region: Region, shape: tuple[int, ...]) -> None:
 
 
 def interleaved(code: Code, region: Region) -> int:
-    """The number of elements treated together: one chain of steps would idle the processor."""
+    """The number of elements treated together: one chain of steps would leave the processor
+    idle."""
     widths = [np.dtype(v.dtype).itemsize for op in region.ops for v in op.outputs]
     value = region.ops[0].outputs[0]
     if not value.path or any(v.dtype == np.bool_ for v in region.stored):

@@ -1,6 +1,6 @@
 """All private names of JAX that the compiler uses, and the releases they were tested with.
 
-JAX promises nothing about them: each release may rename or change one. With other releases than
+JAX promises nothing about them: each release may rename or change one. If the release is not among
 those tested, or if a name is missing, `unavailable` gives the reason and nothing is compiled.
 """
 

@@ -1,4 +1,4 @@
-"""Stages with different state, horizon and outputs, as ONE simulator.
+"""Stages with different states, horizons and outputs as ONE simulator.
 
 A reactor followed by a crystalliser: each stage is a separate `Simulator`, and a map turns the
 final state of one into the initial state of the next.

@@ -1,7 +1,7 @@
 """One policy for a range of inputs, which it observes in addition to the state.
 
 In training every path belongs to a member of the family: one of a number of points that fill the
-ranges evenly, each with a separate schedule. Afterwards the policy decides in any member.
+ranges evenly, each with a separate schedule. After training the policy can be used in any member.
 """
 
 from dataclasses import dataclass, replace
@@ -48,7 +48,7 @@ class Family:
     def __post_init__(self):
         if unknown := set(self.ranges) - set(self.problem.inputs_by_name):
             raise ValueError(
-                f"Family: no input {sorted(unknown)}; the inputs are "
+                f"Family: there is no input {sorted(unknown)}; the inputs are "
                 f"{list(self.problem.inputs_by_name)}."
             )
         if not self.ranges:
@@ -63,7 +63,7 @@ class Family:
             low, high = endpoints
             if not np.all(np.asarray(low) < np.asarray(high)):
                 raise ValueError(
-                    f"Family: the range of {name} is ({low}, {high}); low must be less."
+                    f"Family: the range of {name} is ({low}, {high}); low must be less than high."
                 )
 
     @cached_property
@@ -137,8 +137,8 @@ class Family:
 
 
 class ObservedMember(Around):
-    """A simulator whose policy observes some inputs, scaled; constants are (of the base,
-    inputs)."""
+    """A simulator whose policy observes some inputs, scaled. Its constants are the pair (constants
+    of the base simulator, inputs)."""
 
     where: tuple[int, ...] = eqx.field(static=True)
     low: tuple[float, ...] = eqx.field(static=True)

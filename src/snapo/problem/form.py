@@ -1,4 +1,5 @@
-"""The form of a case: all on which compiled code depends. Its numbers are arguments of that code.
+"""The form of a case: everything on which compiled code depends. Its numbers are arguments of that
+code.
 
 A simulator of a domain contains no case, but modules with fields of two kinds: static ones (kinds,
 rules, names, sizes, flags), which JAX compares, and arrays. Traced code cannot read anything else:
@@ -49,7 +50,7 @@ class Use(TreeRecord):
         return numbers.at[self.index].get(mode="promise_in_bounds")
 
     def in_numpy(self, values: Mapping[str, np.ndarray]) -> Float[np.ndarray, "..."]:
-        """The same in NumPy."""
+        """The numbers where they are used, in NumPy."""
         if self.size <= 1:
             number = np.reshape(values[self.name], ()) if self.size else 0.0
             return np.broadcast_to(number, self.shape)

@@ -55,7 +55,7 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
     path's weight is the slope of the influence function at that path (von Mises 1947). For one
     output this slope is integrated along the sorted totals; for several, Tukey's sensitivity curve
     is used, n (V(x_1 … x_{n-1}, x) - V(x_1 … x_{n-1})), on n = 512 paths of the sample (Hampel et
-    al. 1986, section 2.1e), with the sampling error of so many. A single quantile has no smooth
+    al. 1986, section 2.1e), with the sampling error of 512 paths. A single quantile has no smooth
     slope, and neither method is reliable for it. In all cases the mean of the result is shifted to
     the value.
     """

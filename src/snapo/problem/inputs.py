@@ -35,8 +35,8 @@ def plain(inputs: PyTree) -> PyTree:
 
 
 def unnamed(inputs: PyTree) -> PyTree:
-    """The same module, its inputs without labels and units, so that compiled code can be reused for
-    inputs with others."""
+    """The same module with inputs that have no labels and units, so that compiled code can be
+    reused for inputs with other labels and units."""
     return jax.tree.map(lambda x: Input(x.value) if is_input(x) else x, inputs, is_leaf=is_input)
 
 
@@ -61,7 +61,7 @@ def replace(inputs: PyTree, new: Sequence[Any]) -> PyTree:
 
 
 def name_of(path) -> str:
-    """The name of the input at a path of JAX's in the tree of inputs."""
+    """The name of the input at a path (as JAX defines it) in the tree of inputs."""
     parts = [
         getattr(key, "name", None) or str(getattr(key, "key", getattr(key, "idx", key)))
         for key in path

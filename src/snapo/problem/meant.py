@@ -1,6 +1,6 @@
 """The problem of a call: a `Problem`, or a simulator with its inputs and other arguments.
 
-Every public function of a problem takes either, in one order of arguments::
+Every public function of a problem takes either form, with the arguments in the same order::
 
     snapo.evaluate(problem, policy, paths=4096)
     snapo.evaluate(Reservoir(), inputs, policy, paths=4096, objective="cash")
@@ -50,7 +50,7 @@ def takes_problem(
 def takes_problem(verb: Any = None, *, objective: bool = True) -> Any:
     """Extends a function of a `Problem` and a policy to simulators.
 
-    `objective`: whether it needs one.
+    `objective`: whether the function needs an objective.
     """
     return partial(_either, objective=objective) if verb is None else _either(verb, objective)
 
@@ -106,8 +106,9 @@ def problem_of(
     **Arguments:** `sources`: used if there are no `scenarios`; `needs`: whether an objective is
     needed.
 
-    **Raises:** `ValueError` if a `Problem` is passed together with one of these, if the first
-    argument is neither a problem nor a simulator, and for invalid sizes, scenarios or constraints.
+    **Raises:** `ValueError` if a `Problem` is passed together with inputs, an objective, scenarios
+    or constraints, if the first argument is neither a problem nor a simulator, and for invalid
+    sizes, scenarios or constraints.
     """
     if isinstance(problem, type):
         name = problem.__name__
@@ -116,7 +117,7 @@ def problem_of(
         local = (item is not None for item in (inputs, objective, scenarios))
         if constraints not in ((), [], None) or any(local):
             message = "inputs, objective, scenarios and constraints"
-            raise ValueError(f"{verb}: a Problem has its own {message}.")
+            raise ValueError(f"{verb}: a Problem has its own {message}; do not pass them as well.")
         _sizes(verb, problem.simulator)
         return problem
     if not isinstance(problem, Simulator):
@@ -155,7 +156,7 @@ def outputs_of(problem: Problem) -> list[str]:
 
 
 def _only_output(verb: str, names: list[str]) -> str:
-    """The only output, when there is but one, and nothing shows that it should be small."""
+    """The only output, if there is just one, and its name does not suggest a cost."""
     if len(names) != 1:
         raise ValueError(
             f"{verb}: the simulator has the outputs {sorted(names)}; name the one to "

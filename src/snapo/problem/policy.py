@@ -1,8 +1,8 @@
-"""Policies: from an observation to an action. Networks and residuals.
+"""Policies map an observation to an action: networks, residuals, and the base class.
 
 A policy is an `eqx.Module` with `policy(observation, smooth) -> action` and the action in the
-simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that replace
-the network.
+simulator's fixed set; `policies.composed.Plain` makes one of any module. Baselines are policies
+that replace the network.
 
 A policy can be a recipe: `MLP(hidden=(64, 64))` has no numbers yet. `policy.for_problem` makes
 the policy for a simulator's actions and features; `snapo.solve` does so with the training's seed.
@@ -37,8 +37,8 @@ class Policy(eqx.Module):
     ) -> Float[Array, " size"]:
         """The action [size] at one observation [features], an array or a list of numbers.
 
-        It is that of the exact simulator: whole numbers, stop or continue, one option. With
-        `Smooth(temperature)` it is that of training.
+        The action is that of the exact simulator: whole numbers, stop or continue, one option. With
+        `Smooth(temperature)` it is the action of training.
         """
 
     def for_problem(self, interface: Interface, key) -> "Policy":
@@ -175,8 +175,8 @@ class MLP(Policy):
 
 
 def widths(action: Actions) -> tuple[int, int]:
-    """Two hidden layers of four units for each number that is decided, a power of two from 32 to
-    128.
+    """The widths of two hidden layers: four units for each number that is decided, rounded up to a
+    power of two, from 32 to 128.
 
     >>> widths(snapo.Box(0.0, 1.0)), widths(snapo.Box(0.0, 1.0, size=24))
     ((32, 32), (128, 128))
@@ -244,7 +244,8 @@ class Residual(Policy):
 def without_memory(policy: Policy, where: str) -> None:
     """Refuses a policy with memory (see `memory.py`) inside one that does not support it."""
     if hasattr(policy, "decide"):
-        raise ValueError(f"{where}: {type(policy).__name__} has a memory, which must be outermost.")
+        message = "has a memory, and must not be part of another policy"
+        raise ValueError(f"{where}: {type(policy).__name__} {message}.")
 
 
 def _network(policy: MLP | Residual, action, features, key) -> Network | None:

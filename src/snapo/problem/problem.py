@@ -120,8 +120,8 @@ class Problem:
             return self._kept("interface", version, lambda: self._interface(schedule, version))
 
     def _interface(self, schedule: Schedule, version: Version) -> Interface:
-        """That of an earlier problem of the same form, with the present action set: to trace an
-        observation takes a tenth of a second."""
+        """The interface of an earlier problem of the same form, with the present action set:
+        tracing an observation takes a tenth of a second."""
         if version is not None or type(self.simulator).interface is not Simulator.interface:
             return self.simulator.interface(schedule)
         key = self.form
@@ -143,7 +143,8 @@ class Problem:
         return of_rollout(self.simulator, None, self.schedule)
 
     def _kept(self, name: str, version: Any, make: Callable[[], Any]) -> Any:
-        """What was made before, as long as the code that makes it reads the same."""
+        """A result that was made before, as long as the code that makes it reads the same
+        objects."""
         available = self.__dict__.get(name)
         if available is None or available[0] != version:
             available = self.__dict__[name] = version, make()
@@ -167,7 +168,7 @@ class Problem:
             return self._kept("partly_observed", version, lambda: partly_observed(self))
 
     def _repr_html_(self) -> str:
-        """The inputs in a notebook: name, meaning, how many numbers, the first of them, unit."""
+        """The inputs in a notebook: name, meaning, number of entries, the first entry, unit."""
         rows = [
             f"<tr><td style='text-align:left'>{escape(name)}</td>"
             f"<td style='text-align:left'>{escape(item.meaning)}</td>"
@@ -238,14 +239,14 @@ class Problem:
         """
         if unknown := set(values) - set(self.inputs_by_name):
             raise KeyError(
-                f"no input {sorted(unknown)}; the inputs are {list(self.inputs_by_name)}."
+                f"there is no input {sorted(unknown)}; the inputs are {list(self.inputs_by_name)}."
             )
         return self.with_inputs(
             [values.get(name, inputs.value) for name, inputs in self.inputs_by_name.items()]
         )
 
     def at_values(self, values: dict[str, Any]) -> "Problem":
-        """The problem at other values of the inputs named, with everything that was computed from
+        """The problem at other values of the named inputs, with everything that was computed from
         them recomputed; the policy of a solution can be valued there unchanged.
 
         **Raises:** `KeyError` for a name that is not an input.

@@ -147,8 +147,8 @@ class FactorPrice(Process):
 
     S(t) = F(t) exp(sum_i s_i(t) f_i(t) - variance(t) / 2), df_i = -a_i f_i dt + dW_i, f_i = 0
     today, dW_i dW_j = rho_ij dt, so that E[S(t)] = F(t). Transitions are exact over any interval:
-    Cov(f_i, f_j) = rho_ij (1 - exp(-(a_i + a_j) t)) / (a_i + a_j). The state is f [F].
-    A subclass defines which numbers of the inputs these are.
+    Cov(f_i, f_j) = rho_ij (1 - exp(-(a_i + a_j) t)) / (a_i + a_j). The state is f [F]. A subclass
+    defines which inputs contain the numbers of the factors.
 
     **Arguments:**
 

@@ -1,4 +1,4 @@
-"""Compiles programs that run only a few times faster than XLA's own settings do."""
+"""Compiles programs that are run only a few times, sooner than with XLA's own settings."""
 
 from collections.abc import Callable
 from functools import cache, wraps

@@ -8,7 +8,7 @@ threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian b
 Steps are counted in a calendar that simulators share: a simulator whose `first_step` is 30 uses for
 its step t the noise of the calendar's step 30 + t, and path p is the same scenario in all of them.
 If the initial state is not a function of the noise of earlier steps, a simulator counts from its
-own start. `Scenarios.world` is equal for those that share their paths.
+own start. `Scenarios.world` is equal for scenarios that share their paths.
 """
 
 import abc
@@ -151,7 +151,7 @@ class Sobol(Scenarios):
         return *super().world(simulator), last, self._separate(simulator)
 
     def _separate(self, simulator: Simulator) -> int:
-        """How many normals of the start are none of a step's; they take the first dimensions."""
+        """How many normals of the start belong to no step; they take the first dimensions."""
         return 0 if _start(simulator) else simulator.initial_noise_size
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
@@ -236,7 +236,8 @@ class Supplied(Scenarios):
             )
         if len(paths) and paths.max() >= available:
             raise ValueError(
-                f"Supplied: path {paths.max()} was requested of {available} supplied paths."
+                f"Supplied: path {paths.max()} was requested, but there are only {available} paths "
+                "(numbered from 0)."
             )
         initial = self.initial_noise
         if initial is None:
@@ -255,7 +256,7 @@ class Supplied(Scenarios):
 class EqualPaths(Scenarios):
     """Scenarios of a problem without randomness: all paths are equal.
 
-    At least two are used, since a single one has no standard error: here it is zero.
+    At least two are used, since one path has no standard error; that of equal paths is zero.
     """
 
     inner: Scenarios
@@ -301,7 +302,7 @@ class Sources:
     def of(cls, values: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
         """The sources for the argument `scenarios` of a caller; by default fresh normals of `seed`.
         Scenarios of normals are used for the evaluation only. Supplied paths are divided: the first
-        three fifths train, the next fifth validates, the last evaluates.
+        three fifths train, the next fifth validates, and the last fifth evaluates.
         """
         if isinstance(values, Sources):
             return values
@@ -340,7 +341,7 @@ class Sources:
 
     @classmethod
     def divided(cls, supplied: Supplied) -> "Sources":
-        """Supplied paths in three parts of three, one and one fifth."""
+        """Supplied paths in three parts: three fifths, one fifth and one fifth."""
         if supplied.size < FEWEST:
             raise ValueError(
                 f"Supplied: {supplied.size} paths are too few to train, validate and evaluate on "
@@ -353,8 +354,8 @@ class Sources:
 
 
 def _counted_from(simulator: Simulator) -> int:
-    """The step of the calendar from which a simulator counts its noise: 0, or that of its own start
-    where its initial state is no function of the noise before."""
+    """The step of the calendar from which a simulator counts its noise: 0, or its own start if its
+    initial state is not a function of earlier noise."""
     return simulator.first_step if simulator.first_step > simulator.initial_steps else 0
 
 

@@ -47,10 +47,11 @@ class Simulator(eqx.Module):
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
     - `first_step`: the number of its first step in the calendar by which the steps of scenarios are
-      counted, 0 by default. `initial_steps`: `initial` receives the noise of this number of first
-      steps of the calendar, one after another, and uses those before `first_step`. If there are
-      fewer, its noise is drawn separately, and steps are counted from the simulator's own start.
-      `calendar`: path p is the same scenario only in simulators for which it is equal.
+      counted, 0 by default. `initial_steps`: `initial` receives the noise of this many steps from
+      the calendar's start, one after another, and uses those before `first_step`. If `first_step`
+      is larger than this number, the noise of `initial` is drawn separately, and steps are counted
+      from the simulator's own start. `calendar`: path p is the same scenario only in simulators
+      with an equal `calendar`.
     - `fully_observed`: declares that the observation has all parts of the state that matter for
       decisions; this is then not examined (`problem.unseen`).
     """
@@ -141,7 +142,7 @@ class Simulator(eqx.Module):
 
 
 def _explained(init: Callable[..., None]) -> Callable[..., None]:
-    """An `__init__` whose error explains the fix when it sets an attribute that is not a field."""
+    """An `__init__` that explains the fix if it sets an attribute that is not a field."""
 
     @wraps(init)
     def explained(self: Any, *values: Any, **by_name: Any) -> None:

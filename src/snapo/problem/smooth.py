@@ -36,7 +36,8 @@ class Constraints(TreeRecord):
 
     @abc.abstractmethod
     def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """1 if x > 0, else 0. Smooth: 1 / (1 + exp(-x / w)), wrong by at most exp(-|x| / w)."""
+        """1 if x > 0, else 0. The smooth form is 1 / (1 + exp(-x / w)), with an error of at most
+        exp(-|x| / w)."""
 
     @abc.abstractmethod
     def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
@@ -49,23 +50,26 @@ class Constraints(TreeRecord):
 
     @abc.abstractmethod
     def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
-        """Weights with the sum 1, all of it on the largest score; smooth: softmax(scores / w)."""
+        """Weight 1 on the largest score, 0 on the others. The smooth form is softmax(scores /
+        w)."""
 
     @abc.abstractmethod
     def round(self, x: ArrayLike) -> Array:
-        """The whole number nearest to x, a half to the even one. Smooth: x itself."""
+        """The whole number nearest to x; a half goes to the even one. The smooth form is x
+        itself."""
 
     def absolute(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """|x| = 2 max(x, 0) - x. Smooth: above |x| by at most 3 w / 8, at x = 0."""
+        """|x| = 2 max(x, 0) - x. The smooth form is above |x| by at most 3 w / 8, at x = 0."""
         return 2 * self.positive_part(x, scale) - x
 
     def minimum(self, a: ArrayLike, b: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """min(a, b) = a - max(a - b, 0). Smooth: too low by at most 3 w / 16, at a = b."""
+        """min(a, b) = a - max(a - b, 0). The smooth form is lower by at most 3 w / 16, at a = b."""
         gap, finite = _finite_difference(a, b)
         return xp.where(finite, a - self.positive_part(gap, scale), xp.minimum(a, b))
 
     def maximum(self, a: ArrayLike, b: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """max(a, b) = b + max(a - b, 0). Smooth: too high by at most 3 w / 16, at a = b."""
+        """max(a, b) = b + max(a - b, 0). The smooth form is higher by at most 3 w / 16, at a =
+        b."""
         gap, finite = _finite_difference(a, b)
         return xp.where(finite, b + self.positive_part(gap, scale), xp.maximum(a, b))
 
@@ -79,7 +83,8 @@ class Constraints(TreeRecord):
     def choose(
         self, scores: Float[Array, " n"], options: Float[Array, "n ..."], scale: ArrayLike = 1.0
     ) -> Array:
-        """The option with the largest score; smooth: the softmax-weighted mean of all options."""
+        """The option with the largest score. The smooth form is the softmax-weighted mean of all
+        options."""
         return xp.tensordot(self.weights(scores, scale), options, axes=1)
 
     def simplex(

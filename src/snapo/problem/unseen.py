@@ -67,7 +67,7 @@ def note(names: tuple[str, ...], remembers: bool = False) -> str:
     )
     return (
         f"The observation does not contain all of the state that matters: {', '.join(names)}. "
-        "Derivatives with decisions held fixed are then wrong in principle: take those through the "
+        "Derivatives with decisions held fixed are then wrong in principle: use those through the "
         f"policy (smooth).{memory}"
     )
 

@@ -49,7 +49,7 @@ def value_and_gradient(
     engine: Engine | None = None,
     decisions: Literal["held", "reacting"] = "reacting",
 ) -> tuple[float, Gradient]:
-    """The objective and its exact gradient for the policy and every input.
+    """The objective and its exact gradient with respect to the policy and every input.
 
     They are computed on the first `paths` paths of the problem's evaluation.
 
@@ -111,7 +111,7 @@ def flat_weights(objective: Objective, paths: int) -> Weights:
 
 
 def float64(totals: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Path totals as float64 NumPy, so that sums over paths lose nothing."""
+    """Path totals as float64 NumPy, so that sums over paths lose no digits."""
     return {name: np.asarray(total, np.float64) for name, total in totals.items()}
 
 

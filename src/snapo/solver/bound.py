@@ -1,4 +1,5 @@
-"""An upper bound: the penalised earnings of the best decisions with perfect foresight, by path.
+"""An upper bound: the penalised earnings of the best decisions with perfect foresight, path by
+path.
 
     value of every policy <= value of the best <= E[max over decisions of (earnings - penalty)]
 
@@ -120,7 +121,7 @@ class Bound:
         return replace(self, lower=lower, upper=upper, sure=certain)
 
     def row(self) -> dict[str, Any]:
-        """As plain data."""
+        """The bound as plain data."""
         result = asdict(self) | {"says_little": self.says_little}
         for name in ("lower", "upper", "gap"):
             result[name] = getattr(self, name)._asdict()
@@ -151,7 +152,7 @@ class Bound:
         ]
         if None not in self.sure:
             lines.append(
-                "as certain totals of equal utility: {:,.7g} to {:,.7g}".format(*self.sure)
+                "certainty equivalents of both bounds: {:,.7g} to {:,.7g}".format(*self.sure)
             )
         if self.says_little:
             lines.append(f"this bound {self.says_little}")
@@ -178,7 +179,7 @@ def bound(
       of stopping if `Stop` is the only decision.
     - `penalty`: "none" is perfect foresight; "value" the approximate value function itself;
       "trained" scales its parts by descent on the bound, on `training_paths` other paths.
-    - `source`: scenarios, by default ones that are used for nothing else.
+    - `source`: scenarios, by default fresh ones that nothing else uses.
 
     **Raises:** `ValueError` if the objective is not a mean over paths, if no relaxation is
     available, or if the inner problem earns less than the policy on some path, so that it is not
@@ -239,7 +240,7 @@ Sample = list[tuple[np.ndarray, Draws, Rollout]]
 
 
 class _Paths:
-    """The policy's paths, and the two numbers of each."""
+    """The policy's paths, with the earnings of the policy and the bound of each path."""
 
     def __init__(self, problem: Problem, policy: Policy, relaxation: Relaxation, engine: Engine):
         self.problem, self.policy_, self.relaxation = problem, policy, relaxation
@@ -271,7 +272,8 @@ def _fresh(problem: Problem, seed: int, use: int) -> Scenarios:
 
 
 def _descended(value: Callable[[np.ndarray], float], scale: np.ndarray) -> np.ndarray:
-    """Scales at which the bound, convex in them, is lower: one at a time, by parabolas."""
+    """Scales at which the bound, which is convex in them, is lower: one scale at a time, by
+    parabolas."""
     minimum = value(scale)
     for sweep in range(SWEEPS):
         width = STEP / 2**sweep

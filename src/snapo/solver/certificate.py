@@ -1,4 +1,4 @@
-"""Evidence for the number: the adjoint against bumps on the same paths, and every limit met."""
+"""Evidence for a value: adjoints compared with bumps on the same paths, and every limit met."""
 
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
@@ -31,7 +31,8 @@ class Bump(NamedTuple):
     - `direction`: the label of the bumped number, or "random direction" over all of the input's
       entries.
     - `adjoint`; `central`, `up`, `down`: the derivative and three differences.
-    - `allowed`: 1e-6 of the family's scale, plus the round-off of a difference.
+    - `allowed`: 1e-6 of the input's largest derivative, or along a direction of the sum of the
+      sizes of its terms, plus the round-off of a difference.
     - `kink`: whether the two one-sided differences disagree, and the adjoint equals one of them.
     - `crossing`: the share of paths with a kink within the step; if the adjoint equals neither
       side, it and the differences are those of the other paths only. If all paths have a kink, the
@@ -53,7 +54,8 @@ class Bump(NamedTuple):
 
     @property
     def error(self) -> float:
-        """The distance from the central difference, at a kink from the nearer one-sided one."""
+        """The distance from the central difference; at a kink, from the nearer one-sided
+        difference."""
         if self.crossing == 1.0:
             low, high = sorted((self.up, self.down))
             return max(low - self.adjoint, self.adjoint - high, 0.0)
@@ -91,7 +93,8 @@ class Feasibility(NamedTuple):
 
 
 def nudged(problem: Problem, seed: int = 0) -> Problem:
-    """The problem with each number of its inputs moved by a random relative amount of at most .001.
+    """The problem with each number of its inputs moved by a random relative amount of at most
+    0.001.
 
     Round numbers lead to ties: a store that is filled in exactly eight days is on a kink of its
     limits, where every path has two derivatives. At a nearby point hardly any path is on a kink. A
@@ -119,7 +122,7 @@ def certify_derivatives(
     Inputs that fail while some paths are on a kink are also checked nearby. Kinks of one path at
     the same point may cancel: both sides then have the same slope. An adjoint that takes a mean at
     every tie misses this slope, and no second difference shows the kinks. For these inputs the
-    nearby check counts. The inputs of `Problem.in_mean` are not included, see `in_the_mean`.
+    nearby check counts. The inputs of `Problem.in_mean` are not included (see `in_the_mean`).
     """
     pathwise = set(problem.inputs_by_name) - set(problem.in_mean)
     results = bump_check(problem, policy, paths=paths, only=pathwise, engine=engine)
@@ -142,7 +145,8 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
     """Rows like those of `Bump`, for the inputs of `Problem.in_mean`: the reported derivative
     compared with a move of all their numbers by 1 %, within four standard errors of the difference.
 
-    If a bump refutes the held derivative and is reported itself, there is no difference."""
+    If a bump has refuted the held derivative, the bump itself is reported, and the difference is
+    zero."""
     results = []
     for name in problem.in_mean:
         if (verdict := verdicts.get(name)) is None:
@@ -154,7 +158,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
         results.append(
             {
                 "family": name,
-                "inputs": "all by 1 %, on average",
+                "inputs": "all numbers by 1 %, on average",
                 "worst_error": error / step,
                 "allowed": allowed / step,
                 "passed": verdict.source != UNKNOWN,
@@ -179,12 +183,11 @@ def bump_check(
     """The adjoint against finite differences in float64, on the same paths.
 
     It uses the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the
-    policy reacts; without, the exact simulator replays its recorded decisions.
-    Every input, or those named by `only`, is bumped along one random direction of signs, or with
-    `every` entry by entry.
-    Path weights are held fixed, as in the adjoint. At a kink an adjoint equals one of the one-sided
-    differences. If paths lie on different sides of their kinks, it equals neither; then only the
-    paths without a kink within the step are compared (see `Bump.crossing`).
+    policy reacts; without, the exact simulator replays its recorded decisions. Every input, or
+    those named by `only`, is bumped along one direction of random signs, or with `every` entry by
+    entry. Path weights are held fixed, as in the adjoint. At a kink an adjoint equals one of the
+    one-sided differences. If paths lie on different sides of their kinks, it equals neither; then
+    only the paths without a kink within the step are compared (see `Bump.crossing`).
     """
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)

@@ -25,7 +25,7 @@ PLAIN = ("step", "best_value", "stale", "status", "clip", "keep", "since", "wind
 
 
 def save(progress: Progress, file: Path, mark: str = "") -> None:
-    """Writes the complete state of training; `mark` is that of the run that it belongs to."""
+    """Writes the complete state of training; `mark` identifies the run that it belongs to."""
     state = {
         "step": progress.step,
         "best_value": progress.best_value,
@@ -68,14 +68,15 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
-        raise CheckpointError(f"{file}: this is not a file of this kind.") from None
+        raise CheckpointError(f"{file}: this is not the checkpoint of a training.") from None
     summary = {"history": history, "growth": growth, "dual": dual, "raced": raced}
     summary |= {**steps, "unchanged": int(state.get("unchanged", 0))}
     return replace(like, **trees, **plain, **summary, scale=scale)
 
 
 def _with_critic(file: Path, like: Progress) -> Progress:
-    """With a critic where training chose windows, which a beginning does not know."""
+    """The state with a critic if training has chosen windows, which a state before the first step
+    does not know."""
     try:
         features = read_checked(file)[1]["header"]["features"]
     except (KeyError, TypeError):

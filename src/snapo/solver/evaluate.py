@@ -1,6 +1,6 @@
 """The value of a policy: path totals on fresh scenarios, and the value with its standard error.
 
-Complete trajectories of a policy: states, decisions and outputs of every step.
+`simulate` returns complete trajectories of a policy: states, decisions and outputs of every step.
 """
 
 import math
@@ -133,7 +133,7 @@ def totals_and_decisions(
 
 
 def _keep(rollout: Rollout, block: np.ndarray, paths: int, totals: dict[str, np.ndarray]) -> None:
-    """Puts the totals of some paths among those of all."""
+    """Writes the totals of some paths into those of all."""
     for name, total in float64(rollout.totals).items():
         totals.setdefault(name, np.full(paths, np.nan))[block] = total
 

@@ -44,7 +44,7 @@ def simulated_series(problem: Problem, policy: Policy, paths: int = PATHS) -> di
 
 
 def series_named(series: dict[str, np.ndarray], name: str, subject: str) -> np.ndarray:
-    """One of the series.
+    """The series with this name.
 
     **Raises:** `KeyError` for an unknown name."""
     if name not in series:
@@ -153,7 +153,8 @@ class Figures:
         return figure
 
     def distribution(self, output: str | None = None, *, ax: Any = None) -> Any:
-        """The totals of an output over the evaluation's paths, with mean, and 5 % and 95 % lines.
+        """The totals of an output over the evaluation's paths, with lines at the mean and at the 5
+        % and 95 % quantiles.
 
         Without a name it is the output with the largest spread.
 
@@ -194,7 +195,7 @@ class Figures:
         steps = np.arange(len(series))
         figure, ax = _axes(ax)
         ax.fill_between(steps, low, high, color=SOFT, alpha=0.5, lw=0, label="90 % of paths")
-        ax.fill_between(steps, lower, upper, color=SOFT, lw=0, label="half of them")
+        ax.fill_between(steps, lower, upper, color=SOFT, lw=0, label="50 % of paths")
         ax.plot(steps, np.nanmean(series, 1), color=INK, label="mean")
         ax.set_xlabel("step")
         ax.set_ylabel(name)
@@ -251,11 +252,13 @@ class Figures:
         history = self._history
         figure, ax = _axes(ax)
         steps = [record.step for record in history]
-        ax.plot(steps, [record.objective for record in history], color=SOFT, label="smooth, a step")
+        smooth = [record.objective for record in history]
+        ax.plot(steps, smooth, color=SOFT, label="smooth, at each step")
         # Between two validations the records repeat the last exact value: its first step counts.
         exact = {record.exact: record.step for record in reversed(history)}
         exact = {value: step for value, step in exact.items() if np.isfinite(value)}
-        ax.plot(list(exact.values()), list(exact), "o", color=INK, ms=4, label="exact, validation")
+        validated = list(exact.values())
+        ax.plot(validated, list(exact), "o", color=INK, ms=4, label="exact, at each validation")
         ax.set_xlabel("step of training")
         ax.set_ylabel("objective")
         ax.legend(frameon=False)
@@ -263,9 +266,9 @@ class Figures:
 
 
 def _axes(ax: Any, height: float = 3.6) -> tuple[Any, Any]:
-    """The figure and its axes: those given, without a figure to return, or new ones.
+    """The figure and its axes: the supplied axes without a figure to return, or new ones.
 
-    A new figure draws itself under the cell of a notebook, whatever backend matplotlib has.
+    A new figure shows itself under the cell of a notebook, with any backend of matplotlib.
     """
     if ax is not None:
         return None, ax

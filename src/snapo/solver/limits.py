@@ -53,8 +53,8 @@ MINIMUM = 1e-12
 
 
 class Dual(NamedTuple):
-    """For every limit its multiplier, its price and the unit of a price now, empty before the first
-    step."""
+    """For every limit its multiplier, its price and the present unit of its price; empty before the
+    first step."""
 
     multipliers: tuple[float, ...] = ()
     prices: tuple[float, ...] = ()
@@ -78,7 +78,8 @@ class Dual(NamedTuple):
         objective: Objective,
         limits: Sequence[Limit],
     ) -> "Dual":
-        """The same with the units of prices on these paths, smoothed over earlier measurements."""
+        """The same, with the units of prices measured on these paths and averaged with earlier
+        units."""
         lengths = np.array([
             np.linalg.norm(slope_of(bound_engine, policy, draws, smooth, item))
             for item in (objective, *(limit.measure for limit in limits))
@@ -154,7 +155,7 @@ class LimitFound(NamedTuple):
 
     @property
     def binds(self) -> bool:
-        """Whether it has a price."""
+        """Whether the limit has a price."""
         return bool(self.price_error > 0 or self.price != 0)
 
     @property
@@ -166,7 +167,8 @@ class LimitFound(NamedTuple):
         return str(self)
 
     def __str__(self) -> str:
-        value = f"the value of one unit more is {self.price:,.5g} {plus_minus(self.price_error, 3)}"
+        price = f"{self.price:,.5g} {plus_minus(self.price_error, 3)}"
+        value = f"one unit more of the level changes the objective by {price}"
         return (
             f"{self.name}: {self.value:,.6g} {plus_minus(self.standard_error, 3)} (95 %: "
             f"{self.low:,.6g} to {self.high:,.6g}), {self.met}; "

@@ -143,11 +143,11 @@ def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, eng
 
 
 def _by_derivative(problem: Problem, invalid: int, paths: int) -> str:
-    """All totals are finite, and the way back is not: the checker knows where."""
+    """The message if all totals are finite but derivatives are not: the checker knows where."""
     many = f"the derivatives of {invalid} of {paths} paths are" if invalid else "the gradient is"
     errors = check(problem.simulator, problem.inputs).errors
     text = f" {errors[0].where}: {errors[0].subject}" if errors else ""
-    return f"{many} non-finite, though all totals are.{text}"
+    return f"{many} non-finite, although all totals are finite.{text}"
 
 
 def _first(problem: Problem, policy, draws, smooth) -> FirstNonFinite | None:
@@ -169,7 +169,7 @@ def _first(problem: Problem, policy, draws, smooth) -> FirstNonFinite | None:
 
 
 def _not_finite(leaf: np.ndarray, largest: bool) -> Any:
-    """Where an array is non-finite; a step may add nothing to a largest number, minus infinity."""
+    """Where an array is non-finite; minus infinity is allowed where a maximum has no number yet."""
     if leaf.dtype.kind != "f":
         return np.zeros(leaf.shape, bool)
     return ~np.isfinite(leaf) & ~(largest & (leaf == -np.inf))

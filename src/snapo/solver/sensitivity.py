@@ -164,7 +164,8 @@ def second_order(
     The derivatives are those with decisions held fixed, but along a direction the decisions respond
     through the smooth policy. Otherwise a value that is linear in prices would have no second
     derivative. Directions and results are {input: array}; a missing direction is zero. `smooth`:
-    `Smooth(0.005)` by default. XLA only; weights are held fixed if the objective is not linear.
+    `Smooth(0.005)` by default. Only the XLA engine computes it; weights are held fixed if the
+    objective is not linear.
     """
     engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs
     smooth = smooth or Smooth(TEMPERATURE)
@@ -176,7 +177,9 @@ def second_order(
     for direction in directions:
         unknown = set(direction) - set(names)
         if unknown:
-            raise KeyError(f"second_order: no input {sorted(unknown)}; the inputs are {names}.")
+            raise KeyError(
+                f"second_order: there is no input {sorted(unknown)}; the inputs are {names}."
+            )
         along = [
             np.broadcast_to(np.asarray(direction.get(n, 0.0), float), v.shape)
             for n, v in zip(names, values)

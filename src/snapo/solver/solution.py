@@ -55,10 +55,10 @@ class Solution:
     - `smoothing_gap`: exact minus smooth value, on the first of the same paths, with its standard
       error `smoothing_gap_error`; `smooth_value`: the value minus the gap.
     - `policy`: the reported policy; `selected`: "start" (the rule that training began with),
-      "newest", "highest" of the validation or "top of the surface"; `gain`: the gain of the best of
-      a training over its start, with the standard error, on separate paths.
-    - `policy_gradient_norm`: it vanishes at an optimum. The noise in it, `policy_gradient_noise`,
-      has been subtracted: a norm below its noise may be zero.
+      "newest", "highest" of the validation or "top of the surface"; `gain`: the gain of the best
+      policy of a training over its start, with the standard error, on separate paths.
+    - `policy_gradient_norm`: the norm of the policy's gradient, which vanishes at an optimum. The
+      noise in it, `policy_gradient_noise`, has been subtracted: a norm below its noise may be zero.
     - `sensitivities`: the derivative with respect to every input, with its interval.
     - `totals`: {output: [paths]} of the exact simulator; `history`: the history of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: the engine used, and why.
@@ -79,7 +79,7 @@ class Solution:
     - `maximised`: the objective as text, "mean of cash"; empty in a solution saved without it.
     - `dropped`: {train, evaluate, sensitivities}: the number of non-finite paths, which are left
       out; `notes`: remarks on the value.
-    - `folder`: the folder from which it was loaded.
+    - `folder`: the folder from which the solution was loaded.
     """
 
     value: float
@@ -284,9 +284,9 @@ class Solution:
     def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
         """The solution that was saved in a folder; nothing in it is executed.
 
-        The folder is that of `solution.save` or of a run of `snapo solve`, or the one above a run.
-        A policy of a user-defined class is stored without its code: `like` is such a policy, of the
-        same shape; without it the solution has no policy.
+        The folder is that of `solution.save` or of a run of `snapo solve`, or the folder above a
+        run. A policy of a user-defined class is stored without its code: `like` is such a policy,
+        of the same shape; without it the solution has no policy.
 
         **Raises:** `CheckpointError` if a file is missing or damaged, or contains a policy that
         differs from `like` in shape, activation or action set.
@@ -295,7 +295,7 @@ class Solution:
         try:
             return cls._read(folder, like)
         except (KeyError, TypeError, AttributeError, IndexError) as error:
-            message = f"{folder / SOLUTION}: this is not a file of this kind ({error})."
+            message = f"{folder / SOLUTION}: this is not the file of a solution ({error})."
             raise solution_file.CheckpointError(message) from None
 
     @classmethod
@@ -340,7 +340,8 @@ PLAIN = (
 
 @contextmanager
 def _pages(verb: str, extra: str) -> Iterator[Any]:
-    """The module that makes pages, in a room above this one; a missing package names its extra."""
+    """The module that makes pages, from a package above this one; a missing library names its
+    extra."""
     try:
         yield import_module("snapo.domains.own.in_python")
     except ModuleNotFoundError as error:
@@ -357,7 +358,7 @@ def folder_of(folder: Path | str) -> Path:
 
 
 def _policy(file: Path, like: Policy | None) -> Policy | None:
-    """The policy of a file; None if its class is user code and there is nothing like it."""
+    """The policy of a file; None if its class is user code and there is no `like`."""
     try:
         if like is None:
             return stored(file, Policy).policy

@@ -71,17 +71,17 @@ def solve(
       are decided. A trained policy, or an earlier `Solution`, is trained further. Any other
       `eqx.Module` is called as `policy(observation, smooth)`, or as `network(observation)`, whose
       outputs are squashed into the action set.
-    - `objective`: maximised; the name of an output means its mean. By default the mean of the only
-      output, unless its name suggests a cost, such as "cost".
+    - `objective`: the objective, which is maximised; the name of an output means its mean. The
+      default is the mean of the only output, unless its name suggests a cost, such as "cost".
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
-      ones of `training.seed`. `Supplied` ones are divided between all roles.
+      scenarios from `training.seed`. `Supplied` scenarios are divided between all roles.
     - `constraints`: one or several limits on means, probabilities or other statistics of all paths,
       such as `[Mean("unserved") <= 0.05]`: an augmented Lagrangian determines their prices in
       training, and the derivatives with respect to inputs are those of the best value within them.
     - `engine`: "auto", "xla" or "native", or an engine.
-    - `callbacks`: called with the `Progress` at every validation; `progress.record` is the last
-      line of its history; a callback that returns True stops the training. `progress`: a state from
-      which to continue.
+    - `callbacks`: functions that are called with the `Progress` at every validation;
+      `progress.record` is the last line of its history; a callback that returns True stops the
+      training. `progress`: a state from which to continue.
     - `check`: whether to run the checks that need only tracing, in tenths of a second.
     - `executor`: a `concurrent.futures.Executor`, such as Dask's `client.get_executor(pure=False)`,
       or several. Its workers compute a part of the paths of every step that takes 50 ms or more
@@ -156,7 +156,7 @@ def _over(engines: Engines, executor: Executor | Sequence[Executor]) -> Engines:
 
 
 def _settings(name: str, values: Settings | None, kind: type[Settings]) -> Settings:
-    """The settings given, or the usual ones.
+    """The supplied settings, or the default ones.
 
     **Raises:** `ValueError` if they are of another kind, such as a dictionary.
     """
@@ -177,7 +177,7 @@ def in_order(problem: Any, inputs: PyTree, policy: Any) -> tuple[PyTree, Any]:
 
 
 def _recipe(policy: Policy | eqx.Module | Solution | None) -> Policy:
-    """The policy to train: the one given, or that of an earlier solution."""
+    """The policy to train: the supplied policy, or that of an earlier solution."""
     if isinstance(policy, Solution):
         policy = policy.policy
         if policy is None:
@@ -193,7 +193,7 @@ def _begun(
     fresh: bool,
     bar: ProgressLine,
 ) -> Progress:
-    """The start, or the best of several after the rounds in which the others fell out.
+    """The start, or the best of several after the rounds in which the others were dropped.
 
     Networks that are `fresh`, made here from a recipe, are drawn for the unscaled features.
     """
@@ -217,7 +217,7 @@ def _interrupted(step: int, steps: int) -> str:
 
 
 def _fresh_starts(policy: Policy, training: TrainingPlan) -> Callable[[int], Policy]:
-    """Starts that no race has had: for a training that has to restart."""
+    """Starts that were in no race, for a training that has to restart."""
     first = 1 + training.starts
     return lambda number: others(policy, first + number, training.seed)[-1]
 

@@ -31,14 +31,15 @@ def plus_minus(error: float, digits: int = 2, degrees: float = np.inf) -> str:
 
 
 def rounded(value: float, digits: int) -> str:
-    """A number to so many significant digits, large ones without a power of ten: "16,040"."""
+    """A number with this many significant digits, without a power of ten if it is large:
+    "16,040"."""
     return f"{float(f'{value:.{digits}g}'):,.12g}"
 
 
 def with_error(value: float, error: float) -> str:
-    """A number with half of its interval, which has two significant digits: "2,732 ± 21". If they
-    are very large or small, both share a power of ten, "(1.235 ± 0.021)e-07". Without an error, or
-    with an error of the size of round-off, the number has twelve digits.
+    """A number with half of its interval, which has two significant digits: "2,732 ± 21". If the
+    numbers are very large or small, both share a power of ten, "(1.235 ± 0.021)e-07". Without an
+    error, or with an error of the size of round-off, the number has twelve digits.
     """
     value, error = float(value) + 0.0, float(f"{error:.1e}")
     size = max((abs(x) for x in (value, error) if np.isfinite(x)), default=0.0)
@@ -80,7 +81,7 @@ class Sampled(NamedTuple):
 class Estimate(NamedTuple):
     """Numbers of any shape from independent blocks of paths: `blocks` [B, *shape].
 
-    The mean over the blocks is the estimate, their spread its standard error.
+    The mean over the blocks is the estimate, and their spread gives its standard error.
     """
 
     blocks: np.ndarray
@@ -105,7 +106,8 @@ class Estimate(NamedTuple):
 
     @property
     def standard_error(self) -> np.ndarray:
-        """Their standard errors, of the same shape; Student's t has B - 1 degrees of freedom."""
+        """The standard errors of the numbers, of the same shape; Student's t has B - 1 degrees of
+        freedom."""
         return _error(self.blocks)
 
     def along(self, direction: np.ndarray) -> tuple[float, float]:
@@ -127,7 +129,7 @@ def critical(degrees: float = np.inf, level: float = LEVEL, comparisons: int = 1
     """The number of standard errors to either side of an estimate, for intervals that hold for all
     `comparisons` estimates together.
 
-    Bonferroni's bound: each may miss with probability (1 - level) / comparisons.
+    By Bonferroni's bound, each interval may miss with probability (1 - level) / comparisons.
     """
     from scipy import special  # late: it takes as long as reading a case
 
@@ -141,14 +143,15 @@ def independent(*errors: float | np.ndarray) -> np.ndarray:
 
 
 def shares(values: np.ndarray, groups: np.ndarray | None = None) -> np.ndarray:
-    """[G]: the mean over paths as a mean over groups; `groups` [N] are numbers from 0."""
+    """[G] one number for each group, whose mean is the mean over paths. `groups` [N]: the number of
+    each path's group, from 0."""
     return ratio_shares(values, np.ones(len(values)), groups)
 
 
 def ratio_shares(
     top: np.ndarray, bottom: np.ndarray, groups: np.ndarray | None = None
 ) -> np.ndarray:
-    """[G]: sum(top) / sum(bottom) as a mean over groups, linearised at it."""
+    """[G] one number for each group, whose mean is sum(top) / sum(bottom); linearised there."""
     top, bottom = np.asarray(top, np.float64), np.asarray(bottom, np.float64)
     if groups is not None:
         top, bottom = np.bincount(groups, top), np.bincount(groups, bottom)
@@ -161,7 +164,7 @@ def ratio_shares(
 
 
 def of_shares(result: np.ndarray, fit: int = 0) -> Sampled:
-    """The estimate of shares [G]; `fit` coefficients cost one degree of freedom each."""
+    """The estimate from shares [G]; each of `fit` coefficients costs one degree of freedom."""
     degrees = len(result) - 1 - fit
     with np.errstate(invalid="ignore"):
         error = float(_error(result)) if degrees > 0 else np.nan
@@ -279,7 +282,8 @@ def shortfall(
 
 
 def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> Sampled:
-    """A quantile; its error by inverting the interval of the share below it (Woodruff 1952)."""
+    """A quantile; its error is the inverse of the interval of the share below it (Woodruff
+    1952)."""
     result = float(np.quantile(values, level))
     below = mean(np.asarray(values) <= result, groups)
     half = critical(below.degrees) * below.standard_error

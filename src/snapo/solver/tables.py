@@ -158,7 +158,7 @@ def _fill(sheet: Any, table: SheetTable) -> int:
 
 
 def _native(value: Any) -> Any:
-    """A value as a cell holds it; nothing for a number that is none."""
+    """A value as a cell contains it; empty for a number that is not finite."""
     if value is None or isinstance(value, bool | int | datetime.date):
         return value
     if isinstance(value, str):

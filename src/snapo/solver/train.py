@@ -1,9 +1,9 @@
-"""Training: stochastic gradient ascent on the smooth simulator, one adjoint pass a step.
+"""Training: stochastic gradient ascent on the smooth simulator, one adjoint pass per step.
 
 `train` is a plain loop. Adam with warm-up and cosine decay maximises the objective; the temperature
 of the constraints is annealed; the parameters are averaged; the averaged policy is validated on the
-EXACT simulator and the best one is kept. Fresh scenarios every step are a function of seed and
-step, so a stopped run continues bit for bit from its `Progress`.
+EXACT simulator and the best one is kept. The fresh scenarios of every step are a function of seed
+and step, so a stopped run continues bit for bit from its `Progress`.
 """
 
 import math
@@ -150,7 +150,7 @@ def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engi
 
 
 def _updaters(training: TrainingPlan, progress: Progress) -> tuple[Callable, Callable]:
-    """At the rate in force."""
+    """The compiled updates at the present rate."""
     training = replace(training, learning_rate=progress.rate(training))
     scale = progress.scale
     return updater(training, scale=scale), updater(training, UPDATES, scale)
@@ -278,7 +278,8 @@ def most_dropped(training: TrainingPlan) -> float:
 
 
 def _chosen(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
-    """With the window and the bound of this step: none until gradients are erratic or explode."""
+    """The state with the window and the bound of this step: none until gradients are erratic or
+    explode."""
     norms = [record.gradient_norm for record in progress.history]
     if progress.window is not None or not norms:
         return progress  # a window is short enough
@@ -327,7 +328,7 @@ def _may_window(
 
 
 def _clipped(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
-    """With a bound as adjoints are now, or without one where they grow no more."""
+    """The state with a bound from the present adjoints, or without one if they no longer grow."""
     step = progress.step
     if progress.growth is None or progress.clip is not None:
         measured = sampled_norms(loop.problem, progress.policy, smooth, step)
@@ -340,7 +341,7 @@ def _clipped(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress
 
 
 def _windowed(loop: TrainingLoop, progress: Progress, length: int) -> Progress:
-    """On windows of a length from here on, with a critic that knows nothing yet."""
+    """The state that continues on windows of this length, with an untrained critic."""
     training = loop.training
     fresh = restarted(training, progress.policy, progress.optimiser, UPDATES)
     if progress.step <= FIRST:

@@ -60,8 +60,10 @@ def test_the_better_half_goes_on_until_one_is_left():
     assert [each.step for each in rounds] == [20, 40, 60]
     assert rounds[1].values == ((1, 5.0), (2, 4.0), (0, 3.0))
     assert starts.describe(rounds) == (
-        "Of 5 starts, of which the worse half was dropped every 20 steps, number 2 remained: the others were 80 % lower to 20 % "
-        "lower at step 20; the others were 40 % lower to 20 % lower at step 40; the other was 20 % "
+        "Of 5 starts, of which the worse half was dropped every 20 steps, number 2 remained: the "
+        "values of the others were 80 % lower to 20 % "
+        "lower at step 20; the values of the others were 40 % lower to 20 % lower at step 40; the "
+        "value of the other was 20 % "
         "lower at step 60. The result depends on the initial weights: try more of them (starts=10)."
     )
     assert starts.race(begun[:1], 200, run) == (begun[0], ())
@@ -72,10 +74,12 @@ def test_starts_are_compared_at_equal_steps_also_where_the_winner_was_behind():
     """What a start had when it fell out is no news of how far it would have come."""
     rounds = (Round(10, ((1, 2.01), (0, 2.0), (2, 1.985))), Round(20, ((0, 3.0), (1, 2.99))))
     words = starts.describe(rounds)
-    assert "number 1 remained: the others were 0.75 % lower to 0.5 % higher at step 10" in words
-    assert "the other was 0.33 % lower at step 20" in words and "starts=" not in words
+    assert (
+        "remained: the values of the others were 0.75 % lower to 0.5 % higher at step 10" in words
+    )
+    assert "the value of the other was 0.33 % lower at step 20" in words and "starts=" not in words
     none = (Round(10, ((0, 0.0), (1, -1.0))),)
-    assert "some of them had no value for a comparison" in starts.describe(none)
+    assert "some starts had no value for a comparison" in starts.describe(none)
 
 
 @pytest.mark.parametrize(

@@ -78,9 +78,9 @@ def ended(times, window=None, clip=None, keep=1.0):
 
 @pytest.mark.parametrize(
     "how, said",
-    [({"clip": 12.3}, "bounded, at 12.3 in the end (Training(clip=None) turns this off)"),
+    [({"clip": 12.3}, "bounded, by 12.3 at the end (Training(clip=None) turns this off)"),
      ({"window": 25}, "From step 20 of the training on, windows of 25 steps"),
-     ({"clip": 2.0, "keep": 0.9}, "every backward step kept only a share of 0.9 of it"),
+     ({"clip": 2.0, "keep": 0.9}, "every backward step kept only a share of 0.9 of the adjoint"),
      ({}, "Training did not respond to this")],
 )  # fmt: skip
 def test_large_growth_is_told_with_step_state_and_bound(how, said):
@@ -91,8 +91,10 @@ def test_large_growth_is_told_with_step_state_and_bound(how, said):
 
 def test_a_bound_that_was_lifted_is_told_with_its_steps():
     (told,) = start_notes(replace(ended(5000.0, clip=12.3), clip=None))
-    said = "From step 20 of the training on to step 30, after which they grew no more, each path's"
-    assert said in told and "in the end" not in told
+    said = (
+        "From step 20 of the training on until step 30, after which adjoints no longer grew, each"
+    )
+    assert said in told and "at the end" not in told
 
 
 def test_a_quiet_horizon_is_not_told_of():
@@ -117,7 +119,7 @@ def test_a_window_of_ones_own_has_its_record_too(tmp_path):
     found = snapo.solve(problem(), policy=RULE, training=bounded, evaluation=FEW, engine="xla")
     assert (found.clip, found.keep) == (2.0, 0.9) and found.growth is not None
     assert {record.clip for record in found.history} == {2.0}
-    assert found.summary()["clip"] == 2.0 and "at 2 in the end" in " ".join(found.notes)
+    assert found.summary()["clip"] == 2.0 and "by 2 at the end" in " ".join(found.notes)
 
 
 @pytest.mark.prove

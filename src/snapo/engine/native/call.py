@@ -51,7 +51,7 @@ class Seats(NamedTuple):
 
     @classmethod
     def of(cls, sizes: Sequence[int], lanes: int) -> "Seats":
-        """For consecutive parts of these numbers of paths."""
+        """The seats for consecutive parts with these numbers of paths."""
         blocks = [-(-size // lanes) for size in sizes]
         starts = np.cumsum([0, *sizes[:-1]])
         slots = [np.arange(count * lanes) for count in blocks]
@@ -275,7 +275,7 @@ class NativeCall:
         """The gradients (policy, schedule, start) of one column, as NumPy arrays in the engine's
         precision.
 
-        Policy and schedule have a leading axis of parts, if sums are by part.
+        Policy and schedule have a leading axis of parts, if each part of the paths has its own sum.
         """
         lead = out.call_sums.shape[:-1]
         trees, layouts, dtype = runner.kernel.trees, runner.kernel.layouts, self.engine.dtype

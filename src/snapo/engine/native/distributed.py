@@ -1,9 +1,10 @@
 """Groups of paths computed by other processes: a part of a run of a kernel, as bytes.
 
-A job has the rows that some groups read. The kernel and the numbers of its steps, which are the
-same at every step of training, are sent to a worker that does not have them yet. It needs neither
-the simulator nor the policy. The result has the rows that the kernel wrote, with separate sums for
-every group: they are added in the same way in all runs, so that the bits are those of one process.
+A job contains the rows that some groups read. The kernel and the numbers of its steps, which are
+the same at every step of training, are sent to a worker that does not have them yet. It needs
+neither the simulator nor the policy. The result has the rows that the kernel wrote, with separate
+sums for every group: they are added in the same way in all runs, so that the bits are those of one
+process.
 """
 
 import hashlib

@@ -87,7 +87,7 @@ def _domain(a: Arithmetic, x: Ref, pole: float, result: Ref) -> Ref:
 
 
 def power(a: Arithmetic, x: Ref, y: Ref) -> Ref:
-    """x^y by float64 logarithms for float32; float64 goes to the C library."""
+    """x^y: in float32 by logarithms in float64, in float64 by the C library."""
     code = a.code
     if a.format.dtype == "float64":
         return code.call("llvm.pow", x, y)

@@ -49,8 +49,8 @@ class Ahead:
     LIMIT = 8  # lines that one round fetches
 
     def __init__(self, code: "Code", start: str, size: int, rounds: int, written: bool):
-        """So many rounds fetch `size` bytes, which are then read or `written`. Bytes to be read
-        that exceed the limit of the rounds are fetched here."""
+        """Divides the fetch of `size` bytes, which are then read or `written`, among this many
+        rounds. Bytes to be read that exceed the limit of the rounds are fetched here."""
         self.code, self.start, self.written, self.taken = code, start, written, 0
         self.share = min(self.LIMIT * LINE, -(-size // rounds)) if rounds else 0
         code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
@@ -100,7 +100,7 @@ class Code:
         return f"{prefix}{self.count}"
 
     def raw(self, text: str, prefix: str = "v") -> str:
-        """Appends `%name = text` and gives the name."""
+        """Appends `%name = text` and returns the name."""
         name = "%" + self.fresh(prefix)
         self.lines.append(f"  {name} = {text}")
         return name

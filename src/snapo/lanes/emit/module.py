@@ -65,7 +65,7 @@ class Module:
         self.functions.append(text)
 
     def table(self, array: np.ndarray) -> str:
-        """A constant array of the kernel; gives its address."""
+        """A constant array of the kernel; returns its address."""
         name = f"@table{len(self.tables)}"
         kind = "i8" if array.dtype == np.bool_ else TYPES[array.dtype.name]
         dtype = stored(array.dtype.name)

@@ -200,7 +200,7 @@ class EmittedValues:
         return home or self.workspace.allocate(value.shape, value.dtype, self.lanes(value))
 
     def copy(self, value: ProgramValue, target: ArrayPlace) -> None:
-        """Writes a value to a place; it stays where it was."""
+        """Writes a value to a place; the value also stays where it was."""
         available = self.get(value)
         if (isinstance(available, Small) and available.uniform is None) or math.prod(
             available.shape

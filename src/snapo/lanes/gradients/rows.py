@@ -241,7 +241,8 @@ class Rows:
         count: str,
         along: ArrayPlace | None = None,
     ) -> None:
-        """Adds the sum over steps of rows x columns to the target, that of the rows to `along`."""
+        """Adds the sum over steps of rows x columns to the target, and that of the rows to
+        `along`."""
         a, stride_a = self.address(t.rows, tape_row, chunk_row)
         b, stride_b = self.address(t.columns, tape_row, chunk_row)
         sizes = t.rows.size, t.columns.size

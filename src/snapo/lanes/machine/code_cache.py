@@ -4,8 +4,9 @@ $XDG_CACHE_HOME/snapo/kernels    machine code of kernels, and kernels as traced
 $XDG_CACHE_HOME/snapo/xla        XLA's programs
 
 `XDG_CACHE_HOME` is `~/.cache` if it is not set. The oldest files beyond 512 MB in a folder are
-removed, and those not used (kernels) or made (programs) for 60 days: of kernels when one is made,
-of programs when a command begins. Code from here is executed, so it must belong to the user.
+removed. So are kernels that were not used for 60 days, when a kernel is made, and programs made
+more than 60 days ago, when a command begins. Code from here is executed, so it must belong to the
+user.
 """
 
 from collections.abc import Mapping
@@ -41,8 +42,8 @@ def linked_code(text: str, entries: Mapping[str, int]) -> Linked:
 
 
 def keep_programs() -> None:
-    """XLA's programs of this process are kept on disk and read from there, unless the user has
-    named another folder (`JAX_COMPILATION_CACHE_DIR`), or has switched the cache off."""
+    """Keeps XLA's programs of this process on disk and reads them from there, unless the user has
+    chosen another folder (`JAX_COMPILATION_CACHE_DIR`), or has switched the cache off."""
     import jax  # late: `snapo cache` shows the folders without it
 
     config = jax.config

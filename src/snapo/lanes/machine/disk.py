@@ -2,7 +2,7 @@
 
 LLVM's passes do not release 0.2 megabytes of memory for a small kernel (measured with `mallinfo2`;
 modules, contexts, pass managers and targets release all of theirs). After many compilations a new
-process makes the code, so that this memory is bounded."""
+process makes the code, to keep this memory bounded."""
 
 import hashlib
 import itertools
@@ -35,7 +35,7 @@ def object_code(text: str) -> bytes:
 
 
 def _apart(text: str) -> bytes | None:
-    """Made by a new process, whose memory goes with it; None if there can be none."""
+    """Machine code made by a new process, which frees its memory as it ends; None if that fails."""
     if not sys.executable:
         return None
     root = str(Path(__file__).parents[3])

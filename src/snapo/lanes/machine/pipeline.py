@@ -53,7 +53,7 @@ REGISTERS = 2  # per number and block: two chains side by side hide part of the 
 
 
 class Processor(NamedTuple):
-    """A processor as LLVM describes it; `register` are the bytes of a vector register."""
+    """A processor as LLVM describes it; `register`: the number of bytes of a vector register."""
 
     triple: str
     name: str

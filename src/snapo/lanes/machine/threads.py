@@ -125,7 +125,7 @@ def _helper() -> Helper:
 
 
 def _wait(others: list[threading.Lock]) -> None:
-    """Until each lock is free; it may be done twice."""
+    """Waits until each lock is free; a second call does no harm."""
     for done in others:
         with done:
             pass

@@ -125,7 +125,8 @@ class Assembled:
         return parts.array
 
     def _sliced(self, whole: Assembly, params) -> Any:
-        """A slice along the axis of the parts; None of other ones, of all and of nothing."""
+        """A slice along the axis of the parts; None for other slices, for all parts and for an
+        empty slice."""
         starts, limits, axis = params["start_indices"], params["limit_indices"], whole.axis
         shape = jnp.shape(whole.array)
         across = [i for i in range(len(shape)) if i != axis]

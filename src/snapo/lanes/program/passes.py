@@ -63,7 +63,7 @@ def _inverse(value: ProgramValue) -> ProgramValue | None:
 
 
 def share(program: Program, equal: Replaced | None = None) -> Program:
-    """Common subexpressions: one computation of each operation on the same inputs.
+    """Computes common subexpressions once: each operation on the same inputs.
 
     An operation that reads an input in `equal` reads its equal one instead.
     """
@@ -162,8 +162,8 @@ def _without_one(op: Op) -> Op:
 
 
 def _unchanged(op: Op) -> ProgramValue | None:
-    """The input that an operation returns as it is: the factor beside one, or the option that a
-    known mask takes everywhere."""
+    """The input that an operation returns unchanged: the other factor of a product with one, or the
+    option that a known mask takes everywhere."""
     first, *others = op.inputs
     options: list[ProgramValue] = []
     if op.name == "mul":
@@ -182,7 +182,7 @@ def _is(value: ProgramValue, number: int) -> bool:
 
 
 def drop(program: Program) -> Program:
-    """Dead code: operations whose outputs are never read."""
+    """Removes dead code: operations whose outputs are never read."""
     live = set(program.outputs)
     ops = []
     for op in reversed(program.ops):

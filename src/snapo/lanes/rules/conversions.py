@@ -16,7 +16,7 @@ def compare(code: Code, name: str, a: Ref, b: Ref) -> Ref:
 
 
 def convert(code: Code, x: Ref, dtype: str) -> Ref:
-    """Between types as XLA does: towards zero, saturating, NaN to 0."""
+    """Converts between types as XLA does: rounds towards zero and saturates; NaN becomes 0."""
     if x.dtype == dtype:
         return x
     if x.value is not None:

@@ -155,9 +155,10 @@ def _tallest(code: Code, out: ProgramValue) -> int:
 
 
 def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
-    """(first row, count, height) of tiles of two heights: a low last tile would idle the processor.
+    """(first row, count, height) of tiles of two heights: a low last tile would leave the processor
+    idle.
 
-    A multiply-add takes four cycles, and two begin in each.
+    A multiply-add takes four cycles, and two begin in each cycle.
     """
     tiles = -(-rows // largest)
     height, taller = divmod(rows, tiles)

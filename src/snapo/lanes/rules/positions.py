@@ -51,7 +51,7 @@ def lookup(code: Code, which: Ref, options: list[Ref]) -> Ref:
 
 
 def _permute(code: Code, table: Ref, at: Ref) -> Ref:
-    """table[at], of which only the low bits count."""
+    """table[at]; of `at` only the low bits count."""
     if (code.module.register, np.dtype(table.dtype).itemsize) not in PERMUTES:
         return _permute_halves(code, table, at)
     name, kind = PERMUTES[code.module.register, np.dtype(table.dtype).itemsize]
@@ -62,7 +62,8 @@ def _permute(code: Code, table: Ref, at: Ref) -> Ref:
 
 
 def _permute_halves(code: Code, table: Ref, at: Ref) -> Ref:
-    """Four numbers of eight bytes, for want of an instruction as eight of four: 2 i and 2 i + 1."""
+    """Four numbers of eight bytes as eight of four, 2 i and 2 i + 1: no instruction permutes the
+    four."""
     twice = code.op("shl", convert(code, at, "int64"), code.constant(1, "int64"))
     high = code.op("shl", twice, code.constant(32, "int64"))
     both = code.add(code.op("or", twice, high), code.constant(1 << 32, "int64"))
@@ -95,7 +96,7 @@ def _clamp(code: Code, x: Ref, last: int) -> Start:
 def limit(op: Op, moved: ProgramValue) -> None:
     """**Raises:** `Unsupported` for more elements than can be written out."""
     if moved.size > LARGEST:
-        raise Unsupported(f"{op.name}: of {moved.size} elements (at most {LARGEST}), at {op.where}")
+        raise Unsupported(f"{op.name}: {moved.size} elements (at most {LARGEST}), at {op.where}")
 
 
 def window_start(

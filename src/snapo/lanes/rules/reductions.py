@@ -122,7 +122,7 @@ def _cumulative(values: EmittedValues, op: Op) -> None:
     """Running sums, products and extremes, one element after another."""
     axis, x, out = op.params["axis"], op.inputs[0], op.outputs[0]
     if x.size > 8 * BIG:
-        raise Unsupported(f"{op.name}: of {x.size} numbers (at most {8 * BIG}), at {op.where}")
+        raise Unsupported(f"{op.name}: {x.size} numbers (at most {8 * BIG}), at {op.where}")
     items = np.moveaxis(values.small(x), axis, 0)
     items = items[::-1] if op.params["reverse"] else items
     result = np.empty(items.shape, object)

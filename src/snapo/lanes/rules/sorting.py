@@ -18,7 +18,7 @@ def _sort(values: EmittedValues, op: Op) -> None:
     axis, keys = op.params["dimension"], op.params["num_keys"]
     length = op.inputs[0].shape[axis]
     if length > LONGEST or op.inputs[0].size > 4 * LONGEST:
-        raise Unsupported(f"sort: of {length} numbers (at most {LONGEST}), at {op.where}")
+        raise Unsupported(f"sort: {length} numbers (at most {LONGEST}), at {op.where}")
     columns = [np.moveaxis(values.small(v), axis, 0).copy() for v in op.inputs]
     code = values.code
     for p in np.ndindex(*columns[0].shape[1:]):
@@ -76,7 +76,7 @@ def _extreme(values: EmittedValues, op: Op) -> None:
     (axis,) = op.params["axes"]
     x, out, code = op.inputs[0], op.outputs[0], values.code
     if x.size > 4 * LONGEST:
-        raise Unsupported(f"{op.name}: of {x.size} numbers (at most {4 * LONGEST}), at {op.where}")
+        raise Unsupported(f"{op.name}: {x.size} numbers (at most {4 * LONGEST}), at {op.where}")
     items = np.moveaxis(values.small(x), axis, 0)
     result = np.empty(items.shape[1:], object)
     for p in np.ndindex(*items.shape[1:]):
@@ -101,7 +101,7 @@ def _search(values: EmittedValues, op: Op) -> None:
     code, out = values.code, op.outputs[0]
     if table.size > 4 * LONGEST:
         raise Unsupported(
-            f"searchsorted: in {table.size} entries (at most {4 * LONGEST}), at {op.where}"
+            f"searchsorted: {table.size} entries (at most {4 * LONGEST}), at {op.where}"
         )
     entries, queries = values.small(table), values.small(query)
     result = np.empty(query.shape, object)

@@ -1,7 +1,5 @@
-"""One of several options (`Choice`), and rights to be used once each (`Stop`).
-
-When to stop: one right or several, each of which can be used once.
-"""
+"""One of several options (`Choice`), and when to stop: one right or several, each of which can be
+used once (`Stop`)."""
 
 import equinox as eqx
 import jax
@@ -18,7 +16,8 @@ LARGEST = 0.12  # share of the scale that the root mean square of scores stays b
 
 
 class Choice(Actions):
-    """One of `size` unordered options: the action is a weight on each, and they sum to 1.
+    """One of `size` unordered options: the action is a weight on each option, and the weights sum
+    to 1.
 
     In the value the weight is 1 on the option with the largest score. In training there are two
     ways to read the weights:
@@ -46,7 +45,8 @@ class Choice(Actions):
         self.size, self.scale = count("Choice: size", size, 2, ", the number of options"), scale
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """softmax(kept(raw) / (temperature * scale)); exact: 1 on the largest score."""
+        """softmax(kept / (temperature * scale)), where `kept` are the limited scores; in the exact
+        set 1 on the largest score."""
         return smooth.weights(raw if isinstance(smooth, Exact) else self._kept(raw), self.scale)
 
     def _kept(self, raw: Float[Array, " size"]) -> Float[Array, " size"]:
@@ -76,7 +76,7 @@ class Choice(Actions):
 
         Then the derivative of the mean is correct for any effect of an option, including jumps (the
         likelihood ratio of Glynn, 1990). The noise of this derivative grows with the size of the
-        output: subtract a guess that does not depend on the choice, `guess + weight * (cash -
+        output: subtract a guess that does not depend on the choice, as in `guess + weight * (cash -
         guess)`.
         """
         uniform, upper = ndtr(normal), jnp.cumsum(jax.lax.stop_gradient(action))
@@ -108,21 +108,22 @@ class Stop(Actions):
     """At every step: stop or continue. With `rights` above 1: use one of the rights left, or wait.
 
     In the value an action is 1 (stop) or 0 (continue). In training it is a hazard: the probability
-    of stopping here if not before. A path then does not stop at once: the simulator's state has
-    the weight that has not stopped yet, and the payoff is paid on the part that stops. This is the
-    expectation over the time of stopping, without any jump, so that its derivative is correct.
-    (With an indicator of "stop now" instead, training converges to stopping at once.)
+    of stopping at this step if no earlier step stopped. A path then does not stop at once: the
+    simulator's state has the weight that has not stopped yet, and the payoff is paid on the part
+    that stops. This is the expectation over the time of stopping, without any jump, so that its
+    derivative is correct. (With an indicator of "stop now" instead, training converges to stopping
+    at once.)
 
         def initial(…):   state = {…, "right": self.action.initial()}
         def step(…):      right, used = self.action.use(state["right"], action)
                           return {…, "right": right}, {"payoff": used * payoff}
         def terminal(…):  return {"payoff": self.action.alive(state["right"]) * payoff}
 
-    Size: one hazard for each number of rights left, since the decision depends on it.
+    The action has one hazard for each number of rights left, since the decision depends on it.
 
     - `rights`: how often the right can be used, at most once per step.
-    - `hazard`: the hazard of an untrained network, between 0 and 1; it should be so small that
-      paths reach later steps.
+    - `hazard`: the hazard of an untrained network, between 0 and 1; it should be small enough for
+      paths to reach later steps.
     - `scale`: scores count in units of temperature times `scale`.
     """
 
@@ -140,10 +141,10 @@ class Stop(Actions):
         return self.rights
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """(1 + u / (1 + u^2)^0.5) / 2, where u is the raw score, shifted by that of the untrained
-        hazard, divided by temperature * scale. In the exact set it is 1 if u is above 0, else 0.
-        The logistic curve is not used, because its slope vanishes like the hazard itself: training
-        could then not recover if its first steps all lower the hazard.
+        """(1 + u / (1 + u^2)^0.5) / 2, where u is the raw score, shifted by the score of the
+        untrained hazard and divided by temperature * scale. In the exact set it is 1 if u is above
+        0, else 0. The logistic curve is not used, because its slope vanishes like the hazard
+        itself: training could then not recover if its first steps all lower the hazard.
         """
         return self._hazard(raw + _score(self.hazard), smooth)
 
@@ -173,8 +174,8 @@ class Stop(Actions):
 
     def use(self, right: Float[Array, " rights"], action: Float[Array, " size"]):
         """The pair (right, used): the weights after this step's decision, and the expected number
-        of rights used. `right` [rights] and `action` [rights] have a number for one right left,
-        for two … up to all.
+        of rights used. `right` [rights] and `action` [rights] have one entry for each number of
+        rights left: for one right, for two … up to all.
         """
         moved = right * action
         used = moved.sum()

@@ -14,7 +14,7 @@ from .sets import Actions
 def contains(action: Actions, kind: type[Actions]) -> bool:
     """Whether the set of a decision, or one of the sets in a `Product`, is of this kind.
 
-    >>> holds(snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.0, 1.0)), snapo.Stop)
+    >>> contains(snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.0, 1.0)), snapo.Stop)
     True
     """
     if isinstance(action, Product):
@@ -23,7 +23,7 @@ def contains(action: Actions, kind: type[Actions]) -> bool:
 
 
 def decision_names(action: Actions) -> list[str]:
-    """The names of all decisions, as counted by `together`; empty outside a `Product`.
+    """The names of all decisions, one per group of `together`; empty names outside a `Product`.
 
     >>> decision_names(snapo.Product(run=snapo.Choice(2), power=snapo.Box(0.0, 1.0, size=2)))
     ['run', 'power[0]', 'power[1]']

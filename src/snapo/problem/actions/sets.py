@@ -1,7 +1,4 @@
-"""Sets of numbers: a box, integers, shares; and the base class of all action sets.
-
-Shares that add up to one.
-"""
+"""Sets of numbers: a box, whole numbers, shares that sum to one; the base class of action sets."""
 
 import abc
 import math
@@ -190,9 +187,9 @@ class Box(Actions):
         return self.size
 
     def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
-        """(1 - share) action + share x, with x uniform between two bounds, or at the absolute
-        value of a normal from a single bound. Without bounds it is action + share x with a normal
-        x."""
+        """(1 - share) action + share x, with x uniform between two bounds, or at a distance from a
+        single bound that is the absolute value of a normal. Without bounds it is action + share x
+        with a normal x."""
         low, high = self.bounds()
         above, below = np.isfinite(low), np.isfinite(high)
         minimum, maximum = (
@@ -314,11 +311,12 @@ class Integers(Actions):
         return self.box.bounds()
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """Maps unbounded numbers between the bounds, as a `Box` does; exact: rounded."""
+        """Maps unbounded numbers between the bounds, as a `Box` does; in the exact set they are
+        rounded."""
         return self.settle(self.box.squash(raw), smooth)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """base + correction, clipped to the bounds; exact: rounded."""
+        """base + correction, clipped to the bounds; in the exact set it is rounded."""
         return self.settle(self.box.near(base, correction, smooth), smooth)
 
     @property

@@ -1,5 +1,5 @@
 """Exports a policy as a file that describes itself, an ONNX graph, or a table of decisions.
 
-`save` is behind `policy.save` and `load_policy`; `export` behind `to_onnx` and `decision_table`,
-with one entry of `rules` for each operation of a trace.
+`save` implements `policy.save` and `load_policy`. `export` implements `to_onnx` and
+`decision_table`, with one entry of `rules` for each operation of a trace.
 """

@@ -52,7 +52,7 @@ def decision_table(
     """
     (one, values), (two, others) = x, y
     if one == two or not all(0 <= item < len(at) for item in (one, two)):
-        message = f"x and y must be two different numbers from 0 to {len(at) - 1}"
+        message = f"the indices of x and y must be two different numbers from 0 to {len(at) - 1}"
         raise ValueError(f"decision_table: {message}; got {one} and {two}.")
     pairs = np.array([(a, b) for a in values for b in others], np.float64).reshape(-1, 2)
     states = np.tile(np.asarray(at, np.float64), (len(pairs), 1))
@@ -83,7 +83,8 @@ def _names(one: int, two: int, size: int) -> list[str]:
 def _write(file: Path, table: TableDecisions, names: Sequence[str]) -> None:
     rows = np.concatenate([table.x, table.action], axis=1)
     if len(names) != rows.shape[1]:
-        raise ValueError(f"decision_table: {len(names)} names for {rows.shape[1]} columns.")
+        message = f"names has {len(names)} entries, but the table has {rows.shape[1]} columns"
+        raise ValueError(f"decision_table: {message}.")
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(names)
@@ -98,7 +99,7 @@ MOVES = {
 
 
 def translated(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tensor]:
-    """The outputs of one such operation.
+    """The outputs of an operation of `MOVES`.
 
     **Raises:** `ValueError` if an index depends on the observation, or is outside its array.
     """
@@ -156,12 +157,12 @@ def to_onnx(
 
     **Arguments:**
 
-    - `file`: where to write the model; None: it is returned only.
+    - `file`: the file for the model; None: the model is only returned.
     - `features`: the length of an observation; by default that of the policy's network.
-    - `observe`: a function from one vector of raw numbers to one observation, `lambda raw: (raw -
-      50) / 20`;
-      it becomes part of the graph, and `features` counts the raw numbers.
-    - `dtype`: the dtype of the graph. The policy's weights are float32 in both.
+    - `observe`: a function from one vector of raw numbers to one observation, such as
+      `lambda raw: (raw - 50) / 20`. It becomes part of the graph, and `features` counts the raw
+      numbers.
+    - `dtype`: the dtype of the graph. With either dtype the policy's weights are float32.
 
     **Returns:** the `onnx.ModelProto`, checked by onnx.
 
@@ -251,7 +252,7 @@ def _operation(graph: Graph, equation: Any, tensors: list[Tensor]) -> list[Tenso
 
 
 def _folded(graph: Graph, equation: Any, available: list[Any]) -> list[Tensor]:
-    """What does not depend on the observation is a constant."""
+    """The results of an equation that does not depend on the observation, as constants."""
     result = equation.primitive.bind(*map(jnp.asarray, available), **equation.params)
     result = result if equation.primitive.multiple_results else [result]
     return [graph.constant(np.asarray(item)) for item in result]

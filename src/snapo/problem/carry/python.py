@@ -26,7 +26,7 @@ REDUCED = {
     "ReduceSum": "np.sum", "ReduceMax": "np.max", "ReduceMin": "np.min", "ReduceProd": "np.prod",
 }  # fmt: skip
 HEAD = '''\
-"""The exact decisions of a policy of snapo ({kind}); this file needs NumPy alone.
+"""The exact decisions of a policy of snapo ({kind}); this file needs only NumPy.
 
     action = decide(observation)  # [{features}] numbers, or [states, {features}]
 """

@@ -137,7 +137,7 @@ def _out(equation: Any) -> tuple[tuple[int, ...], np.dtype]:
 
 
 def _alike(graph: Graph, tensors: list[Tensor]) -> list[Tensor]:
-    """Operands of which some have no axis of states: numbers of fewer axes are lined up."""
+    """Operands lined up for broadcasting, since some have no axis of states or fewer axes."""
     if not any(item.batched for item in tensors):
         return tensors
     rank = max(len(entry.shape) for entry in tensors)

@@ -258,7 +258,8 @@ class StoredPolicy(NamedTuple):
 
 
 def save(policy: eqx.Module, file: Path | str, features: int | None, code: bool = False) -> None:
-    """Writes a policy for a number of features with its kinds, sizes, activations and weights.
+    """Writes a policy that observes this number of features: its kinds, sizes, activations and
+    weights.
 
     With `code`, the arrays of a policy with user code are written, for a reader who has the code.
 

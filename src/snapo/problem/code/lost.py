@@ -26,8 +26,8 @@ COMPARING = ("lt", "gt", "le", "ge", "eq", "ne")
 
 
 class Reach(NamedTuple):
-    """The reach of a number: the inputs that move it and those it has a slope in, as sets of bits,
-    and whether it differs by path."""
+    """The reach of a number: the inputs that move it and those with respect to which it has a
+    slope, as sets of bits, and whether it differs between paths."""
 
     bumped: int = 0
     slope: int = 0

@@ -1,10 +1,10 @@
 """The version of a user's code: a number for everything it reads, such as globals and closures.
 
-A program that was compiled for a simulator can be used as long as its code reads the same. Every
-call of one is therefore in `following(version)`: JAX then does not reuse a trace of another
-version, in functions that the user compiles too. snapo's code has no version.
+A program that was compiled for a simulator can be used as long as its code reads the same objects.
+Every call of such a program is therefore within `following(version)`: JAX then does not reuse a
+trace of another version, in functions that the user compiles too. snapo's code has no version.
 
-Programs as text: two traces that read the same objects have the same text.
+Programs are compared as text: two traces that read the same objects have the same text.
 """
 
 import re
@@ -132,8 +132,8 @@ def of_formula(objective: Any, totals: Any) -> Version:
 
 
 def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
-    """The version of all code in some trees; None if none of it is a user's. Parts that may have
-    changed in place, or cannot be inspected, are compared by the program that `trace` returns.
+    """The version of all code in some trees; None if none of the code is the user's. Parts that may
+    have changed in place, or cannot be inspected, are compared by the program that `trace` returns.
     """
     leaves, structure = jax.tree.flatten(trees)
     held, met = _held.get(), (structure, tuple(map(_kind, leaves)))

@@ -47,7 +47,8 @@ def is_library(name: str) -> bool:
 
 
 def is_known(name: str) -> bool:
-    """Whether a package is snapo, a dependency, or part of Python: none has a user's simulator."""
+    """Whether a package is snapo, a dependency, or part of Python: none of these contains a user's
+    simulator."""
     return name in UNDER or is_python(name)
 
 
@@ -74,7 +75,7 @@ class Walk:
     - `moving`: the content of mutable objects, such as lists and NumPy arrays, and variables that
       the code itself sets, such as a counter: the program may depend on them.
     - `unseen`: whether there is anything else that cannot be inspected.
-    - `user_code`: whether there is any code of a user's.
+    - `user_code`: whether any code is the user's.
     """
 
     def __init__(self, trees: Iterable[Any]):
@@ -262,8 +263,8 @@ class Walk:
             self.unseen |= alone and (isinstance(x, Iterator) or not _is_known(x))
 
     def _ask_modules(self) -> None:
-        """The members of modules that any function names. Of one of the user's, a member by a name
-        that is made is not known; of all else, every attribute is looked at."""
+        """The members of modules that any function names. In a user's module a member cannot be
+        known if its name is made at run time; of all other objects every attribute is read."""
         for module in list(self._modules.values()):
             library = self._closed(module)
             self.unseen |= self._made and not library
@@ -325,7 +326,7 @@ def _is_frozen(x: Any) -> bool:
 
 
 def _is_known(x: Any) -> bool:
-    """Whether nothing that moves is in a thing that is not written in Python."""
+    """Whether an object that is not written in Python contains nothing that may change."""
     return is_known(package(type(x))) and (not callable(x) or is_library(package(x)))
 
 

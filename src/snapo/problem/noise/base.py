@@ -144,7 +144,7 @@ def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> N
 
 
 def in_mean(inputs: PyTree) -> tuple[str, ...]:
-    """The names of the inputs (see `inputs.named`) that are parameters of separate draws."""
+    """The names of the inputs (see `inputs.named_inputs`) that are parameters of separate draws."""
 
     def separate(item: Any) -> bool:
         return isinstance(item, Noise) and item.separate

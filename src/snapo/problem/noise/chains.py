@@ -1,9 +1,5 @@
-"""Noise made of other noise or of data: correlated, empirical, and regimes of a Markov chain.
-
-Several noises that move together.
-
-Noise that repeats a history.
-"""
+"""Noise made of other noise or of data: correlated noises that move together, empirical noise that
+repeats a history, and the regimes of a Markov chain."""
 
 from typing import Any
 
@@ -26,8 +22,8 @@ class Markov(Noise):
 
     Regimes have no order, so that a path has no derivative with respect to the probabilities.
     `likelihood` is the number 1, with the derivative of the log probability; used as above, it
-    makes the derivative of the mean correct (likelihood ratio). Without it: `draw(noise[:1],
-    state["regime"])`.
+    makes the derivative of the mean correct (likelihood ratio). To draw without the likelihood, use
+    `draw(noise[:1], state["regime"])`.
 
     **Arguments:**
 
@@ -48,7 +44,8 @@ class Markov(Noise):
                 f"Markov: transition has shape {p.shape}; it must be [regimes, regimes]."
             )
         if np.any(p < 0) or np.any(p.sum(-1) <= 0):
-            raise ValueError("Markov: transition has a probability below 0, or a row without any.")
+            message = "a probability below 0, or a row whose probabilities are all 0"
+            raise ValueError(f"Markov: transition has {message}.")
 
     def probabilities(self, regime: Int[Array, ""]) -> Float[Array, " k"]:
         """The probabilities of the next regime."""
@@ -63,7 +60,7 @@ class Markov(Noise):
     def weigh(self, normals: Float[Array, " 1"], *state: Any) -> tuple[Array, Array]:
         """(next regime, likelihood)."""
         if len(state) != 1:
-            raise ValueError("Markov: pass the present regime as well, draw(normals, regime).")
+            raise ValueError("Markov: pass the present regime as well: draw(normals, regime).")
         probabilities = self.probabilities(state[0])
         upto = jnp.cumsum(jax.lax.stop_gradient(probabilities))[:-1]
         regime = jnp.sum((uniform(only(normals)) > upto).astype(jnp.int32))
@@ -79,9 +76,9 @@ class Markov(Noise):
 class Empirical(Noise):
     """One row of a history, drawn at random: `values` [n], or [n, K] whose rows stay together.
 
-    Rows are in the order of their first number, so that a pair of antithetic paths draws a high
-    and a low row. The derivative with respect to the history's numbers is pathwise, since every
-    draw is one of them.
+    Rows are sorted by their first number, so that a pair of antithetic paths draws a high and a low
+    row. The derivative with respect to the history's numbers is pathwise, since every draw is one
+    of them.
     """
 
     values: Any = parameter()

@@ -1,6 +1,6 @@
 """Noise with a smooth quantile function of closed form: derivatives along the path are exact.
 
-Gamma and Student noise: quantiles on a grid, computed once, with implicit derivatives.
+Gamma and Student noise have their quantiles on a grid, computed once, with implicit derivatives.
 
 The logarithm y of a gamma number is smooth in the normal z at the same quantile. Its values
 and slopes are on 512 intervals of z, and a draw reads a cubic between two of them: within 1e-8 of
@@ -21,7 +21,8 @@ from .base import Noise, concrete, only, parameter, refuse, uniform
 
 
 class Uniform(Noise):
-    """Between `low` and `high`. Its derivative with respect to both is pathwise."""
+    """A uniform number between `low` and `high`. Its derivatives with respect to both are
+    pathwise."""
 
     low: Any = parameter(default=0.0)
     high: Any = parameter(default=1.0)
@@ -29,7 +30,7 @@ class Uniform(Noise):
     def __check_init__(self):
         low, high = concrete(self.low), concrete(self.high)
         if low is not None and high is not None and np.any(high < low):
-            raise ValueError(f"Uniform: high is {high.tolist()}, below low, {low.tolist()}.")
+            raise ValueError(f"Uniform: high, {high.tolist()}, is below low, {low.tolist()}.")
 
     def draw(self, normals, *state):
         return self.low + (self.high - self.low) * uniform(only(normals))
@@ -71,7 +72,8 @@ class Normal(Noise):
 
 
 class LogNormal(Noise):
-    """exp(mean + deviation z): `mean`, `deviation` of the logarithm. Derivatives are pathwise."""
+    """exp(mean + deviation z): `mean` and `deviation` are those of the logarithm. Derivatives are
+    pathwise."""
 
     mean: Any = parameter(default=0.0)
     deviation: Any = parameter(default=1.0)
@@ -81,7 +83,8 @@ class LogNormal(Noise):
 
 
 class Exponential(Noise):
-    """Waiting times and jump heights with this mean. Its derivative is pathwise."""
+    """An exponential number with this mean, as for waiting times and jump heights. Its derivative
+    is pathwise."""
 
     mean: Any = parameter(default=1.0)
 
@@ -95,7 +98,7 @@ class Exponential(Noise):
 
 
 def many(correlation: Any) -> int:
-    """The number K of numbers whose strict lower triangle this is; 1 for None."""
+    """The dimension K of the matrix whose strict lower triangle this is; 1 for None."""
     if correlation is None:
         return 1
     value = getattr(correlation, "value", correlation)
@@ -144,7 +147,8 @@ DEEP = -30.0  # the logarithm of a number so small that P(a, x) is x^a / gamma(a
 
 
 class Logarithm(Noise):
-    """ln of a gamma number with scale 1, by `rows` [nodes, 2]: its values and slopes."""
+    """ln of a gamma number with scale 1, interpolated in `rows` [nodes, 2]: its values and
+    slopes."""
 
     rows: Float[Array, "nodes 2"]
 

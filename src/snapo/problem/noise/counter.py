@@ -17,8 +17,8 @@ class Counter(eqx.Module):
     """Noise drawn inside the engine: `keys` [2, 2] for steps and initial states, `paths` [N].
 
     - `first`: the number of the simulator's first step in the calendar by which steps are counted.
-    - `before`: the noise of the initial state is that of this number of first steps of the
-      calendar, one after another; with 0 it is drawn separately.
+    - `before`: the initial state takes the noise of this many steps from the calendar's start, one
+      after another; with 0 its noise is drawn separately.
     """
 
     keys: UInt32[Array, "2 2"]

@@ -12,8 +12,8 @@ quadratic between whole numbers without corners, and otherwise has an error of a
 the third differences. At a corner at a whole number q, where JAX uses the mean of both slopes, the
 error is a quarter of the change of slope times d F(q) - d F(q - 1): for the mean of a Poisson,
 times p(q - 1) - p(q). If q differs between paths, this error averages out, but not at the end of
-the range, where q is 0 and no draw is below. `weigh` gives the likelihood ratio, which is correct
-for any f, with more noise.
+the range, where q is 0 and no draw is below it. `weigh` gives the likelihood ratio, which is
+correct for any f, with more noise.
 """
 
 import abc
@@ -33,8 +33,8 @@ ROOM = 1.5  # parameters may rise by a half
 
 
 class Drawn(Noise):
-    """A distribution on 0, 1, …: F, the probabilities above, the probabilities, and the slope of a
-    draw."""
+    """A distribution on 0, 1, …: F, the probabilities above each number, the probabilities, and the
+    slope of a draw."""
 
     separate = True
 
@@ -70,7 +70,8 @@ class Drawn(Noise):
         )
 
     def _index(self, z: Array) -> Array:
-        """How many F(k) lie below u, the upper half counted from above, where digits are kept."""
+        """The number of F(k) below u; the upper half is counted from above, which keeps more
+        digits."""
         z = jax.lax.stop_gradient(z)
         low = uniform(-jnp.abs(z))
         passed = jnp.where(z < 0, low > self.below[:-1], low < self.above[:-1])
@@ -155,8 +156,8 @@ class NegativeBinomial(Counts):
 
 
 class Binomial(Counts):
-    """How many of `maximum` independent trials succeed, each with `probability`; one trial: yes or
-    no."""
+    """The number of successes in `maximum` independent trials, each with `probability`; 0 or 1 in
+    one trial."""
 
     probability: Any
     maximum: int = eqx.field(static=True)
@@ -175,13 +176,13 @@ class Binomial(Counts):
 
 
 def _most(noise: Noise, kind: str, maximum: int | None, parameters: Any, room: float = ROOM) -> int:
-    """The largest number that is distinguished."""
+    """The largest number that a draw can have."""
     if maximum is not None:
         return maximum
     values = [concrete(item) for item in parameters or ()]
     if not values or any(entry is None for entry in values):
         raise ValueError(
-            f"{type(noise).__name__}: specify the largest number; it cannot be computed from a "
+            f"{type(noise).__name__}: specify maximum; it cannot be computed from a "
             "parameter that JAX traces."
         )
     from scipy import stats  # late: it takes a second to load

@@ -1,4 +1,4 @@
-"""Objectives: the base class (`base`), and the measures of the field (`measures`)."""
+"""Objectives: the base class (`base`), and the usual measures (`measures`)."""
 
 from .base import AtLeast as AtLeast
 from .base import AtMost as AtMost

@@ -89,7 +89,7 @@ class Objective(abc.ABC):
         return self.weights(totals)
 
     def influence(self, totals: Totals) -> np.ndarray:
-        """[N] numbers with the value as their mean, whose spread gives its sampling error."""
+        """[N] numbers whose mean is the value and whose spread gives its sampling error."""
         return functional.influence(self, self.used(totals))
 
     def certainty_equivalent(self, value: float) -> float | None:
@@ -282,7 +282,7 @@ class OneOutput(Objective):
 
     @abc.abstractmethod
     def _influence(self, x: np.ndarray) -> np.ndarray:
-        """Numbers whose mean is the value and whose spread is its sampling error."""
+        """Numbers whose mean is the value and whose spread gives its sampling error."""
 
 
 class ByPath(OneOutput):
@@ -295,7 +295,7 @@ class ByPath(OneOutput):
 
 @dataclass(frozen=True)
 class Mean(ByPath):
-    """The mean."""
+    """The mean of an output over the paths."""
 
     @property
     def linear(self) -> bool:

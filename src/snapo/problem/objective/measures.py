@@ -9,7 +9,7 @@ from .base import ByPath, Objective, OneOutput, Totals, Weights
 
 
 class _Risk(OneOutput):
-    """A measure of risk: of a cost it looks at the other tail."""
+    """A measure of risk; for a cost it takes the other tail."""
 
     @property
     def as_cost(self) -> "OfCost":
@@ -20,7 +20,7 @@ class _Risk(OneOutput):
 
     @abc.abstractmethod
     def _words(self, cost: bool) -> str:
-        """The measure, or that of a cost, as a phrase."""
+        """The measure of a gain or of a cost, as a phrase."""
 
 
 @dataclass(frozen=True)
@@ -180,8 +180,8 @@ class ExpectedUtility(ByPath):
 
 @dataclass(frozen=True)
 class CRRA:
-    """Utility W^(1 - risk_aversion) / (1 - risk_aversion) of W = wealth + x; for a risk aversion
-    of 1 the logarithm; minus infinity if W <= 0.
+    """Utility W^(1 - risk_aversion) / (1 - risk_aversion) of W = wealth + x. For a risk aversion of
+    1 it is log(W); if W <= 0 it is minus infinity.
 
     >>> snapo.CRRA(2.0)(np.array([1.0, 2.0])).tolist()
     [-1.0, -0.5]
@@ -220,7 +220,7 @@ class Target(ByPath):
     target: float = 0.0
 
     def describe(self) -> str:
-        return f"minus mean square of {self.output} minus {self.target:g}"
+        return f"minus the mean squared distance of {self.output} from {self.target:g}"
 
     def _slope(self, x):
         return -2 * (x - self.target)

@@ -72,7 +72,7 @@ class Stages(Policy):
 
 
 NEEDED = (
-    "a policy of snapo's, or an eqx.Module that is called as policy(observation, smooth), or as "
+    "a policy of snapo, or an eqx.Module that is called as policy(observation, smooth), or as "
     "network(observation), such as eqx.nn.MLP"
 )
 

@@ -145,7 +145,8 @@ class LastObservations(Memory):
             )
         self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
         if isinstance(self.policy, Memory):
-            raise ValueError("LastObservations: its inner policy has a memory already.")
+            message = "its inner policy has a memory already; it must be one without memory"
+            raise ValueError(f"LastObservations: {message}.")
 
     @property
     def memory(self) -> int:
@@ -153,9 +154,7 @@ class LastObservations(Memory):
 
     def decide(self, observation, memory, smooth):
         if not self.width:
-            raise ValueError(
-                "LastObservations: this is a recipe; solve makes it for the simulator."
-            )
+            raise ValueError("LastObservations: this is a recipe; solve makes the policy from it.")
         action = self.policy(jnp.concatenate([observation, memory]), smooth)
         selected = jnp.concatenate([observation, action.astype(observation.dtype), memory])
         return action, selected[: self.memory]
@@ -165,8 +164,8 @@ class LastObservations(Memory):
         width = interface.features + interface.action.size
         if self.width and self.width != width:
             raise ValueError(
-                "LastObservations: this policy was made for observations and decisions of "
-                f"{self.width} numbers."
+                "LastObservations: this policy was made for an observation and a decision of "
+                f"{self.width} numbers together; this simulator has {width}."
             )
         observed = interface.features + (self.steps - 1) * width
         inner = self.policy.for_problem(Interface(interface.action, observed), key)
@@ -189,7 +188,7 @@ def first_decision(policy: Policy, observation: Float[Array, " features"]) -> Fl
 class Remembering(Around):
     """A simulator whose state holds a policy's memory as well, for the engines.
 
-    Its observation ends with the memory, and its action with the next one.
+    Its observation ends with the memory, and its action ends with the next memory.
     """
 
     memory: int = eqx.field(static=True)
@@ -236,7 +235,8 @@ def remembers(simulator: Simulator) -> bool:
 
 
 def remembering(problem: Problem, policy: Policy) -> Problem:
-    """The problem whose states hold the memory of a policy; itself for a policy without one."""
+    """The problem whose states hold the memory of a policy; the problem itself for a policy without
+    one."""
     size, simulator = remembered(policy), problem.simulator
     if not size or remembers(simulator):
         return problem

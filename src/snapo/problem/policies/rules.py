@@ -15,7 +15,8 @@ from ..smooth import EXACT, Smooth
 class Constant(Policy):
     """Always the same action; `Constant()` starts in the middle of the action set.
 
-    With `action`, as `Constant()` has, it is projected to that set: rounded, or the best option.
+    With `action`, as `Constant()` has, the value is projected to that set: rounded, or replaced by
+    the option with the largest weight.
     """
 
     value: Array | None

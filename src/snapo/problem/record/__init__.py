@@ -32,11 +32,11 @@ else:
             return cls
 
     class AbstractClassVar(AbstractVar):
-        """The same of a class attribute."""
+        """The same for a class attribute."""
 
 
 def field(*, static: bool = False, converter: Callable[[Any], Any] | None = None, **more) -> Any:
-    """A field of a record: `dataclasses.field` with two arguments more.
+    """A field of a record: `dataclasses.field` with two further arguments.
 
     - `static`: whether it is part of the structure, on which compiled code depends.
     - `converter`: a function of the value, whose result is stored.
@@ -183,12 +183,12 @@ class Input(TreeRecord):
       numbered.
     - `bump`: the step of a finite difference that checks the gradient; by default a share of each
       number (see `step`).
-    - `judge_bump`: the bump of every number with which its derivative is tested, with the policy
-      reacting; by default 1 % of each number. Specify it if the value is smooth only between
-      points of a grid of the input.
+    - `judge_bump`: the bump of every number in the test of its derivative, in which the policy
+      reacts; by default 1 % of each number. Specify it if the value is smooth only between points
+      of a grid of the input.
     - `move`: the amount by which reports and sliders move it, in `unit`; None: a relative move.
-    - `display_unit`, `display_factor`: the preferred unit, and how many of it are one `unit`: a
-      rate of 1/year is 10,000 bp. By default it is `unit`.
+    - `display_unit`, `display_factor`: the preferred unit, by default `unit`, and how many of these
+      units make one `unit`: a rate of 1/year is 10,000 bp.
     - `group`: the type of risk, such as "price", "volatility" or "contract".
     - `meaning`: a short description.
 

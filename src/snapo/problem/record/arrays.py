@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 else:
 
     class _Library(ModuleType):
-        """A library that is imported when one of its names is first asked for, and keeps them."""
+        """A library that is imported when one of its names is first used; it stores its names."""
 
         def __getattr__(self, name: str):
             if name.startswith("__"):
@@ -40,7 +40,7 @@ else:
             return value
 
     class Array:
-        """An array, or a tree of arrays, of a type and a shape that are for readers."""
+        """An array, or a tree of arrays; its type and shape are only for readers."""
 
         def __class_getitem__(cls, shape):
             return cls

@@ -40,7 +40,7 @@ def _numpy() -> Iterator[None]:
 
 
 def with_numpy(function: Callable[P, Any]) -> Callable[P, Any]:
-    """`function` of NumPy arrays, its equations evaluated by NumPy in float64."""
+    """`function` for NumPy arrays, with its equations evaluated by NumPy in float64."""
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> Any:
@@ -105,7 +105,7 @@ def added(x: Any, index: Any, values: Any) -> Any:
 
 
 def tree_map(function: Callable[..., Any], tree: Any, *more: Any) -> Any:
-    """`jax.tree.map`; in NumPy of tuples, lists and None."""
+    """`jax.tree.map`; with NumPy only for tuples, lists and None."""
     if not in_use():
         return jax.tree.map(function, tree, *more)
     if tree is None:
@@ -144,7 +144,7 @@ def running_maximum(x: Any) -> Any:
 
 
 def over(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """`function` of a number, of all entries of a vector."""
+    """`function` of a number, applied to every entry of a vector."""
     if not in_use():
         return jax.vmap(function)
     return lambda x: np.stack([function(entry) for entry in x])
@@ -170,7 +170,7 @@ def erf(x: Any) -> Any:
 
 
 def solve_lower(matrix: Any, right: Any) -> Any:
-    """x of `matrix` x = `right`, a vector, the matrix being lower triangular."""
+    """The vector x with `matrix` x = `right`, for a lower triangular matrix."""
     if not in_use():
         return jax.scipy.linalg.solve_triangular(matrix, right, lower=True)
     result = np.zeros_like(right)
@@ -180,7 +180,7 @@ def solve_lower(matrix: Any, right: Any) -> Any:
 
 
 def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
-    """With NaNs, as in JAX, where a matrix has no such result."""
+    """The function with NaNs, as in JAX, if a matrix has no such result."""
 
     def call(*arrays: Any) -> Any:
         try:
@@ -192,7 +192,8 @@ def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _absolute(x: Any) -> Any:
-    """The sign of a complex number is that of its real part: it is a number that moves."""
+    """The absolute value by the sign of the real part: a complex number is a real one that is
+    moved."""
     return np.where(np.real(x) < 0, -x, x) if np.iscomplexobj(x) else np.abs(x)
 
 

@@ -125,8 +125,8 @@ def reactions(
     `centre`: the totals of these paths, and possibly of more, if they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it has no reaction. No
-    input has one if the value is non-finite, as after a ruin. A held derivative that is NaN, such
-    as one that is lost in a rounding, counts as zero: the reaction is the whole bump.
+    input has a reaction if the value is non-finite, as after a ruin. A held derivative that is NaN,
+    such as one that is lost in a rounding, counts as zero: the reaction is the whole bump.
     """
     count = max((len(item.blocks) for item in held.values()), default=BLOCKS)
     bumper = _Bumper(problem, policy, paths, count, maximum, centre, engine)
@@ -160,8 +160,8 @@ def settled(reaction: Reaction, precise: float, negligible: float = 0.0) -> bool
 
 
 def _uncertainty(reaction: Reaction) -> float:
-    """The error of the reaction relative to the held derivative; above 1 if that is surely
-    wrong, and the bump will be reported."""
+    """The error of the reaction relative to the held derivative; above 1 if that derivative is
+    surely wrong, so that the bump will be reported."""
     value, error = reaction.estimate
     if not np.isfinite(value):
         return 0.0
@@ -204,8 +204,8 @@ class _Bumper:
 
         Objects built from the inputs are first held fixed, which is fast. If there is no reaction,
         then with a near-optimal policy there is none to first order with rebuilt objects either.
-        Problems are rebuilt in two threads, while other inputs are valued; in one if paths are
-        long, as their tables are large.
+        Problems are rebuilt in two threads, while other inputs are valued; in one thread if paths
+        are long, since their tables are large.
         """
         problem, table = self.problem, {}
         waiting: list[tuple[str, Future[Problem]]] = []
@@ -237,13 +237,13 @@ class _Bumper:
         return table
 
     def _without_reaction(self, still: Reaction) -> bool:
-        """Whether an input shows none that matters, on either side."""
+        """Whether an input has no significant reaction on either side."""
         negligible = NEGLIGIBLE * abs(self.value)
         return settled(still, COARSE, negligible) and not self._two_sided(still)
 
     def refined(self, name: str, by: np.ndarray, result: Reaction) -> Reaction:
-        """The same with all paths and, if that is not enough, with a wider move; of an input
-        that changes the value by next to nothing the first move is enough."""
+        """The same with all paths and, if that is not enough, with a wider move. For an input that
+        hardly changes the value the first move is enough."""
         held, count = result.held, len(self.blocks)
         if len(result.reaction) < count:
             result = self._moved(name, by, held, count)
@@ -252,8 +252,8 @@ class _Bumper:
         return _joined(result, self._moved(name, WIDE * by, WIDE * held, count))
 
     def _tiny(self, reaction: Reaction) -> bool:
-        """Whether all of the change of the value is surely negligible, as that by a rate of zero
-        over a week."""
+        """Whether the whole change of the value is surely negligible, such as the effect of a rate
+        of zero over a week."""
         value, error = reaction.estimate
         size = abs(float(np.mean(reaction.held))) + abs(value) + 2 * error
         return size <= NEGLIGIBLE * abs(self.value)
@@ -308,13 +308,13 @@ class _Bumper:
         )
 
     def _two_sided(self, reaction: Reaction) -> bool:
-        """Whether more and less of the input differ by much."""
+        """Whether the changes for more and for less of the input differ much."""
         size = max(abs(reaction.up), abs(reaction.down))
         minimum = max(MATERIAL * size, NEGLIGIBLE * abs(self.value))
         return abs(reaction.up - reaction.down) > max(SIGNIFICANT * reaction.side_error, minimum)
 
     def cornered(self, name: str, by: np.ndarray, reaction: Reaction) -> Reaction:
-        """With the kind of a corner, if both sides differ by much."""
+        """The reaction with the kind of its corner, if both sides differ by much."""
         if not self._two_sided(reaction):
             return reaction
         gap = abs(reaction.up - reaction.down)

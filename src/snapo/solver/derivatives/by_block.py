@@ -69,14 +69,14 @@ class PassResult(NamedTuple):
 
     @property
     def of_others(self) -> Callable[[Problem], dict[str, Estimate]] | None:
-        """Derivatives with respect to the inputs of another problem with this schedule; None if
-        they would keep more than `LARGE` bytes."""
+        """Derivatives with respect to the inputs of another problem with this schedule; None if the
+        derivatives would take more than `LARGE` bytes."""
         return self.schedule.of_inputs if self.schedule.bytes <= LARGE else None
 
 
 class Pulled(NamedTuple):
-    """One adjoint pass: derivatives at the schedule, of the policy [P], its bad paths, and the
-    totals of its paths if they are known."""
+    """One adjoint pass: derivatives with respect to the schedule and the policy [P], its bad paths,
+    and the totals of its paths if they are known."""
 
     schedule: PyTree
     policy: np.ndarray
@@ -103,7 +103,8 @@ class DerivativePass(NamedTuple):
     totals: Mapping[str, np.ndarray] | None = None
 
     def derivatives(self, blocks: list[np.ndarray]) -> PassResult:
-        """From one pass for each block of paths, and a few on a sample of all."""
+        """Derivatives from one pass for each block of paths, and a few passes on a sample of all
+        paths."""
         return self.of((self.problem.objective,), blocks)[0]
 
     def compile(self) -> None:

@@ -90,7 +90,8 @@ def _changes(objective: Objective, totals, weights: Weights, endpoints: np.ndarr
 
 
 def _sample(size: np.ndarray, room: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of paths, those that change more the more often, and how many each represents.
+    """Positions of paths, where paths that change more are drawn more often, and how many each
+    represents.
 
     Systematic sampling with probabilities in proportion to `size` [N], at most one.
     """

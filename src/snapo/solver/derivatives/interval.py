@@ -115,7 +115,7 @@ class Reported(NamedTuple):
         return self.estimate.value
 
     def along(self, direction: np.ndarray) -> Interval:
-        """The derivative along a direction of the input, shaped like it."""
+        """The derivative along a direction, an array like the input."""
         direction = np.broadcast_to(np.asarray(direction, np.float64), self.by.shape)
         times = _multiple(direction, self.by)
         blocks = (self.estimate.blocks * direction).reshape(len(self.estimate.blocks), -1).sum(1)
@@ -150,14 +150,15 @@ class Reported(NamedTuple):
         ]  # fmt: skip
 
     def capped(self, gap: float) -> "Reported":
-        """The number with this bound on the policy's gap, if it is below the present one."""
+        """The reported derivative with this bound on the policy's gap, if it is below the present
+        gap."""
         minimum = min(gap, self.curvature.gap)
         return self._replace(curvature=self.curvature._replace(gap=minimum))
 
     def _interval(
         self, estimate: Estimate, unseen: float, slopes: np.ndarray, others: np.ndarray
     ) -> Interval:
-        """From the blocks of a derivative, and how it changes with the policy."""
+        """The interval from the blocks of a derivative and its changes with the policy."""
         inverse, covariance, gap = self.curvature
         blocks, value = len(estimate.blocks), float(estimate.value)
         # Without noise there is one block, and no error.
@@ -176,7 +177,7 @@ class Reported(NamedTuple):
 
 
 def _multiple(direction: np.ndarray, by: np.ndarray) -> float | None:
-    """How many times `by` a direction is; None if it is another one."""
+    """How many times `by` a direction is; None if it is not a multiple."""
     square = float(np.sum(by * by))
     if not square:
         return None
@@ -213,7 +214,7 @@ class Verdict(NamedTuple):
     - `held`, `bump`, `reaction`: pairs (change, standard error); `reaction` is `bump` minus `held`,
       paired.
     - `up`, `down`: the change of the value for an increase and a decrease of the input;
-      `side_error` of their difference.
+      `side_error`: the standard error of their difference.
     - `probability`: the p-value of the reaction; `tested`: whether there is one.
     - `corner`: "kink", "jump" or "".
     """

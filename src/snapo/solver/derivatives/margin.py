@@ -1,4 +1,4 @@
-"""By how much the error of the policy may move a derivative.
+"""The amount by which the error of the policy may move a derivative.
 
 With M the change of a derivative along the coordinates and H the curvature of the value, a policy
 whose value is short of the best by g has a derivative that is off by at most sqrt(2 g kappa), where
@@ -72,7 +72,8 @@ def margin_of(
 
 
 def floor_of(actions: Actions) -> float:
-    """The minimum gap that is assumed, in targets: it is larger for discrete decisions."""
+    """The minimum gap that is assumed, in units of the target loss; larger for discrete
+    decisions."""
     hard = any(contains(actions, kind) for kind in (Choice, Integers, Stop))
     return HARD_FLOOR if hard else SMOOTH_FLOOR
 

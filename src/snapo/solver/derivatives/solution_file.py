@@ -20,7 +20,7 @@ class CheckpointError(ValueError):
 
 
 def save_named(file: Path, arrays: Mapping[tuple[str, ...], Any], header: Mapping) -> None:
-    """Arrays with names of several parts, with a JSON header."""
+    """Writes the named arrays of several parts, with a JSON header."""
     names = [list(name) for name in arrays]
     numbered = {f"leaf_{i}": np.asarray(array) for i, array in enumerate(arrays.values())}
     write_arrays(file, numbered, {"names": names, "header": dict(header)})
@@ -38,7 +38,7 @@ def entries(file: Path, both: Any, *keys: str) -> list[Any]:
     try:
         return [both[key] for key in keys]
     except (KeyError, TypeError, IndexError):
-        raise CheckpointError(f"{file}: this is not a file of this kind.") from None
+        raise CheckpointError(f"{file}: this file was not written by snapo.") from None
 
 
 def read_checked(file: Path) -> tuple[dict[str, np.ndarray], Any]:
@@ -155,4 +155,4 @@ def sensitivities_in(file: Path) -> Sensitivities | None:
     try:
         return sensitivities_of(arrays, header) if header["inputs"] else None
     except (KeyError, TypeError, AttributeError, IndexError) as error:
-        raise CheckpointError(f"{file}: this is not a file of this kind ({error}).") from None
+        raise CheckpointError(f"{file}: this is not the file of a solution ({error}).") from None

@@ -97,7 +97,7 @@ def coordinates(policy: Policy, earlier: Policy | None = None) -> Coordinates:
 
 
 def _of_outputs(policy: Policy) -> tuple[np.ndarray, np.ndarray]:
-    """[outputs, P] directions: one more of a raw output, and the output once more."""
+    """[outputs, P] directions: a raw output plus one, and a raw output doubled."""
     leaves = jax.tree.leaves(trainable(policy)[0])
     shifts, gains = [], []
     for network in _deciding(policy):
@@ -326,7 +326,7 @@ def _fitted(
 
 
 def _fit(value: _Value, centre, radius, rng, target: float) -> _Fitted | None:
-    """Least squares over places in pairs of opposite ones, half a radius to 1.3 away."""
+    """Least squares over pairs of opposite places, 0.5 to 1.3 radii away."""
     count = len(centre)
     pairs = list(combinations_with_replacement(range(count), 2))
     size = 1 + count + len(pairs)
@@ -359,7 +359,7 @@ def _fit(value: _Value, centre, radius, rng, target: float) -> _Fitted | None:
 
 
 def _step(result: _Fitted, height: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """The step to the top in radii, shrunk as its noise asks, and taken where the value rises."""
+    """The step to the top in radii, shrunk according to its noise, and taken if the value rises."""
     step, count = result.step, len(result.gradient)
     ridge = 1e-30 * np.eye(count)
     chi = float(result.gradient @ np.linalg.solve(result.noise + ridge, result.gradient))

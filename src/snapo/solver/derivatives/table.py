@@ -200,5 +200,5 @@ def _error(number: float) -> str:
 
 
 def _half(width: float) -> str:
-    """A half-width; that of an interval without one of its parts is a nought."""
+    """A half-width; empty if it is not finite."""
     return rounded(width, 2) if np.isfinite(width) else ""

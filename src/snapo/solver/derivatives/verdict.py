@@ -1,10 +1,10 @@
 """The derivative that is reported: the held one, unless a bump refutes it.
 
 All inputs of a run are tested together: separate tests of twenty inputs at 5 % would falsely refute
-one per run. Holm's procedure (1979) falsely refutes any in at most 1 % of all runs. A refuted held
-derivative is replaced by the bump. A derivative that is not refuted may still be slightly wrong:
-the reaction is then added as far as it exceeds its own error (James and Stein's shrinkage) or
-reduces noise (a control variate), and the interval includes the rest.
+one per run. Holm's procedure (1979) falsely refutes any of them in at most 1 % of all runs. A
+refuted held derivative is replaced by the bump. A derivative that is not refuted may still be
+slightly wrong: the reaction is then added as far as it exceeds its own error (James and Stein's
+shrinkage) or reduces noise (a control variate), and the interval includes the rest.
 """
 
 from collections.abc import Collection, Mapping
@@ -42,8 +42,8 @@ COLUMNS = (
 def tested_by_bumps(
     problem: Problem, policy: Policy, paths: int, held: Mapping[str, Estimate], **options: Any
 ) -> tuple[dict[str, Reaction], dict[str, Verdict]]:
-    """{input: reaction} and {input: verdict} on held derivatives of `paths`; `options`: those of
-    `reactions`."""
+    """{input: reaction} and {input: verdict} of the held derivatives on `paths`; `options`: those
+    of `reactions`."""
     bumped = reactions(problem, policy, paths, held, **options)
     return bumped, verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
 
@@ -90,7 +90,8 @@ def verdicts(
 
 
 def holm(probabilities: Mapping[str, float], level: float = LEVEL) -> set[str]:
-    """The names whose hypothesis is refuted; a true one with probability at most `level`."""
+    """The names whose hypothesis is refuted; any true one is refuted with probability at most
+    `level`."""
     refuted = set()
     ordered = sorted(probabilities, key=lambda name: probabilities[name])
     for number, name in enumerate(ordered):
@@ -163,7 +164,7 @@ def _of(
 
 
 def _range(base: Reported, verdict: Verdict, reaction: Reaction, share: np.ndarray) -> Reported:
-    """Between both one-sided derivatives; a held one that is not between them gives way."""
+    """A derivative between both one-sided ones; a held derivative outside of them is replaced."""
     less, more = sorted((verdict.down, verdict.up))
     result = base._replace(
         sides=(verdict.down, verdict.up), unseen=verdict.side_error / SHARE_UNSEEN * np.abs(share)
@@ -181,8 +182,8 @@ def _spread(complete: np.ndarray, share: np.ndarray) -> Estimate:
 def _through(
     base: Reported, reaction: Reaction, smooth: Estimate | None, share: np.ndarray
 ) -> Reported:
-    """The bump; of an input with many numbers the smooth derivatives, scaled to it, where their sum
-    agrees with it."""
+    """The bump. For an input with many numbers: the smooth derivatives, scaled to the bump, if
+    their sum agrees with it."""
     complete = reaction.held.mean() - reaction.held[: len(reaction.reaction)].mean() + reaction.bump
     value, error = _pair(complete)
     error = float(np.hypot(error, reaction.extra))

@@ -8,11 +8,11 @@ or a jump of one norm above all earlier ones, at no extra cost. Only then are th
 measured, with a memory of sqrt(T) steps, and bounded at the usual size of the largest on a path: a
 larger adjoint comes from chaos, or from a policy that training is leaving. The rule does not depend
 on units. If gradients were far larger than they are now, Adam's memory of them would keep its steps
-small for the rest of the run, so it is reset.
+small for the rest of the run, so this memory is reset.
 
 The bound uses the largest adjoint of the whole horizon: where a plant settles, its last steps have
-small adjoints, and a bound from them would remove the gradient of the approach. (Such a bound took
-a quadrotor from -41.5 to -73; it now ends at -38.5.)
+small adjoints, and a bound from them would remove the gradient of the approach. (Such a bound moved
+the value of a quadrotor from -41.5 to -73; it is now -38.5.)
 
 Once adjoints no longer grow backwards in time, the bound is lifted: those that are still far larger
 than usual belong to important paths, such as those near ruin, and a rule trained with a bound on
@@ -25,7 +25,7 @@ every path, so that a few paths dominate all others: the gradient is noise, what
 On a plant that is merely unstable they grow equally on all paths. The norms of the first gradients
 show the difference at no extra cost, since they jump up and down between steps in the chaotic case;
 only then are the adjoints of some paths measured. A window is 1.5 times as long as the time over
-which their largest stays near the usual one. The rule does not depend on units.
+which the largest adjoint stays near the usual one. The rule does not depend on units.
 """
 
 import math
@@ -96,9 +96,9 @@ def grows(norms: np.ndarray) -> bool:
 def share_kept(norms: np.ndarray) -> float:
     """The share of an adjoint that is passed on at each backward step (`Clip.keep`), from norms [T,
     N]: a third is left after the number of steps in which norms grow a hundredfold; it is 1 if they
-    do not. The reason for a third instead of 0.01: a cart that swings its pole up ends at -63 to
-    -66 with a third and at -64 to -66 with 0.01 (-66 to -93 without), a quadrotor at -37.9 and
-    -39.7 (-37.7).
+    do not. The reason for a third instead of 0.01: the value of a cart that swings its pole up is
+    -63 to -66 with a third, -64 to -66 with 0.01 and -66 to -93 without either; that of a quadrotor
+    is -37.9, -39.7 and -37.7.
     """
     back = np.sqrt(np.mean(_finite(norms) ** 2, axis=1))[::-1]
     over = np.flatnonzero(back > GROWTH * back[0])
@@ -133,7 +133,7 @@ def has_fallen(norms: Sequence[float], since: int, first: int = EARLY) -> bool:
 
 
 def has_leapt(norms: Sequence[float], since: int) -> bool:
-    """Whether the last gradient is far above the usual one of all before it, after `since`."""
+    """Whether the last gradient is far above the usual size of all earlier ones after `since`."""
     local = np.asarray(norms[since:])
     return len(local) > 3 and bool(local[-1] > APART * np.median(local[:-1]))
 
@@ -214,12 +214,12 @@ class Growth(NamedTuple):
         largest, times = np.asarray(self.largest), self.times
         position = int(np.argmax(largest))
         if not self.large:
-            return f"Backward in time adjoints grow {rounded(times, 3)}-fold, which is usual."
+            return f"Backward in time, adjoints grow {rounded(times, 3)}-fold, which is usual."
         half = _explodes(largest, position)
         state = max(self.leaves, key=lambda name: self.leaves[name][position], default="state")
         apart = largest[position] / max(self.usual[position], np.finfo(float).tiny)
         return (
-            f"Backward in time adjoints grow {rounded(times, 2)}-fold from the last step to step "
+            f"Backward in time, adjoints grow {rounded(times, 2)}-fold from the last step to step "
             f"{position} of {largest.size} (a hundredfold before step {half}), mainly in the "
             f"state {state!r}. At that step the largest adjoint of a path is {rounded(apart, 2)} "
             "times "
@@ -243,7 +243,7 @@ class Growth(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Growth | None":
-        """The record, from plain data as JSON has it."""
+        """The record from its plain data, as read from JSON."""
         if stored is None:
             return None
         step, usual, largest, leaves = stored

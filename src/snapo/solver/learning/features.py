@@ -7,9 +7,9 @@ deviation that do not depend on decisions, as those of prices, demands and times
 decisions affect are left unchanged: under an untrained policy their range differs from that under a
 trained one.
 
-This matters if many numbers are decided, each of which has to distinguish states: a battery of
-24 powers a day earns 95 % of its bound instead of 84 %. With few decisions, a regulator, a pendulum
-and a cart train well without scaling.
+This matters if many numbers are decided, each of which has to distinguish states: a battery that
+decides 24 powers a day earns 95 % of its upper bound with scaling and 84 % without. With few
+decisions, a regulator, a pendulum and a cart train well without scaling.
 
 It also matters for optimal stopping. Stopping without regard to the state is worse than waiting, so
 the first steps lower the hazard everywhere. If features are small, the hazard vanishes before the
@@ -63,13 +63,13 @@ class FeatureScale(NamedTuple):
         return self._applied(policy, scaled)
 
     def slope(self, gradient: Policy) -> Policy:
-        """The gradient with respect to the numbers of `scaled`, from that with respect to those of
-        `plain`."""
+        """The gradient with respect to the scaled numbers, from that with respect to the plain
+        numbers."""
         return self._applied(gradient, slope)
 
     @classmethod
     def read(cls, stored) -> "FeatureScale | None":
-        """The record, from plain data as JSON has it."""
+        """The record from its plain data, as read from JSON."""
         return None if stored is None else cls(*map(tuple, stored))
 
     def _applied(self, policy: Policy, work: Callable[..., tuple[Any, Any]]) -> Policy:
@@ -132,13 +132,14 @@ def scaled(weights, bias, mean, deviation) -> tuple[Any, Any]:
 
 
 def slope(weights, bias, mean, deviation) -> tuple[Any, Any]:
-    """The gradient by a layer for scaled features, from that by the layer of `plain`."""
+    """The gradient with respect to a layer for scaled features, from that for the layer of
+    `plain`."""
     return (weights - np.outer(bias, mean)) / deviation, bias
 
 
 def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
     """The scale of the features that no decision moves; None if there is no such feature, if no
-    network of the policy observes it, and if few numbers are decided, without a `Stop`."""
+    network of the policy observes it, or if few numbers are decided and none by a `Stop`."""
     if not layers(policy):
         return None
     if problem.action.size <= MANY and not contains(problem.action, Stop):
@@ -176,7 +177,7 @@ def fixed(problem: Problem) -> FeatureScale | None:
 
 
 class _Unmoved(Around):
-    """A simulator of whose state only the parts move that no decision moves, without outputs."""
+    """A simulator without outputs, in whose state only the parts move that no decision moves."""
 
     moved: PyTree = eqx.field(static=True)
 

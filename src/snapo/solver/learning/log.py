@@ -1,6 +1,6 @@
 """The reports of a training while it runs: `snapo.log`, callbacks that write files.
 
-The choices of training with their reasons, in sentences for the notes of a solution.
+It also writes the choices of training with their reasons as sentences for a solution's notes.
 """
 
 import struct
@@ -49,7 +49,7 @@ def start_notes(progress: Progress) -> tuple[str, ...]:
 
 
 def _slowed(steps: tuple[int, ...]) -> str:
-    """One sentence on the steps that broke, after which the rate was lowered."""
+    """One sentence on the steps that failed, after which the rate was lowered."""
     *first, last = map(str, steps)
     summary = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
     return (
@@ -70,10 +70,10 @@ def went_back(progress: Progress) -> str:
     ways = []
     clips = [record.clip > 0 for record in history]
     if any(clips) or progress.clip is not None:
-        until, end = "", f", at {progress.clip or 0.0:,.3g} in the end"
+        until, end = ",", f", by {progress.clip or 0.0:,.3g} at the end"
         if progress.clip is None:
             lifted = len(clips) - _before(reversed(clips))
-            until, end = f" to step {lifted}, after which they grew no more,", ""
+            until, end = f" until step {lifted}, after which adjoints no longer grew,", ""
         ways.append(
             f"from step {_before(clips)} of the training on{until} each path's adjoint was "
             f"bounded{end} (Training(clip=None) turns this off)"
@@ -82,7 +82,7 @@ def went_back(progress: Progress) -> str:
         since = _before(record.keep < 1 for record in history)
         ways.append(
             f"from step {since} of the training on, every backward step kept only a share of "
-            f"{progress.keep:.3g} of it (Training(keep=1.0) keeps all)"
+            f"{progress.keep:.3g} of the adjoint (Training(keep=1.0) keeps all)"
         )
     if not ways:
         return (
@@ -128,8 +128,8 @@ class TensorBoard:
 
         snapo.solve(…, callbacks=[snapo.log.TensorBoard("runs/first")])
 
-    Scalars by step: objective, exact, exact_error, gradient_norm and temperature; those of the
-    exact simulator at validations. No other library is needed.
+    Scalars by step: objective, exact, exact_error, gradient_norm and temperature; the two exact
+    ones only at validations. No other library is needed.
     """
 
     def __init__(self, folder: Path | str):

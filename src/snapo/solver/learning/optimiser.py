@@ -61,7 +61,7 @@ def rates(plan: Plan, count: int) -> np.ndarray:
 
 
 def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.GradientTransformation:
-    """AdamW; with more than one update a step, the rate is that of the step."""
+    """AdamW; with more than one update per step, the rate is that of the step."""
     # Objectives come in any unit, so Adam's guard against division by zero must be tiny.
     rate = schedule(plan)
     if updates == 1:

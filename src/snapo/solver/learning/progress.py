@@ -70,7 +70,7 @@ class Round(NamedTuple):
 
     @classmethod
     def read(cls, stored) -> "Round":
-        """The record, from plain data as JSON has it."""
+        """The record from its plain data, as read from JSON."""
         step, values = stored
         return cls(step, tuple((number, value) for number, value in values))
 
@@ -218,7 +218,7 @@ def begin_again(
 def _begun_with(
     problem: Problem, training: TrainingPlan, progress: Progress, policy: Policy, step: int
 ) -> Progress:
-    """On from a policy after `step`."""
+    """The state that continues from a policy after `step`."""
     critic = None if progress.window is None else learner(problem, training.seed)
     return replace(
         progress,
@@ -236,7 +236,7 @@ def _begun_with(
 def last_calls(
     callbacks: Sequence[Callable[[Progress], object]], progress: Progress
 ) -> tuple[str, ...]:
-    """Calls the callbacks after an interrupt; the error of one that fails becomes a note."""
+    """Calls the callbacks after an interrupt; the error of a callback that fails becomes a note."""
     notes = []
     for callback in callbacks:
         try:

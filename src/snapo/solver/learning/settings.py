@@ -4,7 +4,7 @@ Paths, steps, rates and shares that are not specified are chosen from the proble
 
 A path of many steps contains many decisions, so fewer paths are as informative; and a training step
 over a short horizon is cheap, so there is time for more steps. The work of a path is measured by
-the products of its network, horizon times parameters, and so is the same on every machine.
+the multiplications of its network, horizon times parameters, which are the same on every machine.
 
 More steps allow a higher learning rate, which falls to zero at the end; wider layers need a lower
 one, since all their weights move at once. A `Stop`, also in a `Product`, keeps the usual rate: its
@@ -270,8 +270,9 @@ def resolve_auto(
 
 
 def _explores(action: Actions, training: Training) -> bool:
-    """Whether a share of these decisions can be drawn, and they are many; without bounds it is not
-    known knows how far, and the share falls with the temperature."""
+    """Whether a share of these decisions can be drawn, and they are many. Decisions must have
+    bounds, within which they are drawn, and the temperature must fall, since the share falls with
+    it."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     return action.exploration_size > MANY and bounded and training.cools
 

@@ -7,7 +7,7 @@ validation paths, common to all. The last one continues like a run with one star
 They run one after another: the paths of one start occupy all cores, so that several at once would
 take as long and need more memory; and all of them share the kernels of the first one.
 
-A policy that imitates a rule: a warm start for `solve`.
+It also trains policies that imitate a rule, as a warm start for `solve`.
 """
 
 from collections.abc import Callable
@@ -175,12 +175,12 @@ def describe(rounds: tuple[Round, ...]) -> str:
         others = [value - mine for number, value in values if number != winner]
         size = abs(mine)
         if not np.isfinite([size, *others]).all() or not size:
-            summary.append(f"at step {step} some of them had no value for a comparison")
+            summary.append(f"at step {step} some starts had no value for a comparison")
             continue
         endpoints = [100 * item / size for item in (min(others), max(others))]
         furthest = max(furthest, *map(abs, endpoints))
         both = list(dict.fromkeys(map(_percent, endpoints)))
-        who = "the other was" if len(others) == 1 else "the others were"
+        who = "the value of the other was" if len(others) == 1 else "the values of the others were"
         summary.append(f"{who} {' to '.join(both)} at step {step}")
     metadata = "; ".join(summary)
     more = (

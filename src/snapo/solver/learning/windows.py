@@ -10,7 +10,7 @@ where the critic is a network that learns by regression the value of all later o
 present policy, from the sweep over the whole horizon that gives the windows their initial states.
 Only an objective that is a mean of sums has such a value; others are refused.
 
-The critic: a network that gives the value of all outputs that come after a state.
+The critic is a network that gives the value of all outputs that come after a state.
 
 It is fitted by least squares to complete paths of the present policy, so that it is correct on
 average for any window; its derivative is the value of a change of the state.
@@ -268,7 +268,8 @@ def window_adjoint(
 
 
 def _turn(number: int, count: int) -> int:
-    """Which window is next: each once a round, in an order that a round's number shuffles."""
+    """The next window: each window once per round, in an order shuffled by the number of the
+    round."""
     turn, position = divmod(number, count)
     return int(np.random.default_rng(turn).permutation(count)[position])
 

@@ -70,7 +70,7 @@ class MeasuredRun(NamedTuple):
 
     @property
     def held_paths(self) -> int:
-        """The paths of the held derivatives."""
+        """The number of paths for the held derivatives."""
         return min(self.evaluation.sensitivity_paths, self.evaluation.paths)
 
     @property
@@ -164,7 +164,7 @@ def _compiled_meanwhile(run: MeasuredRun) -> AbstractContextManager:
     """Compiles the smooth derivatives during the work of the block, if the engine's programs
     serve any number of paths and the objective is known already.
 
-    Of long paths later: their tables need much memory, and other threads are busy.
+    For long paths this is done later: their tables need much memory, and other threads are busy.
     """
     problem, engine = run.problem, run.engines.evaluate
     requested = run.held_paths and run.evaluation.smooth_paths and not problem.constraints
@@ -221,7 +221,7 @@ def _sensitivities(
     """The table of the reported policy, whose totals are `exact` and whose first decisions are
     known, unless they are many, and the totals of the smooth simulator, if they are known.
 
-    None if no paths are given to it.
+    None if it has no paths.
     """
     evaluation, progress, engine = run.evaluation, run.progress, run.engines.evaluate
     policy, paths = progress.best, run.held_paths
@@ -248,8 +248,9 @@ def _sensitivities(
 
 
 def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Surface) -> float:
-    """By how much the best policy may be above the reported one: by all that the search gained and
-    its error, and a part of the loss that it could not distinguish from noise."""
+    """The amount by which the best policy may be above the reported one: the whole gain of the
+    search with its error, and a part of the loss that the search could not distinguish from
+    noise."""
     gain, error = selection.search
     floor = floor_of(problem.action) * surface.target
     return max(abs(gain) + error, surface.gain, floor, _spread(progress))
@@ -287,7 +288,7 @@ def _smoothing_gap(
 
 
 def _status(value: float, status: str) -> str:
-    """The status of a run: that of its training, unless its value is no number although all steps
+    """The status of a run: that of its training, unless its value is not finite although all steps
     were taken."""
     if np.isfinite(value) or status in ("diverged", INTERRUPTED):
         return status

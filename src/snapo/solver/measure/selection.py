@@ -2,11 +2,11 @@
 
 The values of a training's history are compared on the same few paths again and again, so that the
 highest is biased upwards. The final choice is made once, on fresh paths that are used for nothing
-else, with paired differences and the control variates regressed out of them. The starting rule
-stays unless another is significantly better: training must not make a good rule worse. The paths of
-the reported value are not used for this choice.
+else, with paired differences and the control variates regressed out of them. The starting rule is
+selected unless another is significantly better: training must not make a good rule worse. The paths
+of the reported value are not used for this choice.
 
-The numbers of paths with which a policy is measured.
+The module also contains the numbers of paths with which a policy is measured.
 """
 
 from collections.abc import Callable, Mapping
@@ -73,7 +73,8 @@ class Evaluation:
         return replace(fresh, evaluation=Sobol(seed)) if self.scenarios == "sobol" else fresh
 
     def within(self, horizon: int) -> "Evaluation":
-        """The same with `fewer` paths, if they are long, for everything except the value."""
+        """The same settings with `fewer` paths for everything except the value, if paths are
+        long."""
         counts = {name: fewer(getattr(self, name), horizon) for name in MINIMUM if name != "paths"}
         return replace(self, **counts)
 
@@ -104,7 +105,7 @@ class Effort(NamedTuple):
 
     @classmethod
     def for_training(cls, trained: int, horizon: int, maximum: int) -> "Effort":
-        """The effort of a training on a total number of paths with a horizon."""
+        """The effort of a training with this total number of paths and this horizon."""
         fewest = min(max(FEWEST * LONG // max(horizon, 1), FEWEST_LONG), FEWEST)
         return cls(trained / PURPOSES + SMALL / max(horizon, 1), maximum, fewest)
 
@@ -199,7 +200,7 @@ def select(
 
 
 def _nothing(result: Selection, level: float) -> bool:
-    """Whether there is next to nothing to gain over the start."""
+    """Whether almost nothing can be gained over the start."""
     return result.gain + SIGNIFICANT * result.error <= NOTHING * abs(level)
 
 
@@ -213,7 +214,7 @@ def _selected(
     available: dict[str, Totals],
 ) -> tuple[Selection, float, list[str]]:
     """The choice on a number of paths, the value of the initial rule on them, and the candidates
-    that are not plainly below the best one.
+    that are not clearly below the best one.
 
     `available`: {candidate: totals} on the first of these paths; returns those on all of them.
     """

@@ -3,9 +3,9 @@
 The inner problem is optimal stopping with perfect foresight and any number of rights (Rogers 2002;
 Haugh and Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each
 decision is charged the innovation in its earnings and in a fitted continuation value. Their
-expectations come from nested draws of one step: points of low discrepancy, shifted at random
-for every path and step, so that they are unbiased and their noise is small (Andersen and Broadie
-2004 draw at random, and many steps).
+expectations come from nested draws of one step: points of low discrepancy, shifted at random for
+every path and step, so that they are unbiased and their noise is small (Andersen and Broadie 2004
+draw at random, over many steps).
 """
 
 from collections.abc import Callable
@@ -112,7 +112,8 @@ class StopRelaxation:
             )
 
         def decided(t, state, noise):
-            """[rights + 1, 2] of every decision: its earnings, and with the continuation value."""
+            """[rights + 1, 2] of every decision, twice: its earnings, and these with the
+            continuation value."""
             after, earnings = problem.step(schedule, t, state, noise)
             ahead = value_at(t + 1, after)
             left = jnp.stack([ahead, jnp.append(ahead[:1], ahead[:-1])], axis=1)
@@ -166,7 +167,7 @@ class Relaxation(Protocol):
         ...
 
     def charged(self, rollout: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the penalties of the policy's decisions: of mean zero."""
+        """[N] the penalties of the policy's decisions; their mean is zero."""
         ...
 
 
@@ -183,7 +184,7 @@ UNKNOWN = (
 
 
 def bounded(problem: Problem) -> bool:
-    """Whether `relaxation_of` has one, as far as this can be decided without computation."""
+    """Whether there is a relaxation, as far as this can be decided without computation."""
     return isinstance(problem.simulator, Relaxable) or isinstance(problem.action, Stop)
 
 

@@ -4,7 +4,7 @@ Backwards in time, the value of waiting is fitted to the value a step later (Lon
 Schwartz 2001; Tsitsiklis and Van Roy 2001), and the value is the better one of stopping and
 waiting. It is used only for penalties: its error widens a bound, and never makes it wrong.
 
-The earnings of every decision of a stopping problem, on states that the decisions do not move.
+It needs the earnings of every decision of a stopping problem, on states that decisions do not move.
 
 A state is split in two: the weights of `Stop` (the rights left), and all else, which no decision
 may affect. Then the states of one path are valid for every stopping rule: a step's earnings are
@@ -85,7 +85,7 @@ class Decisions(NamedTuple):
         return jax.tree.unflatten(tree, leaves)
 
     def earned(self, outputs: dict[str, Array]) -> Array:
-        """The value of outputs to the objective."""
+        """The contribution of outputs to the objective."""
         weights = [
             weight * outputs[name] for name, weight in self.values.items() if name in outputs
         ]
@@ -174,7 +174,7 @@ def exponents(numbers: int) -> list[tuple[int, ...]]:
 
 
 class Scale(NamedTuple):
-    """The scale of the numbers [d] of one step: minus `centre`, times `per`."""
+    """The scale of the numbers [d] of one step: a scaled number is (number - centre) x per."""
 
     centre: Float[Array, " d"]
     per: Float[Array, " d"]

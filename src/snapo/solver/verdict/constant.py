@@ -1,6 +1,6 @@
 """Constant decisions: those of a trained rule, and those that it should beat.
 
-Also detects trainings that end at doing nothing: every path earns the same, whatever the noise.
+It also detects trainings that end at doing nothing: every path earns the same, whatever the noise.
 
 A store that never buys has nothing to sell, and one that never sells has no use for buying: the
 gradient there is zero, whichever of the two came first. Such a rule is detected by validations that
@@ -105,7 +105,7 @@ class ConstantDecision(NamedTuple):
 
     @property
     def where(self) -> str:
-        """ "0.9, at its limit"."""
+        """The value as text: "0.9, at its limit"."""
         return numbers_text(self.value) + (", at its limit" if self.limit else "")
 
 
@@ -125,7 +125,7 @@ def constant_decisions(action: Actions, actions: np.ndarray) -> list[ConstantDec
 
 
 def describe(constants: list[ConstantDecision], of: int) -> str:
-    """A sentence on those of several decisions that never change."""
+    """A sentence on the decisions that never change."""
     if len(constants) == of:
         limit = ", at its limit" if at_limit(constants) else ""
         where = numbers_text(np.concatenate([item.value for item in constants]))
@@ -141,8 +141,8 @@ def describe(constants: list[ConstantDecision], of: int) -> str:
 
 
 def never_taken(action: Actions, actions: np.ndarray) -> str:
-    """A sentence on the options that no `Choice` of several ever takes in the recorded decisions
-    [T, paths, size]; empty if all options are taken, or only one, which is a constant decision."""
+    """A sentence on the options of every `Choice` that the recorded decisions [T, paths, size]
+    never take. Empty if all options are taken, or only one, which is a constant decision."""
     messages = []
     for name, first, size in _choices(action):
         idle = np.flatnonzero(actions[..., first : first + size].max((0, 1)) < 0.5)

@@ -103,7 +103,8 @@ def ending(
 
     - `progress`: its `best` is the reported policy; `training`: the settings, with "auto" resolved.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
-    - `held_paths`: the paths of the held derivatives; 0 leaves out the checks that need decisions.
+    - `held_paths`: the number of paths for the held derivatives; 0 leaves out the checks that need
+      decisions.
     - `decisions` [T, held_paths, A]: the decisions of that policy on these paths, if they were
       recorded before.
     - `gradient`: the norm of the policy's gradient and the norm of its noise, if known.
@@ -178,7 +179,7 @@ def _further(
     """The gain over the policy of halfway, on more paths until they are significant, and its
     meaning.
 
-    Within limits it counts at their prices: a policy that breaks one is no worse a measure.
+    With limits the gain includes their prices, so that a policy that violates one can be compared.
     """
     rated = problem.priced(progress.dual.prices or [0.0] * len(problem.constraints))
     available = exact[problem.objective.outputs[0]]
@@ -243,7 +244,7 @@ def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
 def _over(
     problem: Problem, other: Policy, exact: Totals, engine: Engine, enough: int = ENOUGH
 ) -> Gain:
-    """On the first chunks of the evaluation, whose kernels are there."""
+    """On the first chunks of the evaluation, for which kernels exist."""
     source, bound = problem.sources.evaluation, engine.bind(_unpriced(problem))
     paths, horizon = len(exact[problem.objective.outputs[0]]), problem.simulator.horizon
     if horizon > LONG:
@@ -331,13 +332,13 @@ def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarra
 
 
 def _unpriced(problem: Problem) -> Problem:
-    """With the outputs of its limits in addition to those of its objective, as kernels have
-    them."""
+    """The problem with the outputs of its limits in addition to those of its objective, as in
+    kernels."""
     return problem.priced([0.0] * len(problem.constraints))
 
 
 def _breaks_a_limit(problem: Problem, mine: Totals, other: Totals, groups: np.ndarray) -> bool:
-    """Whether the other rule is surely further beyond a limit than mine is."""
+    """Whether the other rule surely violates a limit by more than mine does."""
     for limit in problem.constraints:
         influence = limit.measure.influence(other)
         error = statistics.mean(influence, groups).standard_error

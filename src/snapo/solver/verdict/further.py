@@ -6,9 +6,9 @@ A training's rate rises in the warm-up and falls to zero, so that late steps har
 or not there is something left to gain. Gains are therefore measured over the sum of the rates, the
 distance that a training can cover, and not over its steps. The shortfall is assumed inversely
 proportional to it: a training with a cosine schedule whose second half gained 1 would gain 2.25
-with as many further steps. Eight problems with a known optimum were between 1 and 4.
+with as many further steps. For eight problems with a known optimum this gain was between 1 and 4.
 
-Whether a decision is in effect a stopping decision that is not written with `Stop`.
+It also tests whether a decision is in effect a stopping decision that is not written with `Stop`.
 """
 
 from collections.abc import Mapping
@@ -166,7 +166,7 @@ class Room(NamedTuple):
 
     @property
     def near(self) -> bool:
-        """Whether that is negligible."""
+        """Whether this share is negligible."""
         return self.share <= NEAR
 
 
