@@ -1,15 +1,16 @@
-"""The bound of a fund: its assets at a deflator's prices instead of the market's returns.
+"""The bound of a fund: its assets are valued at a deflator's prices.
 
-With a price of risk p, deflate: D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t), where m(t)
-is the maximum expected growth of a unit of deflated money within the limits of weights and swaps.
-Then D A earns nothing on average under any policy, so
+With a price of risk p the deflator D is D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t),
+where m(t) is the maximum expected growth of a unit of deflated money within the limits of weights
+and swaps. Then D A earns nothing on average under any policy, so
 
     E[u(F)] <= E[sup over F of u(F) - y D(T) L F] + y (A(0) + E[sum of deflated money received])
 
 for every y > 0 and p (Haugh, Kogan and Wang, Operations Research 54, 2006). The liability L is the
-minimum and the money received the maximum over all decisions: exact if indexation and contributions
-do not depend on decisions, wide if they do. Costs of trading are neglected. Assets must be above
-zero: with a debt, which leverage or payments can leave, D A could earn money on average.
+minimum and the money received the maximum over all decisions. The bound is exact if indexation and
+contributions do not depend on decisions, and wide if they do. Costs of trading are neglected.
+Assets must be above zero: leverage or payments can leave a debt, and with a debt D A could earn
+money on average.
 """
 
 from collections.abc import Callable
@@ -135,8 +136,8 @@ class FundPaths(NamedTuple):
 
 
 class Deflated(NamedTuple):
-    """[T, N]: D at the start of each step, over m; `after` at its end; and the `growth` of a unit
-    in each investment, not yet deflated by either."""
+    """`over` [T, N]: D at the start of a step, divided by m; `after` [T, N]: D at its end;
+    `growth`: the growth of a unit in each investment, before it is multiplied by D."""
 
     over: Array
     after: Array
@@ -144,9 +145,8 @@ class Deflated(NamedTuple):
 
 
 class FundRelaxation:
-    """See `snapo.Relaxation`; prices of risk and y are fitted on separate paths.
-
-    `policy` generates these paths; its decisions have no effect there.
+    """See `snapo.Relaxation`. Prices of risk and y are fitted on separate paths. `policy` generates
+    these paths, and its decisions have no effect on the fit.
     """
 
     terms, description = 1, "the innovations of the assets at fitted prices of risk"

@@ -14,8 +14,8 @@ from ..results.setup import FUNDING, PENSION, case_of
 
 
 class Equivalent(NamedTuple):
-    """A utility of the final funding ratio, or of the mean pension over today's, as a certain
-    ratio: `slope` is d ratio / d utility."""
+    """The certain `ratio` that has a given utility; the ratio is the final funding ratio, or the
+    mean pension divided by today's. `slope` is d ratio / d utility."""
 
     ratio: float
     slope: float

@@ -124,7 +124,8 @@ def measure(run: StudyRun) -> MoveEffects:
 
 
 def effects(setup: Setup, solution: Solution) -> MoveEffects:
-    """Effects of the standard moves on the objective: of each number, and of all of an input's."""
+    """Effects of the standard moves on the objective: of single numbers, and of all numbers of an
+    input together."""
     problem, table = setup.problem, solution.sensitivities
     if table is None:
         return MoveEffects()
@@ -184,7 +185,7 @@ def show(run: PensionRun, result: MoveEffects) -> Sequence[Block]:
 
 
 def rise(move: Any) -> str:
-    """A move of all numbers of an input, "Zero rate, all 6: + 1 bp"."""
+    """A move of all numbers of an input as text: "Zero rate, all 6: + 1 bp"."""
     count = f", all {move.count}" if move.count > 1 else ""
     return f"{name_of(move.input)}{count}: +{SPACE}{move.move}"
 
@@ -199,7 +200,10 @@ def _tornado(moves: Sequence[InputEffect], scale: float, unit: str) -> Chart:
     ]
     alt = "Effects of the standard moves. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
     svg = draw("tornado", alt, lambda axes: tornado(axes, swings, unit), 40 + 22 * len(swings))
-    caption = "The largest effects, all numbers of an input moved together; whiskers: 95 %."
+    caption = (
+        "The largest effects, with all numbers of an input moved together; whiskers are 95 % "
+        "intervals."
+    )
     return Chart(svg, caption)
 
 
@@ -252,7 +256,7 @@ def _nodes(
 def _others(rows: Sequence[NumberEffect], scale: float, unit: str) -> Table:
     body = [_row(row, name_of(row.input, row.label), scale) for row in rows[:ROWS]]
     head = [("Input", ""), ("Rise", ""), *_columns(unit)]
-    more = "" if len(rows) <= ROWS else "; the rest is in sensitivities.csv"
+    more = "" if len(rows) <= ROWS else "; the others are in sensitivities.csv"
     folded = f"Each number by itself: {len(rows)} sensitivities{more}"
     return Table(head, body, "Each number by itself", TEXTS, folded=folded)
 

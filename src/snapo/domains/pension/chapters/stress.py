@@ -1,4 +1,4 @@
-"""The fund after each scenario of its file of shocks: the moves of inputs and prices."""
+"""The fund after every scenario of its file of shocks, which moves inputs and prices."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -194,8 +194,9 @@ def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block
     head = [("Scenario", ""), ("Assets", unit), ("Liability", unit), ("Surplus", unit)]
     head += [("Funding ratio", "%"), ("Change", "points")]
     caption = (
-        "Instantaneous shocks, fully revalued, with unchanged holdings and swaps. Classes with a "
-        "separate shock do not react to rates."
+        "Assets, swaps and liability are fully revalued after an instantaneous shock, with "
+        "unchanged holdings. Equity, property and other classes that do not follow the curve do "
+        "not react to rates."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]
 
