@@ -229,7 +229,7 @@ LADDERS = TODAY.section(
 
 
 def show_limits(run: PensionRun, result: PathTables) -> Sequence[Block]:
-    """The headroom of the collateral today, and the share of paths that violate limits, by month."""
+    """Today's headroom of the collateral, and by month the share of paths that violate a limit."""
     today, facts = TODAY.of(run), []
     collateral = Collateral() if today is None else today.collateral
     if (now := collateral.now) is not None:

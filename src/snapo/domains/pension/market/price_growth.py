@@ -1,4 +1,4 @@
-"""Growth of prices from date to date, as Gaussians under the measures of payments.
+"""Growth of prices from date to date: Gaussian under the measure of each payment.
 
 Y_k = ln I(u_k) / I(u_{k-1}) seen from time t, u_k years later. With N(u) the part of ln I(t + u)
 that is unknown at t, in the model of `factors` with volatilities that do not change,
@@ -49,8 +49,8 @@ class PriceGrowth(NamedTuple):
 
 
 def price_growth(case: PensionModel, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
-    """All moments, exact at every time of the grid; `today`: only at time 0, without the scan over
-    the steps that other times need."""
+    """All moments, exact at every time of the grid. With `today` they are computed at time 0 only,
+    without the scan over the steps that other times need."""
     item, d = round(1 / case.step), case.step
     times = np.arange(1 if today else case.steps + 1)
     first = np.ones_like(times)

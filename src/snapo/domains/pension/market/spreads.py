@@ -1,5 +1,5 @@
-"""Credit spreads, u = ln(s / mean) reverts to zero, one for each rating; and currencies in returns:
-the unhedged share, the cost of hedging and the premium.
+"""Credit spreads s, one for each rating, where u = ln(s / mean) reverts to zero; and the effect of
+currencies on returns: the unhedged share, the cost of hedging and the premium.
 """
 
 from typing import Any, NamedTuple

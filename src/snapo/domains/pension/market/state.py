@@ -77,7 +77,8 @@ def at_start(factors: Array, spread: Array | None = None, displayed: Array | Non
 
 
 def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) -> Array:
-    """[J] ln of the factor of a payment's forward value, at the market's factors."""
+    """The logarithm of the factor [J] on a payment's forward value, at the factors of the
+    market."""
     return shape - terms.slope @ market.factors
 
 

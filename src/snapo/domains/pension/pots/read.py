@@ -1,4 +1,4 @@
-"""Reads `[pots]`: personal pots with a solidarity reserve, within the law at the date."""
+"""Reads `[pots]`: personal pots with a solidarity reserve, within the law on the valuation date."""
 
 import datetime
 from dataclasses import replace
@@ -44,7 +44,8 @@ def read_pots(
 ) -> Pots | None:
     """The pots of a case under the rules in force on `day`; None without the table.
 
-    **Raises:** `CaseError` if the reserve is filled beyond the law, or cohorts are missing.
+    **Raises:** `CaseError` if the reserve is filled by more than the law allows, or if cohorts are
+    missing.
     """
     if table is None:
         return None
@@ -90,7 +91,10 @@ def read_pots(
 
 
 def check_pots(file: str, pots: Pots | None, plan: PensionPlan, liability: Liability) -> None:
-    """Rules that cannot be combined with pots are refused."""
+    """Refuses rules that cannot be combined with pots.
+
+    **Raises:** `CaseError` with the key of the rule and the words that are allowed.
+    """
     if pots is None:
         return
     request = (

@@ -41,12 +41,13 @@ class PotState(NamedTuple):
 
     @property
     def weights(self) -> Array:
-        """[n] of the fund, as drifted."""
+        """The weights [n] of the fund after their drift."""
         return self.fund.weights
 
 
 class Paid(NamedTuple):
-    """Money of a step in and out: the fund's `flows`, and of each pot [C] and the reserve."""
+    """Money paid in and out in a step: the `flows` of the fund, and those of each pot [C] and of
+    the reserve."""
 
     flows: FundFlows
     pots: Array
@@ -65,8 +66,8 @@ class PotSimulator(PensionSimulator):
         return PotState(fund, constants.pots, constants.start_reserve, level, none)
 
     def observe(self, constants: PotTerms, now: PotPeriod, state: PotState):  # pyright: ignore
-        """The observation of a fund, then ln of each pot over its annuity, and the reserve's
-        share."""
+        """The observation of a fund, then the logarithm of each pot divided by its annuity, and the
+        share of the reserve."""
         terms, fund = constants.fund, state.fund
         books = balance(self.model, terms, now.fund.people, now.fund.shape, fund)
         observed = observe(self.model, terms, now.fund, fund, books.ratio)

@@ -1,4 +1,4 @@
-"""Bonds by their maturity: government, index-linked and coupon bonds, without default.
+"""Bonds of a constant maturity: government, index-linked and coupon bonds, without default.
 
 Index-linked bonds are zero-coupon bonds of constant maturity that pay the price index. The value of
 a bond of u years is I(t) P_real(t, t + u) in money, where P_real discounts by the real rate (R.
@@ -41,7 +41,7 @@ class BondSteps(NamedTuple):
 
 @dataclass(frozen=True)
 class Maturing(AssetClass):
-    """Zero-coupon bonds of `maturity` whole steps, kept constant."""
+    """Zero-coupon bonds of a constant maturity of `maturity` whole steps."""
 
     maturity: int = 0
 

@@ -83,7 +83,7 @@ def _variance(scene: Scene, rank: np.ndarray, volatility: Array, currency) -> Fl
 
 
 def _drift(case: PensionModel, inputs: dict[str, Any], rank: np.ndarray, variance: Array) -> Array:
-    """Mean of a step's log return, before currencies."""
+    """Mean of a step's log return, currencies excluded."""
     if case.risk_neutral:
         return -variance / 2
     mean = use(inputs, case.assets.mean)[rank]
