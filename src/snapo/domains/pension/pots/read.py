@@ -50,7 +50,7 @@ def read_pots(
     if table is None:
         return None
     if members is None:
-        raise section.error("rules", table.rules, "pots are those of the cohorts of [members] file")
+        raise section.error("rules", table.rules, "pots need cohorts, which members.file names")
     rules = in_force(section, table.rules, OWN, day, _rules)
     largest = table.largest
     if largest is None:
@@ -61,7 +61,7 @@ def read_pots(
             message = f"the law in force since {rules.since} allows at most {maximum:g}"
             raise section.error(key, stated.written, message)
     if table.reserve.used() > largest.used():
-        message = f"the reserve is at most {largest.values[0]:g}"
+        message = f"the reserve must be at most {largest.values[0]:g}, the value of largest"
         raise section.error("reserve", table.reserve.written, message)
 
     def input(key: str) -> CaseInput:
@@ -108,7 +108,7 @@ def check_pots(file: str, pots: Pots | None, plan: PensionPlan, liability: Liabi
     for key, value, allowed in request:
         if value not in allowed:
             text = " or ".join(str(item).lower() for item in allowed)
-            raise CaseError(file, key, value, f"a fund of personal pots needs {text}")
+            raise CaseError(file, key, value, f"with personal pots it must be {text}")
 
 
 def _rules(data: dict[str, Any]) -> PotRules:

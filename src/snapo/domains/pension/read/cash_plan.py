@@ -20,7 +20,7 @@ from ..records.plan import CashPlan
 from .cells import NEVER, TimeGrid, years
 
 PAYMENT = AMOUNT.of("plan").in_column(
-    "amount", "a payment agreed in money, on top of the rule of contributions"
+    "amount", "a payment agreed in money, in addition to the rule of contributions"
 )
 HALF = datetime.timedelta(15)  # of a month: a later day belongs to the next one
 
@@ -83,6 +83,6 @@ def _step(row: Row, column: str, due: float, timer: PlanClock) -> int:
     step = math.floor(steps + NEVER)
     if step < 0:
         now = Unquoted(f"{timer.start:%Y-%m-%d}")
-        message = f"payments come after the valuation date, {now}"
-        raise row.error(column, f"{message}; in arrears the first one is after one step")
+        message = f"payments must be on or after the valuation date, {now}"
+        raise row.error(column, f"{message}; in arrears the first payment is after one step")
     return step

@@ -41,7 +41,9 @@ CURRENCY = (
     SHARE.of("model", blank=0.0).in_column(
         "hedge_ratio", "the share of a currency's exposure that is hedged"
     ),
-    FEE.in_column("hedge_cost", "the cost of hedging a currency, per year of the hedged amount"),
+    FEE.in_column(
+        "hedge_cost", "the yearly cost of hedging a currency, as a share of the hedged amount"
+    ),
 )
 NOTIONAL = AMOUNT.of("overlay").in_column(
     "notional", "the notional of today, before the first trade", range=ANY
