@@ -77,8 +77,8 @@ class ObjectiveTerm:
 
 @dataclass(frozen=True, eq=False)
 class Frontier:
-    """A sweep of contributions against the shortfall: `points` policies, each trained for `steps`
-    more, CVaR at `level`."""
+    """A sweep of contributions against the shortfall: the number of `points`, the training `steps`
+    of every policy, and the `level` of the CVaR."""
 
     points: int
     steps: int
@@ -115,12 +115,12 @@ class DerivedNumbers(TreeRecord):
 class PensionModel(TreeRecord):
     """A fund, its markets and its people: everything on which its paths depend.
 
-    The model of a case has all numbers. The model of a simulator is made from a case with `of`: it
-    has every number that is not an input, as an array.
+    The model of a case has all numbers. The model of a simulator is made from a case by
+    `inputs.model_of`: it has every number that is not an input, as an array.
 
     - `step`: 1/12 or 1 years; `steps`: T; `start_month`: 1 to 12, the calendar month of time 0.
     - `measure`: "P" real-world, "Q" risk-neutral.
-    - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
+    - `members`, `cash_flows`: exactly one of them is not None; `mortality` is None without members.
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
     - `pots`: personal pots instead of promised rights; None if these are promised.
     - `derived`: the derived numbers, for a simulator only.
@@ -206,8 +206,8 @@ OF_MODELS = ("variance by source", "market consistency")
 
 
 def missing_parts(case: PensionCase, stress: bool) -> dict[str, str]:
-    """{part: why a run of the case has it not, or has nothing in it}; `stress`: whether the case
-    names a file of shocks."""
+    """{part: the reason why a run of the case does not have it, or why it is empty}; `stress`:
+    whether the case names a file of shocks."""
     result = {} if stress else {"stress": "the case has no [stress]"}
     if case.frontier is None:
         result["frontier"] = "the case has no [frontier]"

@@ -1,4 +1,4 @@
-"""The figures by which a human recognises a fund: its size, durations, volatilities and returns."""
+"""The figures by which a user recognises a fund: its size, durations, volatilities and returns."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
