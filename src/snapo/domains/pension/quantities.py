@@ -127,7 +127,8 @@ def input_of(table: CaseTable, key: str, prefix: str, currency: str = "money") -
 
 
 def on_steps(numbers: CaseInput, grid: TimeGrid) -> CaseInput:
-    """Numbers on the steps of the horizon, index [T]; not an input if it begins later."""
+    """Numbers on the steps of the horizon, index [T]. Numbers that begin after the horizon are
+    omitted."""
     if numbers.starts is None:
         return replace(numbers, index=np.zeros(grid.steps, np.int64))
     times = np.arange(grid.steps) * grid.step
@@ -138,7 +139,7 @@ def on_steps(numbers: CaseInput, grid: TimeGrid) -> CaseInput:
 
 
 def side_by_side(name: str, parts: Sequence[CaseInput], names: Sequence[str]) -> CaseInput:
-    """Several numbers that change in time as one input, index [T, len(parts)]."""
+    """Several numbers that change over time, as one input with the index [T, len(parts)]."""
     labels = [f"{n} {label}".strip() for n, x in zip(names, parts) for label in x.labels]
     numbers = replace(stacked(name, parts), labels=tuple(labels))
     if len(set(numbers.positions)) == len(labels):

@@ -53,8 +53,8 @@ FUNDED = 1e6  # a funding ratio above every limit of a plan
 
 
 class Extremes(NamedTuple):
-    """Extremes of one path: `received` [T] the maximum of contributions minus payments, in money;
-    `liability` the minimum at the horizon."""
+    """Extremes of one path: `received` [T]: the maximum of contributions minus payments, in money;
+    `liability`: the minimum of the liability at the horizon."""
 
     received: Float[Array, " T"]
     liability: Float[Array, ""]
@@ -128,8 +128,8 @@ def _increases(simulator, terms: FundTerms, now: Period, market: Market, then: M
 
 
 class FundPaths(NamedTuple):
-    """The market on all paths, before prices are applied: arrays [T, N, …], those of bonds [T,
-    …]."""
+    """The market on all paths, before prices of risk are applied: arrays are [T, N, …], those of
+    bonds [T, …]."""
 
     returns: GaussianReturns
     noise: Float[Array, "T N Z"]

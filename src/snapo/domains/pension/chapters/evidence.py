@@ -146,7 +146,7 @@ def _tested(test: Expected, source: Scenarios, tests: int) -> MarketTest:
 
 
 def show(run: PensionRun, result: tuple[MarketTest, ...]) -> Sequence[Table]:
-    """The tests in a table, a part of the reconciliation."""
+    """The tests in a table, which is a part of the reconciliation."""
     rows = [
         (
             test.name,
@@ -168,7 +168,7 @@ CONSISTENCY = Chapter(
 
 
 def show_certificate(run: PensionRun, result: Certificate) -> list[Block]:
-    """The adjoint against bumps, and every limit."""
+    """The comparison of the adjoint with bumps, and every limit."""
     gap = number(result.smoothing_gap)
     facts = [("Smoothing gap", gap, "objective under exact minus smooth rules")]
     return [

@@ -44,7 +44,7 @@ def equivalent(objective: Objective, utility: float) -> Equivalent | None:
 
 @dataclass(frozen=True)
 class WeightedTerm:
-    """A term of the objective: the weight, the output, and the kind of its measure."""
+    """A term of the objective: its weight, its output, and its kind."""
 
     weight: Number = np.nan
     output: str = ""
@@ -69,7 +69,7 @@ class ObjectiveValue:
 
 
 def measure(run: StudyRun) -> ObjectiveValue:
-    """The objective of the case at the value of the run."""
+    """The objective of the case, with the value of the run."""
     solution, objective = run.solution, run.setup.problem.objective
     terms = tuple(
         WeightedTerm(term.weight, term.output, term.objective.kind)

@@ -3,8 +3,8 @@
 Decisions are recorded once, and one adjoint pass with a cotangent for each output runs over the
 same paths. An effect on a ratio or a probability is reported in points, in basis points, and in
 money as this share of today's liability. An effect on money is also reported as a share of the
-liability. For a fund of personal pots the ratio is that of its pensions to those of today, which
-has no such value in money.
+liability. For a fund of personal pots the ratio is that of its pensions to those of today, and
+effects on it have no value in money.
 """
 
 from collections.abc import Iterator, Sequence

@@ -111,7 +111,7 @@ class PathTables:
 
 
 def measure(run: StudyRun) -> PathTables:
-    """The trained policy on recorded paths; writes profile.csv."""
+    """The results of the trained policy on recorded paths. Writes profile.csv."""
     record, recovered = RecordedPaths.of(run), None
     if record.case.regulation is not None:
         required = stand(record.case, plain(run.setup.problem.inputs)).required_ratio
@@ -268,7 +268,7 @@ def policy_map(record: RecordedPaths) -> PolicyMap:
 
 
 def mean_mix(record: RecordedPaths) -> MeanMix:
-    """Means over the paths at the starts of years."""
+    """Mean weights and positions over the paths at the starts of years."""
     case = record.case
     steps = round(1 / case.step)
     weights, overlay = record.weights[::steps].mean(1), record.overlay[::steps].mean(1)

@@ -77,7 +77,7 @@ class PotsOutcome:
 
 
 def measure(run: StudyRun) -> PotsOutcome:
-    """A row for each cohort, the reserve by year, and the law."""
+    """A row for each cohort, the reserve by year, and the rules in force."""
     case, setup = case_of(run), run.setup
     terms = setup.problem.schedule.constants
     level, reserve = _recorded(run)

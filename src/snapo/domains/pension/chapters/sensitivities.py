@@ -165,7 +165,7 @@ def _along(table: Sensitivities, name: str, size: np.ndarray, slope: float) -> d
 
 
 def show(run: PensionRun, result: MoveEffects) -> Sequence[Block]:
-    """Every input moved by its standard step: the tornado, key rates of the curves, all others."""
+    """The effects of the standard moves: the tornado, the key rates of curves, and all others."""
     if not result.families:
         return [why_missing(run, SENSITIVITIES.name)]
     scale, unit = 1.0, "objective"

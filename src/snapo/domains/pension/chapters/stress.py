@@ -34,7 +34,7 @@ ROUNDS = 8  # of Newton's method; the zero rates of swaps are nearly linear in t
 
 
 def zero_rates(curve: MarketCurve) -> np.ndarray:
-    """[n] continuous zero rates at the nodes, for any quotes."""
+    """The continuous zero rates at the nodes [n], for any kind of quotes."""
     if curve.quote == "zero":
         return curve.rate.used()
     if curve.quote == "swap":

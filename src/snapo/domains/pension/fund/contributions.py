@@ -43,7 +43,7 @@ class ContributionRule:
     - `takes`: its keys in addition to those of the normal cost and of the limits.
     - `by_cost`: whether it begins with the normal cost, valued with a loading or as a rate of
       salaries.
-    - `responds`: whether it depends on the funding ratio, and so on decisions.
+    - `responds`: whether it depends on the funding ratio, and therefore on decisions.
     """
 
     kind: ClassVar[str]
@@ -75,7 +75,7 @@ class FixedContribution(ContributionRule):
 
 
 class NormalCost(ContributionRule):
-    """The value of the step's accrual, independently of the funding ratio."""
+    """The value of the step's accrual, whatever the funding ratio is."""
 
     kind = "normal-cost"
 
@@ -84,7 +84,7 @@ class NormalCost(ContributionRule):
 
 
 class SpreadContribution(ContributionRule):
-    """The normal cost and a yearly share of liability minus assets; a surplus is also spread."""
+    """The normal cost plus a yearly share of liability minus assets; a surplus reduces it."""
 
     kind, takes, responds = "spread", ("spread_factor",), True
 
@@ -118,7 +118,8 @@ CONTRIBUTIONS: dict[str, ContributionRule] = {
 
 
 def log_discount(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) -> Array:
-    """[n] ln of the discount factors of money at times `years` on the basis of the valuation."""
+    """The logarithms [n] of the discount factors of money at times `years`, on the basis of the
+    valuation."""
     basis = case.liability
     added = 0.0 if basis.basis == "risk-free" else -use(inputs, basis.rate) * years
     if basis.basis != "fixed":

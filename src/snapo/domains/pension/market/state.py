@@ -28,7 +28,7 @@ class MarketTerms(NamedTuple):
     payment nodes, with ln P(t, t+u) = shape - `slope` @ factors; `rate_slope` [2, g]: slopes of
     long and short rate. Under ready-made scenarios there is `swap_slope` [2, J, k], for the
     payments of swaps before and after a step; otherwise the numbers of the models, with `shock` [Z,
-    Z], `decay`, `reach` [g] and wages (see `inflation.Growth`)."""
+    Z], `decay`, `reach` [g] and wages (see `dynamics.IndexGrowth`)."""
 
     start: Market
     slope: Array
@@ -45,9 +45,8 @@ class MarketTerms(NamedTuple):
 
 
 class MarketSteps(NamedTuple):
-    """The numbers of each step t: `rate_level` [T, 2]: long and short rate if the factors are
-    zero; the generator's shifts of cash and prices; volatilities and drifts of the factors [T,
-    g]."""
+    """The numbers of each step t: `rate_level` [T, 2]: long and short rate if the factors are zero;
+    the models' shifts of cash and prices; volatilities and drifts of the factors [T, g]."""
 
     rate_level: Array
     cash_shift: Any = None

@@ -87,8 +87,8 @@ def _response(
 
 
 class People(NamedTuple):
-    """The numbers of the members that all paths share. Leading axis T + 1: at time t, before step
-    t.
+    """The numbers of the members that all paths share. The leading axis T + 1 is time: t means
+    before step t.
 
     - `accrued`, `fresh` [T+1, J]: forward values on the nodes, including the loading for expenses,
       of rights accrued by time 0, and of rights accrued in steps before t at baseline wages.

@@ -163,7 +163,7 @@ class PensionPolicy(Policy):
 
     **Arguments:**
 
-    - `features`: size of the observation; `hidden`: widths of the layers between.
+    - `features`: size of the observation; `hidden`: widths of the hidden layers.
     """
 
     network: Network

@@ -1,4 +1,4 @@
-"""Classical policies with their tunable parameters, and closed forms of known problems."""
+"""Classical policies with parameters that can be tuned, and the present mix."""
 
 from collections.abc import Sequence
 

@@ -1,9 +1,9 @@
 """One path of a fund of personal pots: the fund invests, and shares its return among cohorts.
 
-Order within a step: contributions go into pots and reserve, pensions are paid out of pots; the
-fund trades; a step of the market; its return is shared (`sharing`); at the end of a year the
-reserve takes its part, restores pensions in payment, and pensions are set for the next year as pot
-over annuity (`members`). Pots and reserve add up to the assets at every time.
+Order within a step: contributions go into pots and reserve, and pensions are paid out of pots; the
+fund trades; the market moves; the return is shared (`sharing`). At the end of a year the reserve
+takes its part and restores pensions in payment; then the pensions of the next year are set to pot
+divided by annuity. Pots and reserve add up to the assets at every time.
 """
 
 from typing import Any, NamedTuple

@@ -39,7 +39,7 @@ class MarketCurve(TreeRecord):
 
     @property
     def tenor(self) -> np.ndarray:
-        """[n] the same as an array."""
+        """`tenors` as an array [n]."""
         return np.array(self.tenors, float)
 
 

@@ -45,7 +45,7 @@ class Revaluation(TreeRecord):
 class CashPlan(TreeRecord):
     """Payments agreed in money, such as a recovery plan's.
 
-    - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
+    - `amount`: the money of each row, index [n]; `step`: [n] the step in which it is paid.
     """
 
     amount: CaseInput

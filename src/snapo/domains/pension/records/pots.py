@@ -15,8 +15,8 @@ class PotRules:
     """The state of the law; see the comments in `regulation/dutch_wtp.toml`.
 
     - `largest`: the largest solidarity reserve, as a share of all assets; `from_contributions`,
-      `from_excess_return`: the largest shares of a year's contributions and excess return that are
-      paid into it.
+      `from_excess_return`: the largest shares of a year's contributions and excess return that may
+      be paid into the reserve.
     """
 
     since: str

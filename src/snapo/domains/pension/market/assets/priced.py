@@ -22,14 +22,14 @@ from .asset_class import AssetClass, Scene, register
 
 
 class PricedSteps(NamedTuple):
-    """`drift` [T, k] of log returns before cash, `volatility` [T, k] in local currency."""
+    """`drift` [T, k] of log returns without that of cash, `volatility` [T, k] in local currency."""
 
     drift: Array
     volatility: Array
 
 
 class Priced(AssetClass):
-    """A class with its own shock; equity, property and others are kinds of it."""
+    """A class with a separate shock; equity, property and others are subclasses."""
 
     columns: ClassVar[tuple[str, ...]] = ("mean", "volatility", "smoothing")
     without: ClassVar[str] = "its return has a separate mean and volatility"

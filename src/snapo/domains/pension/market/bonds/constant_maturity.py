@@ -1,4 +1,4 @@
-"""Zero-coupon bonds that are sold after each step and bought again at their first maturity.
+"""Zero-coupon bonds that are sold after each step and replaced by bonds of the original maturity.
 
 A bond of m steps depends on the factors f with the loadings l (see `market.factors`: 1 for every
 factor of rates, and -1 for expected inflation if the bond is index-linked). Over a step of length d
