@@ -170,7 +170,7 @@ CONSISTENCY = Chapter(
 def show_certificate(run: PensionRun, result: Certificate) -> list[Block]:
     """The comparison of the adjoint with bumps, and every limit."""
     gap = number(result.smoothing_gap)
-    facts = [("Smoothing gap", gap, "objective under exact minus smooth rules")]
+    facts = [("Smoothing gap", gap, "objective with exact rules minus that with smooth ones")]
     return [
         Facts([*facts, *evidence.gradient(run)]),
         bump_table(result, "", name_of),

@@ -140,7 +140,7 @@ def show(run: PensionRun, result: Reconciliation) -> Sequence[Block]:
     if local.lines:
         head = [("Figure", ""), ("", ""), ("This model", ""), ("Reference", ""), ("Error", "")]
         rows = [_row(line) for line in local.lines]
-        blocks.append(Table(head, rows, "Figures of the model, and the actuary's as references", 2))
+        blocks.append(Table(head, rows, "Figures of the model, and their references", 2))
     if local.in_words:
         blocks.append(Text(" ".join(f"{_capitalized(text)}." for text in local.in_words)))
     scale, unit = run.size(local.liability)

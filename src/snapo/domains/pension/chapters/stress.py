@@ -195,8 +195,8 @@ def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block
     head += [("Funding ratio", "%"), ("Change", "points")]
     caption = (
         "Assets, swaps and liability are fully revalued after an instantaneous shock, with "
-        "unchanged holdings. Equity, property and other classes that do not follow the curve do "
-        "not react to rates."
+        "unchanged holdings. Equity, property and other classes with a separate mean and "
+        "volatility do not react to rates."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]
 

@@ -43,7 +43,8 @@ class MarketFactors(NamedTuple):
 
 
 class BondLoads(NamedTuple):
-    """The loads of a kind of bond: `loads` [g] of the factors' integrals, `loading` [T] of dW_I."""
+    """The loadings of a kind of bond: `loads` [g] on the integrals of the factors, `loading` [T] on
+    dW_I."""
 
     loads: np.ndarray
     loading: Array

@@ -53,7 +53,7 @@ FARTHEST = 10.0  # a bound beyond 1,000 % of the assets is a percentage that was
 def read_assets(
     section: TableContext, table: AssetsTable, amount: CaseInput, grid: TimeGrid, names: AssetNames
 ) -> Assets:
-    """The table of asset classes; costs and fees of classes without one are zero."""
+    """The table of asset classes; a cost or a fee that is empty is zero."""
     rows = read_rows(
         FileReference(section, "file", table.file), ("name", "kind", "weight"), OPTIONAL
     )

@@ -1,8 +1,8 @@
 """Reads `[plan.contribution] schedule`: payments agreed in money, by date or by time from now.
 
 A date counts as the beginning of the month that is nearest to it, like the valuation date. With
-monthly steps a payment falls into its month; with yearly ones into its year, whose payments are
-made together at the beginning ("advance") or at the end of it ("arrears").
+monthly steps a payment falls into its month. With yearly steps it falls into its year, and all
+payments of a year are made together at its beginning ("advance") or its end ("arrears").
 """
 
 import datetime

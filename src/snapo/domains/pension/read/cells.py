@@ -1,4 +1,4 @@
-"""Cells of the tables: optional ones, keywords, names and times."""
+"""Reads cells of the tables: optional cells, keywords, names and times."""
 
 import math
 from collections.abc import Sequence

@@ -52,8 +52,8 @@ IDLE = {"kind": "hull-white", "mean_reversion": 0.1, "volatility": 0.0}
 
 
 class RateQuotes(NamedTuple):
-    """The file of a curve: the key and the name of its file; its inputs by name, each with a
-    separate column; the name of the ultimate rate."""
+    """The quotes of a curve: the `key` and the name of its `file`; its `inputs` by name, each with
+    a separate column; and the name of the ultimate rate (`far`)."""
 
     key: str
     file: str

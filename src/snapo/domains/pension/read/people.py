@@ -108,7 +108,7 @@ def read_cash_flows(
         if paid < 0:
             raise row.error("year", "with payments in arrears the first payment is after one step")
         if paid >= round(PAYMENT_YEARS / grid.step):
-            raise row.error("year", f"in advance, payments must be before {PAYMENT_YEARS} years")
+            raise row.error("year", f"payments in advance must be before year {PAYMENT_YEARS}")
         if steps and paid <= steps[-1]:
             raise row.error("year", "times must increase from row to row")
         steps.append(paid)

@@ -1,6 +1,5 @@
-"""The tables of a pension case of the TOML file, each key with its meaning.
-
-The description of a key is the text that an error message quotes as allowed.
+"""The tables in the TOML file of a pension case, with the meaning and the allowed values of every
+key. Error messages quote these texts.
 """
 
 import datetime
@@ -42,8 +41,8 @@ ValuationDate = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 HiddenLayers = Annotated[list[Annotated[int, Field(ge=1, le=1024)]], Field(max_length=4)]
 Ratio = Annotated[float, Field(gt=0)]
 DATE, WHOLE = "a date, YYYY-MM-DD", "a whole number"
-OF_FACTOR = "volatility or mean reversion of a factor of the short rate; the curve is fitted again"
-OF_INFLATION = "volatility or mean reversion of expected inflation; break-evens are fitted again"
+OF_FACTOR = "of a factor of the short rate; the model is fitted to the curve again"
+OF_INFLATION = "of expected inflation; the model is fitted to the break-evens again"
 MOVING = QUIET_VOLATILITY.of("volatility", by=FROM_YEAR)
 REVERSION = NUMBER.of("model", unit=YEARLY, range=POSITIVE)
 PRICE_OF_RISK = NUMBER.of("premium", unit=SQUARE_ROOT)
@@ -165,12 +164,12 @@ class InflationTable(CaseTable):
     )
     volatility: CaseInput = MOVING(f"volatility {OF_INFLATION}", 0.007, name="inflation_volatility")
     price_of_risk: CaseInput = PRICE_OF_RISK(
-        f"price of the risk {OF_INFLATION}", 0.0, name="inflation_price_of_risk"
+        "price of the risk of expected inflation", 0.0, name="inflation_price_of_risk"
     )
     index_volatility: CaseInput = MOVING("volatility of realised prices", 0.01)
     index_price_of_risk: CaseInput = PRICE_OF_RISK("price of the risk of realised prices", 0.0)
-    real_wage_growth: CaseInput = RATE("growth of wages over prices", 0.0, group="model")
-    wage_volatility: CaseInput = QUIET_VOLATILITY("volatility of wages over prices", 0.0)
+    real_wage_growth: CaseInput = RATE("growth of wages beyond prices", 0.0, group="model")
+    wage_volatility: CaseInput = QUIET_VOLATILITY("volatility of wages beyond prices", 0.0)
 
 
 class AssetsTable(CaseTable):
@@ -192,7 +191,7 @@ class AssetsTable(CaseTable):
 
 
 class CreditTable(CaseTable):
-    """`[credit]`"""
+    """`[credit]`: credit spreads by rating."""
 
     file: Nonempty = csv(
         "credit spreads by rating",
@@ -201,13 +200,13 @@ class CreditTable(CaseTable):
 
 
 class CurrenciesTable(CaseTable):
-    """`[currencies]`"""
+    """`[currencies]`: foreign currencies and their hedges."""
 
     file: Nonempty = csv("currencies", "currency,market,volatility,premium,hedge_ratio,hedge_cost")
 
 
 class CorrelationsTable(CaseTable):
-    """`[correlations]`"""
+    """`[correlations]`: correlations of the shocks."""
 
     file: Nonempty = doc(
         "correlations of the shocks; others are independent",
@@ -233,7 +232,7 @@ class OverlayTable(CaseTable):
 
 
 class ScenariosTable(CaseTable):
-    """`[scenarios]`: ready-made scenarios instead of the generator."""
+    """`[scenarios]`: ready-made scenarios instead of the models."""
 
     training: Nonempty = doc("scenarios for training", allowed="the name of a CSV file")
     evaluation: Nonempty = doc("scenarios for valuation", allowed="the name of another CSV file")

@@ -1,4 +1,4 @@
-"""The tables of a case about people and rules, each key with its meaning; see `tables`."""
+"""The tables of a case about people and rules, with the meaning of every key; see `tables`."""
 
 from collections.abc import Callable, Iterable
 from typing import Annotated, Literal
@@ -302,7 +302,7 @@ class RevaluationTable(CaseTable):
 
 
 class ContributionTable(CaseTable):
-    """`[plan.contribution]`"""
+    """`[plan.contribution]`: the rule of contributions and its limits."""
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = doc(
         "rule of the contributions", "none"
@@ -350,7 +350,7 @@ class ContributionTable(CaseTable):
 
 
 class LiabilityTable(CaseTable):
-    """`[liability]`"""
+    """`[liability]`: the valuation of the payments."""
 
     basis: Literal["risk-free", "spread", "fixed"] = doc(
         "discount rate: the curve, the curve plus a rate, or a rate", "risk-free"

@@ -134,9 +134,10 @@ class Liability(TreeRecord):
       rates of today's curve, term by term, and the resulting continuous spreads are held fixed.
     - `loading`: the loading for expenses, index []: reserves are (1 + `loading`) times the value
       of the payments.
-    - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (real
-      curve; basis "fixed" then takes `rate` as real), "capped" payments that follow prices within
-      the cap and the floor of the plan's indexation, valued as options (`people.lpi`).
+    - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (on
+      the real curve; with the basis "fixed" `rate` is then real), "capped" payments that follow
+      prices within the cap and the floor of the plan's indexation, valued as options
+      (`people.lpi`).
     """
 
     basis: Literal["risk-free", "spread", "fixed"] = field(static=True)

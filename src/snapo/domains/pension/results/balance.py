@@ -33,8 +33,8 @@ class CurveLadder:
     liability.
 
     - `tenor` [nodes], years; `quote`: the kind of its rates.
-    - `real_assets`, `real_liability`: the part that follows the price index, and so real rates;
-      empty for break-evens.
+    - `real_assets`, `real_liability`: the part that follows the price index, and therefore real
+      rates; empty for break-evens.
     """
 
     label: tuple[str, ...] = ()

@@ -54,7 +54,7 @@ def outcome_measure(case: PensionModel) -> OutcomeMeasure:
 
 
 def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
-    """The settings of training, with the seed of the case."""
+    """The problem of a case, its untrained policy, its settings and its engines."""
     training = TrainingPlan.from_settings(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)

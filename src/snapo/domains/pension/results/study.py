@@ -88,8 +88,8 @@ def parts(case: PensionCase) -> tuple[Part, ...]:
 
 
 def requested(case: PensionCase) -> list[Part]:
-    """The parts that the case asks for and those that they need; with a policy also the description
-    of its value, with which every report begins."""
+    """The parts that the case requests and those that they need. With training, the description of
+    the policy's value is added, with which every report begins."""
     every = parts(case)
     selected = training.with_needs(every, case.parts)
     if case.parts and TRAINING in selected:
@@ -157,7 +157,7 @@ STILL = re.compile(r"(\d+)(?: of \d+)?(?: never changes)? \(([-+.\deE]+), at its
 
 
 def in_classes(note: str, case: PensionCase) -> str:
-    """A note on weights that never leave a bound, with the names of their classes: it needs no
+    """A note on weights that never leave a bound, with the names of their classes and without
     advice."""
     rows, classes = STILL.findall(note), case.assets.classes
     if "never change" not in note or not rows or any(int(k) > len(classes) for k, _ in rows):

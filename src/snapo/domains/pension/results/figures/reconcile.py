@@ -1,4 +1,5 @@
-"""The actuary's figures from the model's cash flows and curve, before any simulation."""
+"""The figures of a valuation report, from the model's cash flows and curve, before any
+simulation."""
 
 from dataclasses import dataclass, replace
 from functools import partial
