@@ -89,7 +89,8 @@ def extremes(
 def _most_received(
     simulator, terms: FundTerms, now: Period, minimum: FundState, maximum: FundState
 ) -> Array:
-    """Contributions without assets against the most rights, minus benefits on the least."""
+    """The contributions of a fund without assets and with the maximum rights, minus the benefits of
+    the minimum rights."""
     case = simulator.model
     books = balance(case, terms, now.people, now.shape, maximum)
     highest = contribution(
@@ -112,7 +113,8 @@ def _most_received(
 
 
 def _increases(simulator, terms: FundTerms, now: Period, market: Market, then: Market, last: Array):
-    """(least, most) net increase at the end of the step, whatever the funding ratio."""
+    """The smallest and the largest net increase at the end of the step, whatever the funding ratio
+    is."""
     rule = simulator.model.plan.indexation
     if rule.kind == "none" and not rule.cut_years:
         return jnp.zeros_like(last), jnp.zeros_like(last)
@@ -182,8 +184,8 @@ class FundRelaxation:
             return scale[0] * self.y * np.asarray(self._surprises(self.price, rollout, draws))
 
     def _fitted(self, problem: Problem, policy: Policy, paths: int) -> tuple[np.ndarray, float]:
-        """Prices of risk [Z] of a step's normals, the share of the fair ones at which the bound is
-        lowest, and y there."""
+        """The prices of risk [Z] of a step's normals, as the share of the fair ones at which the
+        bound is lowest, and the y of this bound."""
         source = Pseudo(
             getattr(problem.sources.evaluation, "seed", 0), stream=stream(EVALUATE, STREAM)
         )
@@ -199,7 +201,7 @@ class FundRelaxation:
         return SHARES[minimum] * price, minima[minimum][1]
 
     def _lowest(self, value: Array, money: Array) -> tuple[float, float]:
-        """The bound on paths of these (see `_at_price`) where it is lowest, and the y there."""
+        """The lowest bound over y, from the results of `_at_price`, and its y."""
 
         def upper_bound(log: float) -> float:
             return float(jnp.mean(self.conjugate(np.exp(log) * value) + np.exp(log) * money))
@@ -250,23 +252,23 @@ class FundRelaxation:
         return Deflated(before / maximum, after, units)
 
     def _at_price(self, price: Any, paths: FundPaths, bounds: Extremes) -> tuple[Array, Array]:
-        """[N] each, over the assets now: D L at the end, or D where the objective is in money;
-        these assets and all money received, deflated."""
+        """Two arrays [N], divided by the assets now: D L at the end (D if the objective is in
+        money); and the assets now plus all money received, deflated."""
         result, assets = self._deflated(price, paths), self.schedule.constants.assets
         received = jnp.sum(self._counts(result) * bounds.received.T, axis=0)
         minimum = 1.0 if self.in_money else bounds.liability
         return result.after[-1] * minimum / assets, 1 + received / assets
 
     def _counts(self, result: Deflated) -> Array:
-        """[T, N] by which money received in a step is deflated: at its start or at its end."""
+        """The deflators [T, N] of the money received in a step, at its start or at its end."""
         if self.simulator.model.plan.timing == "advance":
             ones = jnp.ones_like(result.after[:1])
             return jnp.concatenate([ones, result.after[:-1]])
         return result.over * result.growth.money
 
     def _surprised(self, price: Any, rollout: Rollout, draws: Draws) -> Array:
-        """[N] sum over the steps of D A after each one, minus its mean before it, of the policy;
-        over the assets now."""
+        """The sum [N] over the steps of D A after a step minus its mean before the step, under the
+        policy, divided by the assets now."""
         paths = self._paths(rollout, draws)
         result = self._deflated(price, paths)
         simulator, constants = self.simulator, self.schedule.constants

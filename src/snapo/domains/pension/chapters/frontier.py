@@ -103,7 +103,7 @@ def measure(run: StudyRun) -> FrontierSweep:
 
 
 def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> list[Candidate]:
-    """The best policy for each goal, after the goals were trained for in order and back again."""
+    """The best policy for each goal, after training for the goals in order and back again."""
     setup, policy = run.setup, run.solution.policy
     assert policy is not None
     available = [_candidate(setup, policy)]
@@ -137,8 +137,8 @@ def _mixture(problem: Problem, frontier: Frontier, share: float) -> Objective:
 
 
 def _trained(setup: Setup, start: Policy, goal: Objective, frontier: Frontier) -> Policy:
-    """The best policy along a training that begins where another one ended: at its last
-    temperature, and with hardly any warm-up."""
+    """The best policy of a training that continues another one, at its last temperature and with a
+    short warm-up."""
     values = setup.training
     training = replace(
         values,

@@ -150,7 +150,7 @@ def measure(run: StudyRun) -> OutputTable:
 
 
 def _outputs(run: StudyRun) -> Iterator[Derived]:
-    """The objective first, whose derivatives the training left, then those of `requested`."""
+    """The objective, whose derivatives the run has already, then the outputs of `requested`."""
     goals = requested(outcome_measure(case_of(run)))
     setup, solution, problem = run.setup, run.solution, run.setup.problem
     policy, table = solution.policy, solution.sensitivities

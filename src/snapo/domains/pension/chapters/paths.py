@@ -239,7 +239,7 @@ def _fan(values: np.ndarray) -> Fan:
 
 
 def _tail(values: np.ndarray) -> float:
-    """The mean of the worst paths, those that hold 1 - TAIL of them."""
+    """The mean over the worst paths, a share 1 - TAIL of all paths."""
     count = max(1, round((1 - TAIL) * len(values)))
     return float(np.sort(values)[:count].mean())
 

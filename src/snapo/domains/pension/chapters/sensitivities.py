@@ -234,7 +234,7 @@ def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
 
 
 def _columns(unit: str) -> list[tuple[str, str]]:
-    """Heads of the columns of one effect."""
+    """The headings of the columns of one effect."""
     return [("Effect", unit), ("95 % half-width", unit), ("Part due to the policy", unit),
             ("Derivative", ""), ("Effect with the policy reacting", unit)]  # fmt: skip
 

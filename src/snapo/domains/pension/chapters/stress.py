@@ -134,8 +134,8 @@ def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed
 def _moved(curve: MarketCurve, lines: Sequence[Shock]) -> np.ndarray:
     """The quotes of a curve whose zero rates are changed by the lines.
 
-    "multiply" acts on annual rates, as the factors of regulators do; then "add", which on
-    continuous ones is a shift of every forward rate too.
+    "multiply" acts first, on annual rates, as the factors of regulators do. Then "add" acts on
+    continuous rates, where an equal shift of all zero rates is also a shift of all forward rates.
     """
     factors = [line for line in lines if line.kind == "multiply"]
     zero = zero_rates(curve)
@@ -145,8 +145,8 @@ def _moved(curve: MarketCurve, lines: Sequence[Shock]) -> np.ndarray:
 
 
 def _by_tenor(curve: MarketCurve, lines: Sequence[Shock], rates: np.ndarray) -> np.ndarray:
-    """Rates [n] moved by lines of one kind: those without a tenor move all of them equally, those
-    with one by sizes that are linear between tenors and constant outside."""
+    """Rates [n] moved by lines of one kind. Lines without a tenor move all rates equally; the sizes
+    of lines with a tenor are linear between tenors and constant outside."""
     for line in lines:
         if not line.label:
             rates = line.of(rates)
@@ -202,7 +202,7 @@ def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block
 
 
 def _signed(scenario: str) -> str:
-    """The name of a scenario with a true minus before its numbers, and a true sign of times."""
+    """The name of a scenario with a minus sign before its numbers and a multiplication sign."""
     text = re.sub(r"(?<![\w.])-(?=\d)", MINUS, scenario)
     return re.sub(r"(?<= )x(?= \d)", "×", text)
 

@@ -208,7 +208,8 @@ class Buckets:
 
 
 def _real(run: PensionRun, result: TodayTables) -> Table:
-    """+1 bp of all rates: real assets, nominal assets, and both."""
+    """The changes for +1 bp of all rates: of index-linked payments, of nominal payments, and of
+    both."""
     parts = []
     for when, ladder in (("Now", result.ladder), ("After today's trades", result.ladder_after)):
         for side in ("assets", "liability"):

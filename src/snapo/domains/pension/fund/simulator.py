@@ -151,7 +151,7 @@ class PensionSimulator(Simulator):
     def _flows(
         self, constants: FundTerms, now: Period, state: FundState, books, smooth
     ) -> FundFlows:
-        """Money received and paid; the rules look at the books before the step."""
+        """The money received and paid; the rules use the books before the step."""
         people, market = now.people, state.market
         received = contribution(
             self.model.plan,
@@ -263,7 +263,7 @@ class PensionSimulator(Simulator):
 
     @staticmethod
     def _indexation_value(discount: Array, books: FundBalance, state: FundState) -> Array:
-        """Present value of the indexation that the last step ended with."""
+        """The present value of the indexation at the end of the last step."""
         return discount * books.liability * -jnp.expm1(-state.jump)
 
     def terminal(self, constants: FundTerms, state: FundState, smooth):

@@ -79,7 +79,7 @@ def trade(case: PensionModel, terms, state, action, assets, buckets, smooth) -> 
 
 
 def _while_solvent(classes: Assets, held: Holdings, assets: Array) -> Holdings:
-    """The holdings, or only cash if there are no `assets` left, but debt."""
+    """The holdings, or only cash if no `assets` but a debt is left."""
     left = assets > 0
     alone = jnp.asarray(np.arange(len(classes.classes)) == classes.cash, held.weights.dtype)
     return held._replace(

@@ -63,7 +63,8 @@ def fit(curve: MarketCurve, rate: Array, ultimate: Array) -> CurveFit:
 
 @cache
 def _compiled() -> Callable[..., tuple[Array, Array]]:
-    """Compiled once for each form: in a trace the search for a speed takes a second."""
+    """The fit, compiled once for each form, since the search for a speed takes a second in a
+    trace."""
     return jax.jit(_fitted, static_argnums=0)
 
 
@@ -114,7 +115,7 @@ def _weights(dates: np.ndarray, local: Array, speed: Array) -> Float[Array, " m"
 
 
 def _found_speed(dates: np.ndarray, local: Array, convergence: float) -> Array:
-    """The least speed that converges, differentiated by the implicit function theorem."""
+    """The smallest speed that converges, differentiated by the implicit function theorem."""
     held = fixed(local)
 
     def missed(speed, custom=held):

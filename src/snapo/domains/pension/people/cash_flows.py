@@ -146,8 +146,8 @@ def _streams(
 
 
 def _left(alive: Array, ratio: Array, shift: int) -> Float[Array, "C N+1"]:
-    """What the dead of all steps until each time left, as pensions that were in payment from time
-    0: a death of the time before brings the right of the step of its first payment.
+    """The rights that deaths in all steps until a time have left, as pensions that were in payment
+    from time 0. A death in a step leaves the right of the step in which the pension is first paid.
 
     **Arguments:**
 
@@ -196,8 +196,7 @@ def _given(
     case: PensionModel, inputs: dict[str, Any], flows: CashFlows, log_bond: Array
 ) -> Projection:
     """The actuary's vector. The accrual of a step is paid like that vector, seen one step earlier.
-
-    It is scaled such that the normal cost of step 0 is the given one on the initial curve.
+    It is scaled so that the normal cost of step 0 on the initial curve is that of the case.
     """
     count, steps = horizon(case), case.steps
     amount = use(inputs, flows.amount)

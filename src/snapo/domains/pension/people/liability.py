@@ -64,8 +64,9 @@ def longevity(
 
 
 def _mean(total: Array, weight: Array) -> Array:
-    """`total` over `weight`; 0, without a gradient, where the weight is zero or so small that its
-    square, by which the derivative divides, is not: payments to people who are surely dead."""
+    """`total` divided by `weight`; 0 without a gradient where the weight is zero, or so small that
+    its square, by which the derivative divides, is zero (payments to people who are surely dead).
+    """
     due = weight > np.sqrt(np.finfo(weight.dtype).tiny)
     return xp.where(due, total / xp.where(due, weight, 1.0), 0.0)
 
@@ -208,7 +209,7 @@ def _with_row(rows: Array) -> Array:
 
 
 def _mix(case: PensionModel, by_step: Array, fresh: Array, discount: Array) -> Float[Array, " T"]:
-    """Value after step t of its accrual, over that of all fresh rights."""
+    """The value after step t of the accrual of this step, divided by that of all fresh rights."""
     steps, value = case.steps, fresh[1:].sum(1)
     due = by_step[np.arange(steps)[:, None], ahead(case)[1:]]
     local = xp.sum(due * discount[1:], axis=1)

@@ -45,7 +45,7 @@ def year_of_life(case: PensionCase, inputs: dict[str, Any], sex: int) -> float:
 
 @with_numpy
 def _life(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> Yearly:
-    """Each year from now on of who is `age` now."""
+    """The mortality in each year from now on of a person who is `age` now."""
     years = np.arange(PAYMENT_YEARS)
     return yearly(case, inputs, np.array(sex), age + years, years)
 

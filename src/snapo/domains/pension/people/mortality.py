@@ -159,7 +159,8 @@ def accumulate(by_step: Float[Array, "C steps"]) -> Float[Array, "C steps+1"]:
 
 
 def _within(plan: PensionPlan, rate: Array, until: Array) -> Array:
-    """Hazard from the birthday to a fraction `until` of the year, all of it being `rate`."""
+    """The hazard from the birthday to a fraction `until` of the year; that of the whole year is
+    `rate`."""
     if plan.fractional_ages == "constant-force":
         return rate * until
     inside = until < 1

@@ -130,7 +130,8 @@ def _whole(local: np.ndarray, grown: float) -> np.ndarray:
 
 
 def _floor(case: PensionCase, local: np.ndarray, grown: float):
-    """[n] the least that each class weighs in its portfolio, and the range of the growth share."""
+    """The smallest weights [n] of classes within their portfolios, and the range of the growth
+    share."""
     low, high, complete = case.assets.low, case.assets.high, _whole(local, grown)
     # A portfolio that is borrowed as a whole turns bounds round.
     floor = np.minimum(np.minimum(low / complete, high / complete), 0.0)
@@ -159,7 +160,8 @@ def followers(
 
 
 def _ratio_slot(case: PensionCase) -> int:
-    """The position of ln of the funding ratio, over that now where nothing else is seen."""
+    """The position of the logarithm of the funding ratio in the observation, or of the relative
+    one."""
     observed: dict[str, slice] = slots(case)
     name = "funding_ratio" if "funding_ratio" in observed else "relative_funding"
     return observed[name].start

@@ -126,7 +126,7 @@ def closed(
 
 
 def _parts(weights: Array, pots: Array) -> Float[Array, " C"]:
-    """Shares by weight; by pot where all weights are zero."""
+    """Shares in proportion to the weights, or to the pots if all weights are zero."""
     complete = jnp.sum(weights)
     weights = jnp.where(complete > 0, weights, pots)
     complete = jnp.sum(weights)

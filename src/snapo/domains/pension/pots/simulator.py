@@ -184,7 +184,7 @@ class PotSimulator(PensionSimulator):
 
     @staticmethod
     def _level(constants: PotTerms, pots: Array, annuity: Array) -> Float[Array, " C"]:
-        """Pots over annuities; that of today for a cohort without payments."""
+        """Pots divided by annuities; the level of today for a cohort without payments."""
         there = annuity > MINIMUM * constants.assets
         return jnp.where(there, pots / jnp.where(there, annuity, 1.0), constants.level)
 

@@ -91,7 +91,7 @@ def read_case(path: str | Path) -> PensionCase:
 
 @dataclass(frozen=True)
 class _Reader:
-    """One case while it is read: its tables by name, without those that it has not; `notes` are
+    """A case while it is read: its tables by name, without those that it does not have; `notes` are
     remarks for its user, `defaulted` the names of numbers that were left at a default."""
 
     file: Path
@@ -302,7 +302,7 @@ def usual_observation(case: PensionCase) -> tuple[str, ...]:
 
 
 def _held(reader: _Reader, case: PensionCase) -> tuple[str, ...]:
-    """Names of inputs without a gradient: asked for, left at a default, or without effect."""
+    """Names of inputs without a gradient: by request, left at a default, or without effect."""
     request = reader.table(tables.SensitivityTable, "sensitivity").held
     every = list(every_given(case))
     names, missing = (

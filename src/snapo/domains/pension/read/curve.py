@@ -72,7 +72,7 @@ def read_curve(section: TableReader, table: CurveTable) -> MarketCurve:
 
 
 def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -> MarketCurve:
-    """The curve with the numbers of the method; others unchanged.
+    """The curve with the numbers of the method; a curve of another method is unchanged.
 
     **Raises:** `CaseError` if keys or quotes do not suit the method, if no speed converges,
     or if the price of a bond would not be above 0.

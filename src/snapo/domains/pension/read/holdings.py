@@ -81,7 +81,7 @@ def read_currencies(section: TableContext, table: CurrenciesTable | None) -> Cur
 def _columns(
     prefix: str, quantities: Sequence[FundQuantity], rows: Sequence[Row], labels: Sequence[str]
 ) -> dict[str, Any]:
-    """{column: its numbers}; of one that was left out, none."""
+    """{column: its numbers}; a column that was left out has none."""
     return {x.column: x.column_of(f"{prefix}_{x.column}", rows, labels) for x in quantities}
 
 

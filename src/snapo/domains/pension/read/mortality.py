@@ -170,7 +170,8 @@ def _banded(
     ages: range,
     in_file: Range,
 ) -> CaseInput:
-    """A number for all, or a CSV sex,age,value: each value holds from its age on; index [2, G].
+    """A number for all, or a CSV sex,age,value in which a value applies from its age on; index [2,
+    G].
 
     `in_file`: the numbers that the CSV may have.
     """

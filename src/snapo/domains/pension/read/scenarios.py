@@ -82,7 +82,7 @@ def _columns(rows: Sequence[Row], classes: Sequence[str]) -> Columns:
 def _paths(
     reference: FileReference, rows: Sequence[Row], columns: Columns, grid: TimeGrid, start: str
 ) -> np.ndarray:
-    """[paths, T, K] without a hole."""
+    """The paths [paths, T, K], without a missing number."""
     numbers: dict[str, int] = {}
     for row in rows:
         numbers.setdefault(row.cells["path"], len(numbers))

@@ -122,7 +122,8 @@ def amounts(case: PensionCase) -> Iterator[Plausible]:
 
 
 def _size(case: PensionCase) -> float:
-    """Assets, or 15 years of all pensions if that is more: one of them has the right unit."""
+    """The assets, or 15 years of all pensions if that is more, since one of them has the right
+    unit."""
     owed = 0.0
     if case.members is not None:
         owed = 15 * float(case.members.number.used() @ case.members.pension.used())
@@ -132,7 +133,7 @@ def _size(case: PensionCase) -> float:
 
 
 def _salaries(case: PensionCase) -> Plausible:
-    """The range of salaries: of their currency, or above the offset if none is."""
+    """The range of salaries: that of their currency, or above the offset if no salary is."""
     assert case.members is not None
     salary = case.members.salary.used()[case.members.status == ACTIVE]
     offset = float(case.plan.offset.used()) if case.plan.offset.values.size else 0.0

@@ -145,7 +145,8 @@ def _basis(name: str, margin: float, paid: Due, assets: float) -> Basis:
 
 
 def _recovery(provisions: Basis, owed: Due, years: float) -> Recovery:
-    """A whole number of payments, and one in proportion for the rest of a year."""
+    """The recovery plan: a whole number of payments, and a payment in proportion for a part of a
+    year."""
     deficit = max(-provisions.surplus, 0.0)
     endpoints = np.append(np.arange(1, int(years) + 1), years)
     paid = np.append(np.ones(int(years)), years - int(years))

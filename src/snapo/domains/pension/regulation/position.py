@@ -223,7 +223,8 @@ def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
 
 
 def _credit(case: PensionCase, held: np.ndarray) -> float:
-    """S5: bonds with a rating lose the rise of its spread until their payments."""
+    """S5: bonds with a rating lose the rise of the spread of this rating, over the time until
+    payment."""
     rules, lost, before = regulation_of(case).rules, 0.0, _prices(case, {})
     for kind, positions in by_kind(case):
         for position, rating in zip(positions, kind.ratings(case, positions)):

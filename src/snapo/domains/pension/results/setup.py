@@ -104,7 +104,8 @@ def objective_of(case: PensionCase) -> Objective:
 
 
 def _divided(scenarios: SuppliedScenarios, seed: int) -> Sources:
-    """Ready-made paths: four fifths of those for training train, the rest validate."""
+    """The sources of ready-made paths: four fifths of the paths for training train, the others
+    validate."""
     training, evaluation = (
         Supplied(np.ascontiguousarray(np.swapaxes(paths, 0, 1)), seed=seed)
         for paths in (scenarios.training, scenarios.evaluation)

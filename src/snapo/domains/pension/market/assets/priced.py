@@ -67,7 +67,7 @@ class Priced(AssetClass):
 
 
 def _rank(case: PensionModel, positions) -> np.ndarray:
-    """[k] positions among the classes with a shock of their own."""
+    """The positions [k] among the classes with a separate shock."""
     return np.array([case.assets.shocks.index(i) for i in positions], int)
 
 

@@ -100,7 +100,7 @@ def lines(case: PensionCase) -> list[str]:
 
 
 def _human(case: PensionCase, result: Human) -> list[str]:
-    """The figures that a human recognises, a line for each kind."""
+    """The figures by which a user recognises the fund, a line for each kind."""
     size = [
         f"assets {readable(result.assets, case.currency)}",
         f"liability {readable(result.liability, case.currency)}",
@@ -162,7 +162,8 @@ def _group(group: StatusGroup, money: Callable[[float], str]) -> str:
 
 
 def _leverage(case: PensionCase) -> list[str]:
-    """What is sold short or borrowed today, and may be; nothing if weights are not negative."""
+    """The short positions and the borrowed cash, of today and at most; nothing if no weight may be
+    negative."""
     assets = case.assets
     if not assets.short:
         return []

@@ -104,7 +104,7 @@ def _unpaid(case: PensionCase, human: Human) -> Iterator[str]:
 
 
 def _rolling(case: PensionCase, human: Human) -> Iterator[str]:
-    """A gap of which less is paid in every step than its interest."""
+    """A gap of which every step pays less than the interest."""
     paid = case.plan.contribution
     if paid.kind != "target" or paid.level_steps is not None or human.funding is None:
         return

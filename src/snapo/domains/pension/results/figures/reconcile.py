@@ -127,7 +127,8 @@ def _with_curves(case: PensionCase, inputs: dict[str, Any]) -> dict[str, Any]:
 
 
 def _shifts_as_one(curve: MarketCurve) -> bool:
-    """Whether the same rise of all nodes raises all rates: not where they end in a fixed one."""
+    """Whether an equal rise of all nodes raises all rates equally: not if they converge to a fixed
+    rate."""
     return curve.extrapolation == "flat-forward"
 
 
