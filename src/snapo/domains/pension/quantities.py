@@ -49,7 +49,7 @@ class FundQuantity(Quantity):
 
     @property
     def allowed(self) -> str:
-        return f"{super().allowed}{'; a list with one for each factor' * self.by_factor}"
+        return f"{super().allowed}{'; a list with one number for each factor' * self.by_factor}"
 
     def of(self, group: str, **changes: Any) -> Self:
         """The quantity in a group of inputs."""

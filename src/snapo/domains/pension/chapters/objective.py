@@ -32,7 +32,8 @@ def headline_name(objective: Objective) -> str:
 
 
 def equivalent(objective: Objective, utility: float) -> Equivalent | None:
-    """The certainty equivalent of the final ratio; None for other objectives."""
+    """The certainty equivalent of the final ratio; None if the objective is not a utility of this
+    ratio."""
     if not (isinstance(objective, ExpectedUtility) and objective.output in NAMES):
         return None
     crra: CRRA = objective.utility

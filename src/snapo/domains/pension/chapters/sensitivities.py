@@ -30,13 +30,14 @@ LIFE = (
     "longer; to first order"
 )
 HELD = (
-    "“Held”: every path keeps its trades; at an optimum this is, to first order, also the effect "
-    "with a re-optimised policy. “Through the policy”: a bump of the exact fund, which is "
-    "reported if it contradicts the held effect. The 95 % interval adds the sampling error and "
-    "the error of the policy. “Reacting”: the trained policy observes the moved fund and decides "
-    "again, without new training. Held and reacting effects differ only by the error of training "
-    "and smoothing. Prices of risk, excess "
-    "returns and today's market values are held fixed while the curve moves."
+    "“Decisions held fixed”: every path keeps its trades; at an optimum this is, to first order, "
+    "also the effect with a re-optimised policy. “Through the policy”: the effect of a bump with "
+    "the exact rules, which is reported if it contradicts the effect with decisions held fixed. "
+    "The 95 % interval adds the sampling error and the error of the policy. “Policy reacting”: "
+    "the trained policy observes the moved fund and decides again, without new training. The "
+    "effects with decisions held fixed and with the policy reacting differ only by the error of "
+    "training and smoothing. Prices of risk, excess returns and today's market values are held "
+    "fixed while the curve moves."
 )
 TOP = 14  # bars of the tornado
 ROWS = 400  # single numbers in the report; sensitivities.csv has all of them

@@ -33,7 +33,7 @@ def due(case: PensionModel, count: int) -> np.ndarray:
 
 
 def in_payment(case: PensionModel, inputs: dict[str, Any], count: int) -> Float[Array, " count"]:
-    """The size in each step of a pension in payment that was 1 at time 0 [count]; ones without
+    """The size in each step of a pension in payment that was 1 at time 0 [count]; always 1 without
     fixed increases."""
     rule = case.plan.indexation
     if rule.kind != "fixed" or rule.rate is None:

@@ -94,7 +94,7 @@ class People(NamedTuple):
     - `accrued`, `fresh` [T+1, J]: forward values on the nodes, including the loading for expenses,
       of rights accrued by time 0, and of rights accrued in steps before t at baseline wages.
       `accrual` [T+1, J]: the forward values of the accrual of step t, per unit of w (last row
-      zeros). All are money at indexation 1.
+      zeros). All are in money, at an indexation of 1.
     - `benefit`, `fresh_benefit` [T+1]: money paid in step t for `accrued` and for `fresh` rights.
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
     - `baseline` [T+1]: the assumed w, exp(real wage growth).

@@ -166,8 +166,8 @@ class InflationTable(CaseTable):
     price_of_risk: CaseInput = PRICE_OF_RISK(
         "price of the risk of expected inflation", 0.0, name="inflation_price_of_risk"
     )
-    index_volatility: CaseInput = MOVING("volatility of realised prices", 0.01)
-    index_price_of_risk: CaseInput = PRICE_OF_RISK("price of the risk of realised prices", 0.0)
+    index_volatility: CaseInput = MOVING("volatility of realised inflation", 0.01)
+    index_price_of_risk: CaseInput = PRICE_OF_RISK("price of the risk of realised inflation", 0.0)
     real_wage_growth: CaseInput = RATE("growth of wages beyond prices", 0.0, group="model")
     wage_volatility: CaseInput = QUIET_VOLATILITY("volatility of wages beyond prices", 0.0)
 

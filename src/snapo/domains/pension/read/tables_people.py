@@ -363,7 +363,7 @@ class LiabilityTable(CaseTable):
         range=FRACTION._replace(noun="a share of the value of the payments"),
     )  # fmt: skip
     future_indexation: Literal["none", "full", "capped"] = doc(
-        "which future increases the value of payments includes", "none"
+        "the future increases that are included in the value of payments", "none"
     )
 
 

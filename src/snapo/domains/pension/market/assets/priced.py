@@ -100,7 +100,7 @@ class Equity(Priced):
 
     kind: ClassVar[str] = "equity"
     description: ClassVar[str] = (
-        "shares, listed or private, and infrastructure; lognormal with a separate shock"
+        "shares, listed or private, and infrastructure; lognormal, with mean and volatility"
     )
     risk: ClassVar[str] = "developed"
 
@@ -112,7 +112,7 @@ class Property(Priced):
 
     kind: ClassVar[str] = "property"
     description: ClassVar[str] = (
-        "buildings and land; lognormal with a separate shock, appraised values with a lag"
+        "buildings and land; lognormal, with mean and volatility; appraised values have a lag"
     )
     risk: ClassVar[str] = "unlisted-property"
 
@@ -123,7 +123,7 @@ class Commodity(Priced):
     """Commodities, lognormal with a separate shock."""
 
     kind: ClassVar[str] = "commodity"
-    description: ClassVar[str] = "commodities; lognormal with a separate shock"
+    description: ClassVar[str] = "commodities; lognormal, with mean and volatility"
     risk: ClassVar[str] = "commodity"
 
 
@@ -134,6 +134,6 @@ class HedgeFund(Priced):
 
     kind: ClassVar[str] = "hedge-fund"
     description: ClassVar[str] = (
-        "hedge funds and other alternatives; lognormal with a separate shock"
+        "hedge funds and other alternatives; lognormal, with mean and volatility"
     )
     risk: ClassVar[str] = "unlisted"
