@@ -52,7 +52,7 @@ class PensionRun(RunFiles):
         return self.get("held", [])
 
     def left_out(self, *parts: str) -> bool:
-        """Whether none of these parts was requested, or applies to this kind of fund."""
+        """Whether the run left out all of these parts that this kind of fund can have."""
         others = OF_RIGHTS if self.personal else OF_POTS
         return super().left_out(*(part for part in parts if part not in others))
 

@@ -42,14 +42,15 @@ CAVEAT = (
     "First-order effects of the standard moves, with decisions held fixed; one adjoint pass for "
     "each output, over the same paths. Points are percentage points of the funding ratio or of "
     "probability. In money an effect is this share of today's liability; for contributions it is "
-    "that on their present value. The probability is the exact share of paths; its effects are "
-    "those on a logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A "
+    "the change of their present value. The probability is the exact share of paths; its effects "
+    "are those on a logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A "
     "utility has no unit. The file outputs.csv has every number."
 )
 OF_POTS = (
     ("points of the funding ratio", "points of today's pension"),
-    ("In money an effect is this share of today's liability; for contributions it is that on "
-     "their present value.", "For contributions the effect is that on their present value."),
+    ("In money an effect is this share of today's liability; for contributions it is the change "
+     "of their present value.", "For contributions the effect is the change of their present "
+        "value, in money."),
     ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), where P is the pension divided by that of "
         "today"),
 )  # fmt: skip

@@ -118,7 +118,7 @@ class _Model:
         return self.expected * squares + self.both * crossed + self.index * m
 
     def with_rates(self, paid: np.ndarray, u: np.ndarray, after: float) -> Array:
-        """C(u, paid + after), for u up to `paid`; beyond, that of `paid`."""
+        """C(u, paid + after); a u beyond `paid` counts as `paid`."""
         return self._with(np.minimum(u, paid), paid + after)
 
     def with_rates_at(self, u: np.ndarray) -> Array:

@@ -107,7 +107,7 @@ def step_hazards(
     loading: Array | None = None,
     factor: Array | None = None,
 ) -> Float[Array, "C steps"]:
-    """-ln of survival over each step, of cohorts aged `age` [C] at time 0.
+    """The hazards of each step, -ln of the survival over it, for cohorts aged `age` [C] at time 0.
 
     A step across a birthday is divided at the birthday; its calendar year is that of its start.
     With a constant force the value is the hazard times the length; with uniform deaths, from s to

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..market.rates.short_rate import ShortRate
 
 
-# Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
+# At the horizon: the ratio F, ln(F / F now), A - L, min(F - 1, 0) …; "pv_" discounts from there.
 AT_END = (
     "funding_ratio",
     "log_relative",
@@ -41,9 +41,9 @@ AT_END = (
     "discount",
     "pv_shortfall",
 )
-# Sums over the steps; "pv_" discounts, "_square" is of 1 - F below 1 and per year, "normal_cost"
-# the value of the accrual, "granted" and "cut" the indexation; "funding" is F before each step,
-# "bound_excess" by how much weights leave their bounds.
+# Sums over the steps. "pv_" are present values; "shortfall_square" is max(1 - F, 0)^2 times the
+# years of a step; "normal_cost" is the value of the accrual; "granted" and "cut" are indexation.
+# No sums: "funding" is F before the last step, "bound_excess" the largest excess over bounds.
 EACH_STEP = (
     "contribution",
     "benefit",
