@@ -501,7 +501,7 @@ def test_personal_pots_take_the_place_of_parts_that_are_of_rights(drawn):
     first = html[: html.index('id="reconciliation"')]
     assert "Years with a cut" in first and "13.7" in first and "Underfunded" not in first
     assert "In money" not in effects_on(html)
-    assert "points of today" in html and "times today's liability" not in html
+    assert "points of today" in html and "share of today's liability" not in html
     told = html[html.index('id="pots"') :]
     for text in ("Pensioners", "100.1", "12,117", "13.7", "Rules from 2023-07-01: the law."):
         assert text in told.replace("\u2009", ",").replace("\u202f", ",")
