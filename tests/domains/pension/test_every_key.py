@@ -54,7 +54,7 @@ TABLES = {
 # Words that a table leaves to a registry, and keys that a reader takes before its table.
 REGISTRIES = {("rates", "kind"): set(MODELS)}
 BESIDE = {("objective", "weight"), ("objective", "output")}
-PROSE = {"and", "or", "where", "they", "apply", "others", "month"}
+PROSE = {"and", "or", "where", "they", "apply", "others"}
 
 
 def words(annotation: Any) -> set[str]:

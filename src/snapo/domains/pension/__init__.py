@@ -1,4 +1,5 @@
-"""Pension funds: assets, swaps and contributions decided month by month against the liabilities."""
+"""Pension funds: at every step the weights of the assets and the swaps are decided against the
+liabilities."""
 
 from snapo.study.kind import Kind
 

@@ -1,10 +1,10 @@
-"""The quantities of a pension case: unit, range, standard move and group, declared once.
+"""The quantities of a pension case, with their units, ranges, standard moves and groups.
 
-The standard moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
-ratios one percentage point, quantities (money, members, death probabilities) a relative change of
-one per cent. Groups, which reports and readers use: "curve" (nodes of a curve), "volatility",
-"premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan". The unit
-"money" is the currency of the case.
+The standard moves are those of an actuary: one basis point for rates, spreads and fees; one
+percentage point for shares, volatilities and ratios; a relative change of one per cent for
+quantities (money, members, death probabilities). Groups, which reports and readers use: "curve"
+(nodes of a curve), "volatility", "premium" (used in the real world only), "model", "assets",
+"overlay", "people", "plan". The unit "money" is the currency of the case.
 """
 
 import math
@@ -49,7 +49,7 @@ class FundQuantity(Quantity):
 
     @property
     def allowed(self) -> str:
-        return f"{super().allowed}{'; a list with one for each factor' * self.by_factor}"
+        return f"{super().allowed}{'; a list with one number for each factor' * self.by_factor}"
 
     def of(self, group: str, **changes: Any) -> Self:
         """The quantity in a group of inputs."""
@@ -90,7 +90,7 @@ class FundQuantity(Quantity):
         return self.from_rows(name, rows, [f"from {years(b)}" for b in begins], starts=begins)
 
     def column_of(self, name: str, rows: Sequence[Row], labels: Sequence[str]) -> CaseInput:
-        """The numbers of an optional column; by default zero, and not an input."""
+        """The numbers of an optional column; without the column they are zero, and not an input."""
         if not rows or self.column not in rows[0].cells:
             return empty(name, (len(rows),))
         return self.from_rows(name, rows, labels)
@@ -127,7 +127,8 @@ def input_of(table: CaseTable, key: str, prefix: str, currency: str = "money") -
 
 
 def on_steps(numbers: CaseInput, grid: TimeGrid) -> CaseInput:
-    """Numbers on the steps of the horizon, index [T]; not an input if it begins later."""
+    """Numbers on the steps of the horizon, index [T]. Numbers that begin after the horizon are
+    omitted."""
     if numbers.starts is None:
         return replace(numbers, index=np.zeros(grid.steps, np.int64))
     times = np.arange(grid.steps) * grid.step
@@ -138,13 +139,13 @@ def on_steps(numbers: CaseInput, grid: TimeGrid) -> CaseInput:
 
 
 def side_by_side(name: str, parts: Sequence[CaseInput], names: Sequence[str]) -> CaseInput:
-    """Several numbers that change in time as one input, index [T, len(parts)]."""
+    """Several numbers that change over time, as one input with the index [T, len(parts)]."""
     labels = [f"{n} {label}".strip() for n, x in zip(names, parts) for label in x.labels]
     numbers = replace(stacked(name, parts), labels=tuple(labels))
     if len(set(numbers.positions)) == len(labels):
         return numbers
     reason = (
-        "several of these numbers are one number in the files of the case, so they cannot "
+        "the files of the case have one number for several of these numbers, so they cannot "
         "be changed separately"
     )
     return replace(numbers, positions=(NoPosition(reason),) * len(labels))

@@ -54,7 +54,7 @@ def headline(run: PensionRun) -> Section:
         spread = plus_minus(100 * np.nan_to_num(objective.equivalent_error), 2)
         over = " to today's pension" if name == "pension" else ""
         note = f"The certain ratio{over} with the same utility as the policy, at risk aversion"
-        note = f"{note} {number(objective.aversion, 1)};"
+        note = f"{note} {number(objective.aversion, 1)},"
     else:
         label, displayed = f"Value of the objective ({run.measure})", number(value)
         spread, note = plus_minus(run.result.standard_error, 4), "The objective of the case,"
@@ -64,7 +64,7 @@ def headline(run: PensionRun) -> Section:
         value=displayed,
         error=spread,
         context=_context(run, objective),
-        note=f"{note} exact simulator on fresh scenarios; {PLUS_MINUS}.",
+        note=f"{note} by the exact simulator on fresh scenarios; {PLUS_MINUS}.",
         action=action,
         sentence=sentence,
         when="Today's decision",
@@ -111,7 +111,7 @@ def _trades(run: PensionRun) -> tuple[str, str]:
     sentence = f"{sentence} Cost: {run.large(cost)}; {limited}.".lstrip()
     if today.trades.swaps:
         complete = run.large(sum(swap.target for swap in today.trades.swaps))
-        sentence = f"{sentence} Swaps: {complete} receiver notional."
+        sentence = f"{sentence} Receiver swaps: a notional of {complete}."
     return action, sentence
 
 
@@ -137,7 +137,7 @@ def _facts_of_rights(run: PensionRun) -> dict[str, list[Fact]]:
         ],
         PATHS.name: [
             ("Underfunded", share(under), f"probability of F < 1 {run.horizon}, {run.measure}"),
-            ("CVaR of the shortfall", share(short), "mean of F − 1 in the worst 5 %, below 0"),
+            ("CVaR of the shortfall", share(short), "mean of min(F − 1, 0), worst 5 %"),
         ],
     }
 
@@ -153,13 +153,13 @@ def _facts_of_pots(run: PensionRun) -> dict[str, list[Fact]]:
     if (pots := POTS.of(run)) is not None:
         worst = max((x.cut for x in pots.cohorts if x.cut is not None), default=None)
         now, last = share(pots.reserve[0, 1]), share(pots.reserve[-1, 1])
-        left = f"of the assets; median {last} a year before the end"
+        left = f"of the assets; median {last} one year before the horizon"
         facts[POTS.name] = [
             ("Pension today", share(pots.level), "of the accrued pension"),
             (
                 "Years with a cut",
                 share(worst),
-                "of the years of payment, the largest share of any cohort",
+                "of the years of payment, in the cohort with the largest share",
             ),
             ("Solidarity reserve", now, left),
         ]

@@ -1,4 +1,5 @@
-"""The files of a pension run as its report reads them, with money in the size that reads best."""
+"""The files of a pension run as its report reads them, with money in thousands, millions or
+billions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,7 +52,7 @@ class PensionRun(RunFiles):
         return self.get("held", [])
 
     def left_out(self, *parts: str) -> bool:
-        """Whether none of these parts was requested, or applies to this kind of fund."""
+        """Whether the run left out all of these parts that this kind of fund can have."""
         others = OF_RIGHTS if self.personal else OF_POTS
         return super().left_out(*(part for part in parts if part not in others))
 
@@ -70,14 +71,15 @@ class PensionRun(RunFiles):
         return float(self.get("step") or 1.0)
 
     def size(self, *values: Any) -> tuple[float, str]:
-        """The divisor of money with which the largest of `values` reads well, and the unit."""
+        """The divisor of money (a thousand, a million or a billion) that suits the largest of
+        `values`, and the unit."""
         sizes = [abs(v) for value in values for v in _each(value)]
         largest = max(sizes, default=0.0)
         scale, letters = next((pair for pair in SIZES if largest >= pair[0]), (1.0, ""))
         return scale, f"{self.currency}{SPACE}{letters}".strip()
 
     def large(self, value: Any, digits: int | None = None, sign: bool = False) -> str:
-        """An amount of money in millions or billions, three digits at least: "EUR m 26.2"."""
+        """An amount of money as text with at least three digits: "EUR m 26.2"."""
         available = finite(value)
         if available is None:
             return NONE
@@ -92,7 +94,7 @@ def _each(value: Any) -> list[float]:
 
 
 def with_measure(title: str) -> Callable[[PensionRun], str]:
-    """The title of a section whose numbers carry a label: "Efficient frontier (P)"."""
+    """The title of a section with the label of its scenarios: "Efficient frontier (P)"."""
     return lambda run: f"{title} ({run.measure})"
 
 

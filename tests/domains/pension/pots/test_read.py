@@ -38,7 +38,7 @@ def test_allocations_go_with_age_and_the_law_has_a_date(tmp_path):
         ({"pots": {"reserve": 0.12, "largest": 0.1}}, "pots.reserve", "at most 0.1"),
         ({"pots": {"rules": "none.toml"}}, "pots.rules", "no such file"),
         ({"fund": {"valuation_date": datetime.date(2020, 1, 1)}}, "pots.rules", "no version"),
-        ({"plan": {"open": True, "entry_age": 30.0}}, "plan.open", "needs false"),
+        ({"plan": {"open": True, "entry_age": 30.0}}, "plan.open", "must be false"),
         ({"liability": {"future_indexation": "full"}}, "liability.future_indexation", "none"),
         ({"liability": {"basis": "fixed", "rate": 0.02}}, "liability.basis", "risk-free or spread"),
         ({"regulation": {"rules": "dutch-ftk"}}, "regulation", "promised rights"),

@@ -219,7 +219,7 @@ def test_the_last_payment_may_be_due_after_exactly_100_years(timing, folder):
     without_cohorts(data)
     data["plan"]["timing"] = timing
     if timing == "advance":
-        with pytest.raises(CaseError, match=r"flows.csv, line 3.*'100'.*end before 100 years"):
+        with pytest.raises(CaseError, match=r"flows.csv, line 3.*'100'.*must be before year 100"):
             resolve(folder / "case.toml", data)
         return
     case = resolve(folder / "case.toml", data)

@@ -59,7 +59,7 @@ SLIPS = {
     "cost of swaps": ("overlay.csv", "0.25,0.0001", "0.25,1", "overlay.csv, line 3, column cost: ",
                       "overlay_cost 10y is 10,000 bp"),
     "leverage": ("case.toml", "leverage = 1.0", "leverage = 100.0", "overlay.leverage: ",
-                 "1 means the size of the assets"),
+                 "1 is a notional as large as the assets"),
     "collateral": ("case.toml", "collateral_stress = 0.035", "collateral_stress = 3.5",
                    "overlay.collateral_stress: ", "0.035 is 350 bp"),
     "volatility of rates": (

@@ -98,5 +98,5 @@ def test_every_part_is_done_and_nothing_is_left_out(kind, tmp_path):
     assert "present_mix_yearly" in result["references"]
     report = (folder / "run" / "report.html").read_text()
     assert 'class="missing"' not in report
-    told = {"personal pots": "Solidarity reserve", "borrowed cash": "Below zero: sold short"}
+    told = {"personal pots": "Solidarity reserve", "borrowed cash": "A weight below zero"}
     assert told.get(kind, "Required own funds") in report

@@ -400,8 +400,8 @@ def test_the_parts_of_the_change_stand_above_their_sum(folder):
 def test_a_node_stands_in_the_bucket_of_its_name(folder):
     html = write_report(folder).read_text(encoding="utf-8")
     part = html[html.index('id="ladder"') : html.index('id="collateral"')]
-    rows = re.findall(r"<t[hd][^>]*>(to 3y|\d+y|50y up)</t[hd]>", part)
-    assert rows == ["to 3y", "5y", "10y", "20y", "30y", "50y up"]
+    rows = re.findall(r"<t[hd][^>]*>(to 3y|\d+y|from 50y)</t[hd]>", part)
+    assert rows == ["to 3y", "5y", "10y", "20y", "30y", "from 50y"]
 
 
 @pytest.mark.prove
@@ -501,7 +501,7 @@ def test_personal_pots_take_the_place_of_parts_that_are_of_rights(drawn):
     first = html[: html.index('id="reconciliation"')]
     assert "Years with a cut" in first and "13.7" in first and "Underfunded" not in first
     assert "In money" not in effects_on(html)
-    assert "points of today" in html and "times today's liability" not in html
+    assert "points of today" in html and "share of today's liability" not in html
     told = html[html.index('id="pots"') :]
     for text in ("Pensioners", "100.1", "12,117", "13.7", "Rules from 2023-07-01: the law."):
         assert text in told.replace("\u2009", ",").replace("\u202f", ",")
@@ -524,7 +524,7 @@ def test_borrowed_cash_hangs_below_zero(folder):
     mix = np.array([-0.4, 1.2, 0.1, 0.05, 0.03, 0.02])
     details["mix"]["weights"] = np.repeat(mix[:, None], YEARS, 1)
     html = written(folder, details)
-    assert "Below zero: sold short, or borrowed." in html and 'class="missing"' not in html
+    assert "A weight below zero is a short position" in html and 'class="missing"' not in html
     assert f"Cash {number(-40, 0)} % now" in html
 
 

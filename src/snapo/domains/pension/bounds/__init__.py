@@ -1,5 +1,5 @@
-"""A bound from above for a fund: no policy's expected utility of the funding ratio is higher.
+"""An upper bound for a fund: no policy has a higher expected utility of the funding ratio.
 
 `relaxation.FundRelaxation` is the inner problem of `snapo.bound`: the best outcome of a path at a
-deflator's prices, within the rights and payments that no decision can undercut or exceed.
+deflator's prices. Its rights and payments are the extremes that no decision can undercut or exceed.
 """

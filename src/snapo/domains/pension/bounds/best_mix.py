@@ -1,5 +1,6 @@
-"""The best mix at known prices: the maximum value of a unit of money within the limits. Also log
-returns over cash of a step, Gaussian conditional on the market before it.
+"""The best mix of assets at known prices: the maximum value of a unit of money within the limits.
+It uses the log returns over cash of a step, which are Gaussian conditional on the market before the
+step.
 """
 
 from typing import NamedTuple
@@ -31,7 +32,8 @@ class MixBounds(NamedTuple):
 
 
 def limits(case: PensionModel, leverage: float) -> MixBounds:
-    """The limits of a fund; for swaps that are sized by payments, what leverage leaves to each."""
+    """The limits of a fund. If the limits of swaps are hedge ratios, only the leverage limits a
+    swap."""
     assets, overlay = case.assets, case.overlay
     low, high = np.array(assets.low, float), np.array(assets.high, float)
     group = np.full(len(low), -1)
@@ -90,8 +92,8 @@ class GaussianReturns(NamedTuple):
 
     - `mean` [m], `load` [m, Z]: mean and loadings of the n classes and of money over cash (minus
       the log return of cash), so m = n + 1. For classes made of bonds this is to first order.
-    - `bonds`, `bond_load`: the same for the q bonds of which classes and swaps are made, on all
-      paths.
+    - `bonds`, `bond_load`: the same for the q bonds of which classes and swaps are made; they are
+      equal on all paths.
     - `shares`: for each kind, in the order of `by_kind`, the weights [k, q of the kind] of its
       bonds, and for the swaps if there are any; None if nothing is made of bonds.
     """
@@ -126,8 +128,8 @@ def gaussian_returns(
 
 
 class Worth(NamedTuple):
-    """Deflated expectations of a unit after a step: of the classes [n], of the gain of the swaps
-    [b], and of money paid at its end."""
+    """Expected deflated values at the end of a step: of a unit invested in a class [n], of the gain
+    of a swap per unit of notional [b], and of a unit of money paid at the end of the step."""
 
     classes: Array
     swaps: Array
@@ -157,8 +159,8 @@ def _exponent(mean: Array, load: Array, price: Array) -> Array:
 
 
 def fair(returns: GaussianReturns) -> np.ndarray:
-    """[Z] the smallest prices of risk at which no investment earns more than another, of the first
-    step on the first of many paths."""
+    """The smallest prices of risk [Z] at which no investment earns more than another, for the first
+    step on the first path."""
     load = np.concatenate([returns.load[0, 0, :-1], returns.bond_load[0]])
     mean = np.concatenate([returns.mean[0, 0, :-1], returns.bonds[0]])
     return np.linalg.lstsq(load, mean + np.sum(load**2, axis=-1) / 2, rcond=None)[0]

@@ -1,15 +1,16 @@
-"""The bound of a fund: its assets at a deflator's prices instead of the market's returns.
+"""The bound of a fund: its assets are valued at a deflator's prices.
 
-With a price of risk p, deflate: D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t), where m(t)
-is the maximum expected growth of a unit of deflated money within the limits of weights and swaps.
-Then D A earns nothing on average under any policy, so
+With a price of risk p the deflator D is D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t),
+where m(t) is the maximum expected growth of a unit of deflated money within the limits of weights
+and swaps. Then D A earns nothing on average under any policy, so
 
     E[u(F)] <= E[sup over F of u(F) - y D(T) L F] + y (A(0) + E[sum of deflated money received])
 
 for every y > 0 and p (Haugh, Kogan and Wang, Operations Research 54, 2006). The liability L is the
-minimum and the money received the maximum over all decisions: exact if indexation and contributions
-do not depend on decisions, wide if they do. Costs of trading are neglected. Assets must be above
-zero: with a debt, which leverage or payments can leave, D A could earn money on average.
+minimum and the money received the maximum over all decisions. The bound is exact if indexation and
+contributions do not depend on decisions, and wide if they do. Costs of trading are neglected.
+Assets must be above zero: leverage or payments can leave a debt, and with a debt D A could earn
+money on average.
 """
 
 from collections.abc import Callable
@@ -52,8 +53,8 @@ FUNDED = 1e6  # a funding ratio above every limit of a plan
 
 
 class Extremes(NamedTuple):
-    """Extremes of one path: `received` [T] the maximum of contributions minus payments, in money;
-    `liability` the minimum at the horizon."""
+    """Extremes of one path: `received` [T]: the maximum of contributions minus payments, in money;
+    `liability`: the minimum of the liability at the horizon."""
 
     received: Float[Array, " T"]
     liability: Float[Array, ""]
@@ -88,7 +89,8 @@ def extremes(
 def _most_received(
     simulator, terms: FundTerms, now: Period, minimum: FundState, maximum: FundState
 ) -> Array:
-    """Contributions without assets against the most rights, minus benefits on the least."""
+    """The contributions of a fund without assets and with the maximum rights, minus the benefits of
+    the minimum rights."""
     case = simulator.model
     books = balance(case, terms, now.people, now.shape, maximum)
     highest = contribution(
@@ -111,7 +113,8 @@ def _most_received(
 
 
 def _increases(simulator, terms: FundTerms, now: Period, market: Market, then: Market, last: Array):
-    """(least, most) net increase at the end of the step, whatever the funding ratio."""
+    """The smallest and the largest net increase at the end of the step, whatever the funding ratio
+    is."""
     rule = simulator.model.plan.indexation
     if rule.kind == "none" and not rule.cut_years:
         return jnp.zeros_like(last), jnp.zeros_like(last)
@@ -127,16 +130,16 @@ def _increases(simulator, terms: FundTerms, now: Period, market: Market, then: M
 
 
 class FundPaths(NamedTuple):
-    """The market on all paths, before prices are applied: arrays [T, N, …], those of bonds [T,
-    …]."""
+    """The market on all paths, before prices of risk are applied: arrays are [T, N, …], those of
+    bonds [T, …]."""
 
     returns: GaussianReturns
     noise: Float[Array, "T N Z"]
 
 
 class Deflated(NamedTuple):
-    """[T, N]: D at the start of each step, over m; `after` at its end; and the `growth` of a unit
-    in each investment, not yet deflated by either."""
+    """`over` [T, N]: D at the start of a step, divided by m; `after` [T, N]: D at its end;
+    `growth`: the growth of a unit in each investment, before it is multiplied by D."""
 
     over: Array
     after: Array
@@ -144,9 +147,8 @@ class Deflated(NamedTuple):
 
 
 class FundRelaxation:
-    """See `snapo.Relaxation`; prices of risk and y are fitted on separate paths.
-
-    `policy` generates these paths; its decisions have no effect there.
+    """See `snapo.Relaxation`. Prices of risk and y are fitted on separate paths. `policy` generates
+    these paths, and its decisions have no effect on the fit.
     """
 
     terms, description = 1, "the innovations of the assets at fitted prices of risk"
@@ -182,8 +184,8 @@ class FundRelaxation:
             return scale[0] * self.y * np.asarray(self._surprises(self.price, rollout, draws))
 
     def _fitted(self, problem: Problem, policy: Policy, paths: int) -> tuple[np.ndarray, float]:
-        """Prices of risk [Z] of a step's normals, the share of the fair ones at which the bound is
-        lowest, and y there."""
+        """The prices of risk [Z] of a step's normals, as the share of the fair ones at which the
+        bound is lowest, and the y of this bound."""
         source = Pseudo(
             getattr(problem.sources.evaluation, "seed", 0), stream=stream(EVALUATE, STREAM)
         )
@@ -199,7 +201,7 @@ class FundRelaxation:
         return SHARES[minimum] * price, minima[minimum][1]
 
     def _lowest(self, value: Array, money: Array) -> tuple[float, float]:
-        """The bound on paths of these (see `_at_price`) where it is lowest, and the y there."""
+        """The lowest bound over y, from the results of `_at_price`, and its y."""
 
         def upper_bound(log: float) -> float:
             return float(jnp.mean(self.conjugate(np.exp(log) * value) + np.exp(log) * money))
@@ -250,23 +252,23 @@ class FundRelaxation:
         return Deflated(before / maximum, after, units)
 
     def _at_price(self, price: Any, paths: FundPaths, bounds: Extremes) -> tuple[Array, Array]:
-        """[N] each, over the assets now: D L at the end, or D where the objective is in money;
-        these assets and all money received, deflated."""
+        """Two arrays [N], divided by the assets now: D L at the end (D if the objective is in
+        money); and the assets now plus all money received, deflated."""
         result, assets = self._deflated(price, paths), self.schedule.constants.assets
         received = jnp.sum(self._counts(result) * bounds.received.T, axis=0)
         minimum = 1.0 if self.in_money else bounds.liability
         return result.after[-1] * minimum / assets, 1 + received / assets
 
     def _counts(self, result: Deflated) -> Array:
-        """[T, N] by which money received in a step is deflated: at its start or at its end."""
+        """The deflators [T, N] of the money received in a step, at its start or at its end."""
         if self.simulator.model.plan.timing == "advance":
             ones = jnp.ones_like(result.after[:1])
             return jnp.concatenate([ones, result.after[:-1]])
         return result.over * result.growth.money
 
     def _surprised(self, price: Any, rollout: Rollout, draws: Draws) -> Array:
-        """[N] sum over the steps of D A after each one, minus its mean before it, of the policy;
-        over the assets now."""
+        """The sum [N] over the steps of D A after a step minus its mean before the step, under the
+        policy, divided by the assets now."""
         paths = self._paths(rollout, draws)
         result = self._deflated(price, paths)
         simulator, constants = self.simulator, self.schedule.constants

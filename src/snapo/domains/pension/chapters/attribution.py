@@ -2,14 +2,15 @@
 
 Attribution: the change from today to the horizon in parts that add up to it.
 
-In a step F = A / L moves by dA (1 / L + 1 / L') / 2 - dL (A + A') / (2 L L'), which is exact: the
-mean of moving assets first and of moving the liability first. dA and dL are sums of parts:
+In a step F = A / L changes by dA (1 / L + 1 / L') / 2 - dL (A + A') / (2 L L'). This is exact: it
+is the mean of two splits, with the assets moved first and with the liability moved first. dA and dL
+are sums of parts:
 
-- assets: contributions, benefits and expenses, costs; interest of all of them at the short rate;
-  and over it, bonds with swaps, credit, and the classes with a separate shock.
-- liability, in this order: benefits paid, rights accrued, both with interest at the short rate;
-  the remainder, which is the curve's (and that of prices, where payments follow them);
-  mortality away from the expected one; indexation granted beyond the part valued.
+- assets: contributions; benefits and expenses; costs; interest on the assets at the short rate; and
+  the return over cash of bonds with swaps, of credit, and of the classes with a separate shock.
+- liability, in this order: benefits paid; rights accrued; interest at the short rate; the
+  remainder, which is due to the curve (and to prices, where payments follow them); mortality that
+  differs from the expected one; indexation granted beyond the part valued.
 
 Variance: each source of risk is removed in turn. The trained policy decides throughout, on the
 same paths; only the volatilities of one source are zero. Shares need not add up to one: sources
@@ -59,8 +60,8 @@ ROWS = (
 
 @dataclass(frozen=True)
 class RatioEffect:
-    """The mean effect of a part on the funding ratio: through assets, through the liability, both;
-    and the standard `deviation` of both together."""
+    """The mean effect of a part on the funding ratio: through the `assets`, through the
+    `liability`, and in total (`mean`); `deviation` is the standard deviation of the total."""
 
     part: str = ""
     name: str = ""
@@ -80,8 +81,8 @@ class RatioChange:
 
 @dataclass(frozen=True)
 class RatioParts:
-    """The funding ratio of today, the parts of its change, and the change in the simulator itself,
-    to which the parts must add up. There are no rows for a fund without a liability."""
+    """The funding ratio of today (`start`), the parts of its change (`rows`), and the simulated
+    `change` to which the parts must add up. There are no rows for a fund without a liability."""
 
     start: Number = np.nan
     rows: tuple[RatioEffect, ...] = ()
@@ -117,7 +118,7 @@ def measure(run: StudyRun) -> RatioParts:
 
 
 class Moment(NamedTuple):
-    """A step and, for its end, people and the curve's shape one step later."""
+    """A step; and for its end the people and the curve's shape one step later."""
 
     period: Any
     people: Any
@@ -229,14 +230,13 @@ def show(run: PensionRun, result: RatioParts) -> Sequence[Block]:
     head = [("", ""), ("Through assets", "points"), ("Through liability", "points")]
     head += [("Mean effect", "points"), ("Standard deviation", "points")]
     caption = (
-        f"From {share(result.start)} today to the mean {run.horizon}: means over paths under the "
-        "learned policy. The change of every month is split twice, assets first and liability "
-        "first, and the mean is taken. The liability's parts come in the order benefits, "
-        "accrual, interest, "
-        "rates, mortality, indexation. Mortality is the effect of deviations from the table, "
-        "and indexation that of increases beyond the part that the liability already includes. "
-        "The parts add up to the change of F on"
-        " every path."
+        f"The funding ratio F from {share(result.start)} today to its mean {run.horizon}: means "
+        "over paths under the learned policy. The change in every step is split twice, with the "
+        "assets moved first and with the liability moved first, and the mean is taken. The "
+        "liability's parts come in the order benefits, accrual, interest, rates, mortality, "
+        "indexation. Mortality is the effect of deviations from the table, and indexation that "
+        "of increases beyond the part that the liability already includes. The parts add up to "
+        "the change of F on every path."
     )
     table = Table(head, body, "", 1, strong=frozenset([len(body) - 2, len(body) - 1]))
     return [Chart(svg, caption), table]
@@ -254,8 +254,8 @@ ATTRIBUTION = Chapter("attribution", TITLE, RatioParts, measure, show, key="attr
 
 @dataclass(frozen=True)
 class SourceVariance:
-    """The final funding ratio with all sources of risk, or without one: mean, standard deviation,
-    and the share of the variance that is removed."""
+    """The final funding ratio with all sources of risk, or without one of them: its mean, its
+    standard deviation, and the share of the variance that is removed (`explained`)."""
 
     source: str = ""
     mean: Number = np.nan
@@ -281,7 +281,7 @@ def sources(case: PensionCase) -> dict[str, list[CaseInput]]:
 
 
 def measure_variance(run: StudyRun) -> tuple[SourceVariance, ...]:
-    """The ratio with all sources, then without each; none under supplied scenarios."""
+    """The ratio with all sources, then without one at a time; none under supplied scenarios."""
     case, setup, policy = case_of(run), run.setup, run.solution.policy
     assert policy is not None
     if case.scenarios is not None:

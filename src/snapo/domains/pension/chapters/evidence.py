@@ -40,7 +40,7 @@ TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
 
 
 class BondsPriced(PensionSimulator):
-    """The fund, with the discounted value of bonds at the horizon: "bond 10".
+    """The fund with further outputs: discounted values of bonds at the horizon, such as "bond 10".
 
     Values are per unit of the forward price. The bonds are index-linked if the liability follows
     prices.
@@ -75,8 +75,8 @@ def measure(run: StudyRun) -> tuple[MarketTest, ...]:
 
     The scenarios are risk-neutral ("Q"), whatever the measure of the case. The cost of hedging
     currencies is left out, since no market participant receives it; other costs count when they are
-    paid. None if scenarios are supplied. Appraised values and bases with a spread are not market
-    prices.
+    paid. There are no tests if scenarios are supplied. Appraised values, and liabilities on a basis
+    with a spread, are not tested, since they are not market prices.
     """
     case, setup = case_of(run), run.setup
     if case.scenarios is not None:
@@ -111,13 +111,14 @@ def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) 
     if not case.assets.smoothed:
         paid = totals["pv_benefit"] + totals["pv_expenses"] + totals["pv_cost"]
         left = totals["pv_assets"] + paid - totals["pv_contribution"]
-        tests.append(("Assets: remainder and payments", left, float(case.assets.amount.used())))
+        assets = float(case.assets.amount.used())
+        tests.append(("Assets at the horizon and net payments", left, assets))
     plain_basis = case.liability.basis == "risk-free" and not _real(case)
     if plain_basis and case.lee_carter is None:
         added = totals["pv_indexation"] + totals["pv_accrual"]
         paid = float(reserved(case, inputs)) * totals["pv_benefit"]
         left = totals["pv_liability"] + paid - added
-        tests.append(("Liability: remainder and payments", left, liability))
+        tests.append(("Liability at the horizon and net payments", left, liability))
     return tests
 
 
@@ -145,7 +146,7 @@ def _tested(test: Expected, source: Scenarios, tests: int) -> MarketTest:
 
 
 def show(run: PensionRun, result: tuple[MarketTest, ...]) -> Sequence[Table]:
-    """The tests in a table, a part of the reconciliation."""
+    """The tests in a table, which is a part of the reconciliation."""
     rows = [
         (
             test.name,
@@ -167,9 +168,9 @@ CONSISTENCY = Chapter(
 
 
 def show_certificate(run: PensionRun, result: Certificate) -> list[Block]:
-    """The adjoint against bumps, and every limit."""
+    """The comparison of the adjoint with bumps, and every limit."""
     gap = number(result.smoothing_gap)
-    facts = [("Smoothing gap", gap, "exact minus smooth, in the objective")]
+    facts = [("Smoothing gap", gap, "objective with exact rules minus that with smooth ones")]
     return [
         Facts([*facts, *evidence.gradient(run)]),
         bump_table(result, "", name_of),
@@ -202,7 +203,7 @@ def _glossary() -> Table:
     rows = [
         ("P, Q", "real-world and risk-neutral scenarios; shown next to all simulated numbers"),
         ("Funding ratio F", "assets divided by liability, both at the same instant"),
-        ("Certainty equivalent", "the certainty-equivalent ratio of the policy"),
+        ("Certainty equivalent", "the certain ratio with the same utility as the policy"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),
         ("Hedge ratio", "rate sensitivity of assets and swaps, divided by that of the liability"),
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),

@@ -1,12 +1,12 @@
-"""The efficient frontier: contributions against the shortfall, from a sweep over their weight.
+"""The efficient frontier: contributions against the shortfall, for several weights of the two.
 
 For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon minus s times the
-present value of contributions over the liability of today. The sweep goes up and then down again;
-each time a policy is trained from the best one for its aim so far, for whichever share that one was
-trained, and in the end each share takes the best of all policies. If aims and points were measured
-on the same paths, points would be in order for that reason alone: of two policies that are each
-best for their aim, the one for the larger s has lower contributions. They are chosen on the
-validation paths and measured on fresh ones, so that they are in order within their errors.
+present value of contributions divided by the liability of today. The sweep goes up and then down
+again. Every training starts from the policy that is so far the best for the new aim, whatever share
+it was trained for. In the end every share takes the best of all policies. Policies are chosen on
+the validation paths and measured on fresh ones. On the same paths the points would be in order by
+construction: of two policies that are best for their aims, the one for the larger s has lower
+contributions. On fresh paths they are in order within their errors.
 """
 
 from collections.abc import Sequence
@@ -103,7 +103,7 @@ def measure(run: StudyRun) -> FrontierSweep:
 
 
 def _swept(run: StudyRun, goals: Sequence[Objective], frontier: Frontier) -> list[Candidate]:
-    """The best policy for each goal, after the goals were trained for in order and back again."""
+    """The best policy for each goal, after training for the goals in order and back again."""
     setup, policy = run.setup, run.solution.policy
     assert policy is not None
     available = [_candidate(setup, policy)]
@@ -137,8 +137,8 @@ def _mixture(problem: Problem, frontier: Frontier, share: float) -> Objective:
 
 
 def _trained(setup: Setup, start: Policy, goal: Objective, frontier: Frontier) -> Policy:
-    """The best policy along a training that begins where another one ended: at its last
-    temperature, and with hardly any warm-up."""
+    """The best policy of a training that continues another one, at its last temperature and with a
+    short warm-up."""
     values = setup.training
     training = replace(
         values,
@@ -187,7 +187,7 @@ def show(run: PensionRun, result: FrontierSweep) -> Sequence[Block]:
     units = (f"Mean present value of contributions, {unit}", f"CVaR {level} of F − 1, points")
     first, last = result.points[0], result.points[-1]
     alt = (
-        f"CVaR over contributions: from {points(first.cvar)} points at"
+        f"CVaR against contributions: from {points(first.cvar)} points at"
         f" {run.large(first.contributions)} to {points(last.cvar)} at"
         f" {run.large(last.contributions)}."
     )

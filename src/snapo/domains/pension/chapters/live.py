@@ -31,7 +31,7 @@ COLUMNS = (
 
 
 def today(setup: Setup, policy: Policy) -> Today:
-    """The trades from the present weights to those of the policy, of a fund of promised rights."""
+    """Today's trades of a fund of promised rights, from the present weights to the policy's."""
     case, problem = case_in(setup), setup.problem
     schedule = jax.tree.map(jnp.asarray, problem.schedule)
     held, action = _first_decision(problem.simulator, schedule, policy)
@@ -48,7 +48,7 @@ def today(setup: Setup, policy: Policy) -> Today:
     facts = [
         ("assets", assets * scale, unit),
         ("bought and sold", 50 * float(sum(abs(x.trade) for x in trades.classes)) / assets, "%"),
-        ("cost of it", float(sum(x.cost for x in trades.classes)) * scale, unit),
+        ("cost of the trades", float(sum(x.cost for x in trades.classes)) * scale, unit),
     ]
     rows = [
         (x.name, _verb(x, assets), *(100 * float(w) for w in (x.now, x.target, x.low, x.high)),
@@ -81,7 +81,7 @@ def headline(setup: Setup, value: float) -> DisplayedValue | None:
 
 
 def outcome(paths: PathTotals) -> list[LiveTable]:
-    """The ratio that summarises a fund at the end: certainty equivalent, mean, tail, shortfall."""
+    """The final ratio of a fund: certainty equivalent, mean, tail, probability of a shortfall."""
     case, problem = case_in(paths.setup), paths.setup.problem
     measure = outcome_measure(case)
     ratios = np.asarray(paths.totals[measure.output], np.float64)

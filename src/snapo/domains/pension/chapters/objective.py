@@ -14,8 +14,8 @@ from ..results.setup import FUNDING, PENSION, case_of
 
 
 class Equivalent(NamedTuple):
-    """A utility of the final funding ratio, or of the mean pension over today's, as a certain
-    ratio: `slope` is d ratio / d utility."""
+    """The certain `ratio` that has a given utility; the ratio is the final funding ratio, or the
+    mean pension divided by today's. `slope` is d ratio / d utility."""
 
     ratio: float
     slope: float
@@ -32,7 +32,8 @@ def headline_name(objective: Objective) -> str:
 
 
 def equivalent(objective: Objective, utility: float) -> Equivalent | None:
-    """The certainty equivalent of the final ratio; None for other objectives."""
+    """The certainty equivalent of the final ratio; None if the objective is not a utility of this
+    ratio."""
     if not (isinstance(objective, ExpectedUtility) and objective.output in NAMES):
         return None
     crra: CRRA = objective.utility
@@ -44,7 +45,7 @@ def equivalent(objective: Objective, utility: float) -> Equivalent | None:
 
 @dataclass(frozen=True)
 class WeightedTerm:
-    """A term of the objective: the weight, the output, and the kind of its measure."""
+    """A term of the objective: its weight, its output, and its kind."""
 
     weight: Number = np.nan
     output: str = ""
@@ -69,7 +70,7 @@ class ObjectiveValue:
 
 
 def measure(run: StudyRun) -> ObjectiveValue:
-    """The objective of the case at the value of the run."""
+    """The objective of the case, with the value of the run."""
     solution, objective = run.solution, run.setup.problem.objective
     terms = tuple(
         WeightedTerm(term.weight, term.output, term.objective.kind)

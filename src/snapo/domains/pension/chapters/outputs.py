@@ -1,9 +1,10 @@
-"""Sensitivities of several outputs in one run: the objective, and those of a board.
+"""Sensitivities of several outputs in one run: the objective, and the figures that a board uses.
 
 Decisions are recorded once, and one adjoint pass with a cotangent for each output runs over the
-same paths. A share (of the funding ratio, of probability) is reported in points and basis points,
-and in money as this share of today's liability; money also as a share of the liability. A fund of
-personal pots is reported by its pensions over those of today, which have no such value in money.
+same paths. An effect on a ratio or a probability is reported in points, in basis points, and in
+money as this share of today's liability. An effect on money is also reported as a share of the
+liability. For a fund of personal pots the ratio is that of its pensions to those of today, and
+effects on it have no value in money.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,15 +41,16 @@ OBJECTIVE = "Objective"  # its name where it is a utility, which has no unit
 CAVEAT = (
     "First-order effects of the standard moves, with decisions held fixed; one adjoint pass for "
     "each output, over the same paths. Points are percentage points of the funding ratio or of "
-    "probability. Money is this share times today's liability; for contributions it is their "
-    "present value. The probability is the exact share of paths; its effects are those on a "
-    "logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A utility has "
-    "no unit. The file outputs.csv has every number."
+    "probability. In money an effect is this share of today's liability; for contributions it is "
+    "the change of their present value. The probability is the exact share of paths; its effects "
+    "are those on a logistic step of width 2 points, the mean of 1 / (1 + exp((F − 1) / 0.02)). A "
+    "utility has no unit. The file outputs.csv has every number."
 )
 OF_POTS = (
     ("points of the funding ratio", "points of today's pension"),
-    ("Money is this share times today's liability; for contributions it is their present value.",
-     "For contributions money is their present value."),
+    ("In money an effect is this share of today's liability; for contributions it is the change "
+     "of their present value.", "For contributions the effect is the change of their present "
+        "value, in money."),
     ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), where P is the pension divided by that of "
         "today"),
 )  # fmt: skip
@@ -79,7 +81,7 @@ class OnOutputs:
 
 @dataclass(frozen=True)
 class InputOnOutputs(OnOutputs):
-    """The effects of all numbers of an input."""
+    """The effects of moving all numbers of an input together."""
 
     count: int
     words: str
@@ -87,7 +89,7 @@ class InputOnOutputs(OnOutputs):
 
 @dataclass(frozen=True)
 class NumberOnOutputs(OnOutputs):
-    """The effect of a single number."""
+    """The effects of moving a single number."""
 
     label: str
 
@@ -102,8 +104,8 @@ class OutputTable:
 
 
 class Derived(NamedTuple):
-    """An output; `held` {input: derivatives}, with decisions held fixed, to be multiplied by
-    `scale`."""
+    """An output, and its derivatives `held` {input: derivatives} with decisions held fixed, which
+    are to be multiplied by `scale`."""
 
     output: OutputValue
     held: dict[str, Estimate]
@@ -111,8 +113,8 @@ class Derived(NamedTuple):
 
 
 def requested(by: OutcomeMeasure) -> tuple[tuple[str, str, bool, Objective], ...]:
-    """Key, name, whether it is money, the objective; underfunding is reported as 1 minus its
-    complement."""
+    """For every output: its key, its name, whether it is money, and its objective. Underfunding is
+    reported as 1 minus the probability of its complement."""
     return (
         ("funding", by.mean, False, Mean(by.output)),
         ("tail", by.tail, False, CVaR(by.output, LEVEL)),
@@ -122,7 +124,7 @@ def requested(by: OutcomeMeasure) -> tuple[tuple[str, str, bool, Objective], ...
 
 
 def measure(run: StudyRun) -> OutputTable:
-    """Values of all outputs, and by input the effect of its standard move on each.
+    """The values of all outputs, and the effect of every input's standard move on them.
 
     Writes outputs.csv.
     """
@@ -149,7 +151,7 @@ def measure(run: StudyRun) -> OutputTable:
 
 
 def _outputs(run: StudyRun) -> Iterator[Derived]:
-    """The objective first, whose derivatives the training left, then those of `requested`."""
+    """The objective, whose derivatives the run has already, then the outputs of `requested`."""
     goals = requested(outcome_measure(case_of(run)))
     setup, solution, problem = run.setup, run.solution, run.setup.problem
     policy, table = solution.policy, solution.sensitivities
@@ -203,7 +205,7 @@ def _write(run: StudyRun, outputs: Sequence[OutputValue], rows: Sequence[NumberO
 
 
 def show(run: PensionRun, result: OutputTable) -> Sequence[Block]:
-    """The largest effects on all outputs, and every one with its error."""
+    """The largest effects on all outputs, then all effects on every output with their errors."""
     if not result.outputs or not result.families:
         return [why_missing(run, OUTPUTS.name)]
     today = RECONCILIATION.of(run)
@@ -280,6 +282,6 @@ def _detail(
 
 
 OUTPUTS = Chapter(
-    "outputs", with_measure("Several outputs at once"), OutputTable, measure, show,
+    "outputs", with_measure("Sensitivities of several outputs"), OutputTable, measure, show,
     needs=(TRAINING.name, "reconciliation"), key="outputs",
 )  # fmt: skip

@@ -71,7 +71,8 @@ class PolicyMap:
 
 @dataclass(frozen=True)
 class MeanMix:
-    """Mean weights [classes, Y] at the start of each year, and places of the swaps [b, Y]."""
+    """Mean weights [classes, Y] at the start of each year, and mean positions of the swap notionals
+    in their ranges [b, Y]."""
 
     years: Floats
     classes: tuple[str, ...]
@@ -81,7 +82,7 @@ class MeanMix:
 
 @dataclass(frozen=True)
 class LimitBreaches:
-    """The share of the paths that violate a limit: in each step [T], and `ever`."""
+    """The share of the paths that violate a limit: in each step [T], and in any step (`ever`)."""
 
     share: Floats
     ever: Number
@@ -89,7 +90,7 @@ class LimitBreaches:
 
 @dataclass(frozen=True)
 class FirstAllocation:
-    """Today's weights [n] and places of the notionals in their ranges [b], for all paths."""
+    """Today's weights [n] and positions of the notionals in their ranges [b], on all paths."""
 
     weights: Floats
     overlay: Floats
@@ -97,7 +98,8 @@ class FirstAllocation:
 
 @dataclass(frozen=True)
 class PathTables:
-    """The results of the recorded paths; `recovery`: towards the regulator, if the case has one."""
+    """The results of the recorded paths; `recovery`: the recovery to the ratio that the regulator
+    requires, None without a regulator."""
 
     by_year: YearlyFans
     policy_map: PolicyMap
@@ -109,7 +111,7 @@ class PathTables:
 
 
 def measure(run: StudyRun) -> PathTables:
-    """The trained policy on recorded paths; writes profile.csv."""
+    """The results of the trained policy on recorded paths. Writes profile.csv."""
     record, recovered = RecordedPaths.of(run), None
     if record.case.regulation is not None:
         required = stand(record.case, plain(run.setup.problem.inputs)).required_ratio
@@ -131,8 +133,8 @@ def measure(run: StudyRun) -> PathTables:
 
 @dataclass(frozen=True, eq=False)
 class RecordedPaths:
-    """Recorded paths: `action` [T, N, A] with the weights that limits of trading allowed, `funding`
-    [T + 1, N], outputs {name: [T, N]}."""
+    """Recorded paths: `action` [T, N, A], with the weights after the limits of trading; `funding`
+    [T + 1, N]; `outputs` {name: [T, N]}."""
 
     case: PensionCase
     action: np.ndarray
@@ -193,7 +195,7 @@ def _traded(case: PensionCase, action: np.ndarray, held: Any) -> np.ndarray:
 def first_traded(
     case: PensionCase, action: np.ndarray, held: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Today's weights [n] and places of the notionals [b] of a first action [A]."""
+    """Today's weights [n] and positions of the notionals [b], from the first action [A]."""
     if trading_limits(case.assets, case.step).dealing:
         action = _traded(case, action[None, None], held[None, None])[0, 0]
     record = RecordedPaths(case, action[None, None], {}, np.zeros(0))
@@ -201,7 +203,8 @@ def first_traded(
 
 
 def by_year(record: RecordedPaths) -> YearlyFans:
-    """Fans at the ends of years: funding ratio, contributions, indexation; and probabilities."""
+    """Distributions by year: funding ratio, contributions, benefits and indexation; and the
+    probability and size of a shortfall."""
     case, outputs = record.case, record.outputs
     steps = round(1 / case.step)
     endpoints = np.arange(0, case.steps + 1, steps)
@@ -236,13 +239,13 @@ def _fan(values: np.ndarray) -> Fan:
 
 
 def _tail(values: np.ndarray) -> float:
-    """The mean of the worst paths, those that hold 1 - TAIL of them."""
+    """The mean over the worst paths, a share 1 - TAIL of all paths."""
     count = max(1, round((1 - TAIL) * len(values)))
     return float(np.sort(values)[:count].mean())
 
 
 def policy_map(record: RecordedPaths) -> PolicyMap:
-    """Means of weights and places over the paths in each cell of years and funding ratios."""
+    """Means of weights and positions over the paths in each cell of years and funding ratios."""
     case = record.case
     steps = round(1 / case.step)
     starts = np.arange(0, case.steps, steps)
@@ -265,7 +268,7 @@ def policy_map(record: RecordedPaths) -> PolicyMap:
 
 
 def mean_mix(record: RecordedPaths) -> MeanMix:
-    """Means over the paths at the starts of years."""
+    """Mean weights and positions over the paths at the starts of years."""
     case = record.case
     steps = round(1 / case.step)
     weights, overlay = record.weights[::steps].mean(1), record.overlay[::steps].mean(1)
@@ -282,8 +285,8 @@ def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBr
     policy often holds exactly as many swaps as its assets can back, so that the last bit would
     decide.
 
-    **Arguments:** - `round_off`: as a share of a weight; for collateral, as a share of the assets
-    now, per step.
+    **Arguments:** - `round_off`: as a weight; for collateral, as a share of the assets now, times
+    the length of a step in years.
     """
     broken = {"weights": record.outputs["bound_excess"] > round_off}
     if record.case.buckets:
@@ -295,7 +298,7 @@ def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBr
 
 
 def show(run: PensionRun, result: PathTables) -> Sequence[Block]:
-    """The policy drawn as weights over funding ratio and time, and its mean mix."""
+    """The policy as a map of weights over funding ratio and time, and its mean mix."""
     table = result.policy_map
     blocks: list[Block] = [
         _map("growth", "share of equity, property and other risky classes", table, table.growth)
@@ -310,7 +313,7 @@ def _map(name: str, text: str, table: PolicyMap, values: np.ndarray) -> Chart:
     rows = range(0, len(table.years), max(1, -(-len(table.years) // 12)))
     down = [f"year {number(table.years[i] + 1, 0)}" for i in rows]
     across, grid = _columns(table.ratios), values[list(rows)]
-    alt = f"Map of the {text}, by funding ratio across and year upwards."
+    alt = f"Map of the {text}, with the funding ratio across and the year upwards."
     svg = draw(
         f"map-{name}", alt, lambda axes: heat(axes, grid, across, down, "%"), 60.0 + 19 * len(rows)
     )
@@ -322,13 +325,13 @@ def _map(name: str, text: str, table: PolicyMap, values: np.ndarray) -> Chart:
 
 
 def _columns(edges: np.ndarray) -> list[str]:
-    """["below 80 %", "80–90 %", …, "150 % up"]."""
+    """["below 80 %", "80–90 %", …, "from 150 %"]."""
     texts = []
     for low, high in pairwise(100 * edges):
         if not low:
             texts.append(f"below {number(high, 0)} %")
         elif not np.isfinite(high):
-            texts.append(f"{number(low, 0)} % up")
+            texts.append(f"from {number(low, 0)} %")
         else:
             texts.append(f"{number(low, 0)}–{number(high, 0)} %")
     return texts
@@ -350,7 +353,7 @@ def _mix(mix: MeanMix) -> Chart:
     svg = draw("mix", alt, lambda axes: stack(axes, mix.years, layers, "%"), 240)
     text = "Mean weights at the start of each year, over all paths."
     if mean.min() < 0:
-        text += " Below zero: sold short, or borrowed."
+        text += " A weight below zero is a short position, or borrowed cash."
     return Chart(svg, text)
 
 

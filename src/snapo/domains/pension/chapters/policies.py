@@ -37,7 +37,7 @@ RATE = 0.05  # learning rate of rules of a few numbers each, which have far to g
 class PolicyWorth:
     """A policy on the evaluation's paths.
 
-    - `difference`: the learned policy's value minus its own, paired path by path.
+    - `difference`: the value of the learned policy minus that of this policy, path by path.
     - `equivalent`: the certainty equivalent; `lead`: the lead of the learned policy, as a log ratio
       per year; both are NaN if the objective is not a utility of a ratio.
     - `median`, `p05`, `underfunded`: median and 5 % quantile of the final ratio, and the share of
@@ -65,14 +65,14 @@ def measure(run: StudyRun) -> tuple[PolicyWorth, ...]:
     All policies are valued on the same fresh paths. A positive difference is a lead of the learned
     policy, and its standard error comes from the differences path by path. The classical policies
     are trained for as many steps as the network; those that depend on the funding ratio start from
-    the trained constant mix. The best version of each is used. The present mix, rebalanced at every
-    step and yearly, is not tuned, and may be outside the bounds.
+    the trained constant mix. The best version of every training is used. The present mix,
+    rebalanced at every step or yearly, is not tuned, and may be outside the bounds.
     """
     return tuple(compare(run.setup, run.solution, run.progress))
 
 
 def compare(setup: Setup, solution: Solution, progress: ProgressCallback) -> list[PolicyWorth]:
-    """The policies of `measure`."""
+    """The rows of `measure`."""
     problem, case = setup.problem, case_in(setup)
     local = {name: np.asarray(total) for name, total in solution.totals.items()}
     policies = [_worth(setup, LEARNED, "Learned policy", local, local)]
@@ -105,14 +105,14 @@ def _one_of(rules: dict[str, tuple[str, Policy]], key: str) -> OneOf:
 
 
 def reached(problem: Problem, totals: Totals) -> tuple[float, float]:
-    """The range of funding ratios between today's and the middle 80 % of the paths' last ones."""
+    """The range that contains today's funding ratio and the middle 80 % of the final ones."""
     now = float(problem.schedule.constants.assets / problem.schedule.constants.liability)
     low, high = np.quantile(totals["funding_ratio"], [0.1, 0.9])
     return min(now, float(low)), max(now, float(high))
 
 
 def tuned(setup: Setup, policy: OneOf) -> OneOf:
-    """The best rule of a training, as for the network."""
+    """The best version of the rule in its training, as for the network."""
     rate = max(RATE, setup.training.learning_rate)
     training = replace(setup.training, learning_rate=rate)
     result = train(setup.problem, initial_progress(policy, training), training, setup.engines.train)
@@ -165,16 +165,16 @@ def show(run: PensionRun, policies: tuple[PolicyWorth, ...]) -> Sequence[Block]:
     body = [_row(run, policy, certain) for policy in policies]
     head = [("Policy", "")]
     if certain:
-        head += [("Certainty equivalent", "%"), ("Learned leads by", "bp a year"), ("", "")]
+        head += [("Certainty equivalent", "%"), ("Learned policy's lead", "bp a year"), ("", "")]
     else:
-        head += [("Objective", ""), ("Learned leads by", ""), ("", "")]
+        head += [("Objective", ""), ("Learned policy's lead", ""), ("", "")]
     _, unit = run.size([policy.pv_contribution for policy in policies])
     text = ("Median pension", "Below today's") if run.personal else ("Median F", "P(F < 1)")
     head += [(text[0], "%"), ("5 % quantile", "%"), (text[1], "%"), ("PV contributions", unit)]
     caption = (
         "All policies are valued on the same fresh paths. The classical ones are tuned on the same"
-        " objective within the same bounds; the present mix is not tuned. Advantages are paired"
-        " path by path."
+        " objective within the same bounds; the present mix is not tuned. The lead of the learned"
+        " policy is computed path by path."
     )
     table = Table(head, body, "", 1, strong=frozenset([0]))
     return [table, Text(caption, True), _cloud(run, policies, unit)]
@@ -199,7 +199,7 @@ def leads(policies: Sequence[PolicyWorth]) -> str:
         more, half = measured(lead, error, digits, True)
         label = name if policy is first else f"{name} ({policy.name.lower()})"
         parts.append(f"{more} {half} {unit} over {label}")
-    return f"{'; '.join(parts)}." if parts else ""
+    return f"Advantage: {'; '.join(parts)}." if parts else ""
 
 
 def _cloud(run: PensionRun, policies: Sequence[PolicyWorth], unit: str) -> Chart:

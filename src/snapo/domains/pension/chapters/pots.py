@@ -28,7 +28,7 @@ CAVEAT = (
     "rights. A pot earns the return of its annuity (on the path's curve) on its protected share "
     "and the return of cash on the rest; the reserve earns the return of cash. All other return "
     "is excess return, and is shared by exposure. “Cut” is the share of years of payment in "
-    "which the pension falls."
+    "which the pension falls, and “Mean cut” is the mean fall in these years."
 )
 
 
@@ -60,7 +60,8 @@ class PotsOutcome:
     """The cohorts, and the reserve as a share of all assets, at the starts of `years`.
 
     - `reserve` [years, quantiles]: the reserve; `level`: pensions of today divided by those earned.
-    - `filled`, `released`: money paid into the reserve and out of it, means over the horizon.
+    - `filled`, `released`: money paid into the reserve from excess return, and out of it, in total
+      over the horizon; means over the paths.
     - `since`, `source`: date and source of the rules.
     """
 
@@ -76,7 +77,7 @@ class PotsOutcome:
 
 
 def measure(run: StudyRun) -> PotsOutcome:
-    """A row for each cohort, the reserve by year, and the law."""
+    """A row for each cohort, the reserve by year, and the rules in force."""
     case, setup = case_of(run), run.setup
     terms = setup.problem.schedule.constants
     level, reserve = _recorded(run)
@@ -151,11 +152,11 @@ def show(run: PensionRun, result: PotsOutcome) -> Sequence[Block]:
     reserve = result.reserve[:, 1]
     facts = [
         ("Pension today divided by the accrued pension", share(result.level), "pots over "
-            "annuities"),
+            "values of annuities"),
         ("Solidarity reserve", share(reserve[0]),
-         f"median {share(reserve[-1])} a year before the end"),
-        ("Into the reserve", run.large(result.filled), "mean over the horizon, from excess return"),
-        ("Out of it", run.large(result.released), "mean over the horizon, to restore pensions"),
+         f"median {share(reserve[-1])} one year before the horizon"),
+        ("Into the reserve", run.large(result.filled), "mean total, from excess return"),
+        ("Out of the reserve", run.large(result.released), "mean total, to restore pensions"),
     ]  # fmt: skip
     source = f"Rules from {result.since}: {result.source}."
     blocks: list[Block] = [Facts(facts), _pensions(run, result)]
@@ -167,7 +168,7 @@ def show(run: PensionRun, result: PotsOutcome) -> Sequence[Block]:
 def _pensions(run: PensionRun, result: PotsOutcome) -> Table:
     head = [("Cohort", ""), ("Pot", ""), ("Earned", run.currency), ("Today", run.currency)]
     head += [(f"{round(100 * q)} %", run.currency) for q in result.quantiles]
-    head += [("Of salary", "%"), ("Volatility", "points"), ("Cut", "%"), ("By", "points")]
+    head += [("Of salary", "%"), ("Volatility", "points"), ("Cut", "%"), ("Mean cut", "%")]
     rows = [
         (
             x.name,

@@ -37,18 +37,17 @@ RISKS = (
 )
 CAVEAT = (
     "The standard model is applied to the present mix, with invested assets equal to the liability"
-    " plus the required own funds; bonds that are not of kind credit bear no spread risk. S6 and "
-    "S10 are "
-    "shares specified in the case."
+    " plus the required own funds. Bonds that are not of kind credit bear no spread risk. S6 and "
+    "S10 are shares that the case specifies."
 )
 RECOVERY = (
-    "The recovery table compares the paths of the trained policy, with contributions, indexation "
-    "and cuts by the plan's rules, with the required ratio of today."
+    "The recovery table compares the policy funding ratio on the paths of the trained policy with "
+    "today's required ratio. Contributions, indexation and cuts follow the plan's rules."
 )
 FUNDING = (
-    "Every basis discounts the same expected payments at annual rates of the curve plus its"
-    " margin; mortality is that of the case on all of them. The payments of the recovery plan "
-    "are equal amounts at the end of each year, whose value is the deficit on technical provisions."
+    "Every basis discounts the same expected payments, with the mortality of the case, at annual "
+    "rates of the curve plus a margin. The payments of the recovery plan are equal amounts at "
+    "the ends of years; their value is the deficit on technical provisions."
 )
 NAMES = {"liability": "Liability today", "duration": "Duration of the liability"}
 
@@ -63,10 +62,11 @@ class KeyRateDurations:
 
 @dataclass(frozen=True)
 class FundFigures:
-    """The figures of a fund before any simulation, in the terms of `reconcile.Figures` and `Human`.
+    """The figures of a fund before any simulation, as in `LiabilityFigures` and `human.Human`.
 
     - `lines`: comparisons with the actuary's figures; `remarks`: notes on implausible numbers.
-    - `in_words`: the plan as sentences. `cash_flow`: expected payments by year, in money.
+    - `in_words`: the terms of the plan as sentences. `cash_flow`: expected payments by year, in
+      money.
     - `regulation`, `funding`: the regulatory position of the fund; None if the case names no rules.
     """
 
@@ -138,9 +138,9 @@ def show(run: PensionRun, result: Reconciliation) -> Sequence[Block]:
     local = result.reconciliation
     blocks: list[Block] = [Text(f"Note: {remark}.", caveat=True) for remark in local.remarks]
     if local.lines:
-        head = [("Figure", ""), ("", ""), ("This model", ""), ("Given", ""), ("Error", "")]
+        head = [("Figure", ""), ("", ""), ("This model", ""), ("Reference", ""), ("Error", "")]
         rows = [_row(line) for line in local.lines]
-        blocks.append(Table(head, rows, "Figures of the model, and of the actuary if specified", 2))
+        blocks.append(Table(head, rows, "Figures of the model, and their references", 2))
     if local.in_words:
         blocks.append(Text(" ".join(f"{_capitalized(text)}." for text in local.in_words)))
     scale, unit = run.size(local.liability)
@@ -148,9 +148,9 @@ def show(run: PensionRun, result: Reconciliation) -> Sequence[Block]:
     facts = [
         ("Liability", number(local.liability / scale, 2), unit),
         ("Duration", number(local.duration, 2), "years, −d ln L / d parallel shift"),
-        ("Convexity", number(local.convexity, 1), "years², of a parallel shift"),
+        ("Convexity", number(local.convexity, 1), "years², for a parallel shift"),
         ("Duration of assets", number(local.asset_duration, 2), "years, with swaps"),
-        ("Hedge ratio", percent(local.hedge_ratio, 0), "of a parallel shift"),
+        ("Hedge ratio", percent(local.hedge_ratio, 0), "for a parallel shift"),
     ]
     if hedge is not None:  # a liability without inflation has none
         facts += [
@@ -178,7 +178,7 @@ def _capitalized(text: str) -> str:
 def _row(line: ReconciledFigure) -> tuple[Any, ...]:
     name, local = _capitalized(NAMES.get(line.name, line.name)), number(line.own)
     if line.given is None:
-        return name, "not given", local, number(None), ""
+        return name, "no reference", local, number(None), ""
     verdict = Mark(bool(line.ok), "holds" if line.ok else "fails")
     return name, verdict, local, number(line.given), power(line.error)
 
@@ -207,8 +207,8 @@ def _cash_flow(run: PensionRun, flow: np.ndarray) -> Chart | Text:
         "cash-flow", alt, lambda a: stack(a, np.arange(len(flow)), [layer], f"{unit} a year"), 200
     )
     caption = (
-        "Expected payments of the rights accrued today, with mortality as expected and no future"
-        f" indexation; in total {run.large(flow.sum())}; for example "
+        "Expected payments of the rights accrued today, with expected mortality and without future"
+        f" indexation: {run.large(flow.sum())} in total, for example "
         + ", ".join(f"year {y} {run.large(flow[y - 1])}" for y in (1, 10, 20) if y <= len(flow))
         + "."
     )
@@ -225,8 +225,8 @@ def _regulation(run: PensionRun, result: Stand) -> list[Block]:
         state = "below the minimum"
     facts = [
         ("Policy funding ratio", share(policy), state),
-        ("Required funding ratio", share(required), run.large(result.required) + " own funds"),
-        ("Minimum", share(result.minimum_ratio), run.large(result.minimum) + " own funds"),
+        ("Required funding ratio", share(required), f"own funds {run.large(result.required)}"),
+        ("Minimum", share(result.minimum_ratio), f"own funds {run.large(result.minimum)}"),
     ]
     blocks: list[Block] = [Facts(facts), _losses(run, result)]
     caveat = CAVEAT
@@ -252,10 +252,10 @@ def _recovery(result: RecoveryCourse) -> Table:
         (str(year), share(above), share(median))
         for year, above, median in zip(result.years, result.share, result.median)
     ]
-    head = [("Year", ""), ("At the required ratio", "%"), ("Median policy ratio", "%")]
+    head = [("Year", ""), ("Paths at the required ratio", "%"), ("Median policy ratio", "%")]
     caption = (
         "Recovery: the share of paths whose policy funding ratio is at least the required one;"
-        f" a plan may take {counted(result.allowed, 'year')}"
+        f" a recovery plan may take {counted(result.allowed, 'year')}"
     )
     return Table(head, rows, caption, 1)
 
@@ -282,7 +282,7 @@ def _funding(run: PensionRun, result: Bases) -> list[Block]:
     head += [("Funding ratio", "%"), ("Duration", "years")]
     table = Table(head, rows, "The bases of funding side by side", 1)
     plan, state = result.recovery, "at" if result.mature else "before"
-    facts = [("Maturity", f"{state} significant maturity", "by duration on low dependency")]
+    facts = [("Maturity", f"{state} significant maturity", "by the duration on low dependency")]
     if plan.deficit:
         when = f"a year for {counted(plan.years, 'year')}, {run.large(plan.total)} in all"
         facts.append(("Recovery plan", run.large(plan.payment), when))

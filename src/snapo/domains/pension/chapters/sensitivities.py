@@ -30,13 +30,14 @@ LIFE = (
     "longer; to first order"
 )
 HELD = (
-    "“Held”: every path keeps its trades; at an optimum this is, to first order, also the effect "
-    "with a re-optimised policy. “Through the policy”: a bump of the exact fund, which is "
-    "reported if it contradicts the held effect. The 95 % interval adds the sampling error and "
-    "the error of the policy. “Reacting”: the trained policy observes the moved fund and decides "
-    "again, without new training. Held and reacting effects differ only by the error of training "
-    "and smoothing. Prices of risk, excess "
-    "returns and today's market values are held fixed while the curve moves."
+    "“Decisions held fixed”: every path keeps its trades; at an optimum this is, to first order, "
+    "also the effect with a re-optimised policy. “Through the policy”: the effect of a bump with "
+    "the exact rules, which is reported if it contradicts the effect with decisions held fixed. "
+    "The 95 % interval adds the sampling error and the error of the policy. “Policy reacting”: "
+    "the trained policy observes the moved fund and decides again, without new training. The "
+    "effects with decisions held fixed and with the policy reacting differ only by the error of "
+    "training and smoothing. Prices of risk, excess returns and today's market values are held "
+    "fixed while the curve moves."
 )
 TOP = 14  # bars of the tornado
 ROWS = 400  # single numbers in the report; sensitivities.csv has all of them
@@ -124,7 +125,8 @@ def measure(run: StudyRun) -> MoveEffects:
 
 
 def effects(setup: Setup, solution: Solution) -> MoveEffects:
-    """Effects of the standard moves on the objective: of each number, and of all of an input's."""
+    """Effects of the standard moves on the objective: of single numbers, and of all numbers of an
+    input together."""
     problem, table = setup.problem, solution.sensitivities
     if table is None:
         return MoveEffects()
@@ -164,7 +166,7 @@ def _along(table: Sensitivities, name: str, size: np.ndarray, slope: float) -> d
 
 
 def show(run: PensionRun, result: MoveEffects) -> Sequence[Block]:
-    """Every input moved by its standard step: the tornado, key rates of the curves, all others."""
+    """The effects of the standard moves: the tornado, the key rates of curves, and all others."""
     if not result.families:
         return [why_missing(run, SENSITIVITIES.name)]
     scale, unit = 1.0, "objective"
@@ -184,7 +186,7 @@ def show(run: PensionRun, result: MoveEffects) -> Sequence[Block]:
 
 
 def rise(move: Any) -> str:
-    """A move of all numbers of an input, "Zero rate, all 6: + 1 bp"."""
+    """A move of all numbers of an input as text: "Zero rate, all 6: + 1 bp"."""
     count = f", all {move.count}" if move.count > 1 else ""
     return f"{name_of(move.input)}{count}: +{SPACE}{move.move}"
 
@@ -199,7 +201,10 @@ def _tornado(moves: Sequence[InputEffect], scale: float, unit: str) -> Chart:
     ]
     alt = "Effects of the standard moves. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
     svg = draw("tornado", alt, lambda axes: tornado(axes, swings, unit), 40 + 22 * len(swings))
-    caption = "The largest effects, all numbers of an input moved together; whiskers: 95 %."
+    caption = (
+        "The largest effects, with all numbers of an input moved together; whiskers are 95 % "
+        "intervals."
+    )
     return Chart(svg, caption)
 
 
@@ -230,7 +235,7 @@ def _row(move: MoveEffect, name: str, scale: float) -> tuple[str, ...]:
 
 
 def _columns(unit: str) -> list[tuple[str, str]]:
-    """Heads of the columns of one effect."""
+    """The headings of the columns of one effect."""
     return [("Effect", unit), ("95 % half-width", unit), ("Part due to the policy", unit),
             ("Derivative", ""), ("Effect with the policy reacting", unit)]  # fmt: skip
 
@@ -252,7 +257,7 @@ def _nodes(
 def _others(rows: Sequence[NumberEffect], scale: float, unit: str) -> Table:
     body = [_row(row, name_of(row.input, row.label), scale) for row in rows[:ROWS]]
     head = [("Input", ""), ("Rise", ""), *_columns(unit)]
-    more = "" if len(rows) <= ROWS else "; the rest is in sensitivities.csv"
+    more = "" if len(rows) <= ROWS else "; the others are in sensitivities.csv"
     folded = f"Each number by itself: {len(rows)} sensitivities{more}"
     return Table(head, body, "Each number by itself", TEXTS, folded=folded)
 

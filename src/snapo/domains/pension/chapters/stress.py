@@ -1,4 +1,4 @@
-"""The fund after each scenario of its file of shocks: the moves of inputs and prices."""
+"""The fund after every scenario of its file of shocks, which moves inputs and prices."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ ROUNDS = 8  # of Newton's method; the zero rates of swaps are nearly linear in t
 
 
 def zero_rates(curve: MarketCurve) -> np.ndarray:
-    """[n] continuous zero rates at the nodes, for any quotes."""
+    """The continuous zero rates at the nodes [n], for any kind of quotes."""
     if curve.quote == "zero":
         return curve.rate.used()
     if curve.quote == "swap":
@@ -134,8 +134,8 @@ def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed
 def _moved(curve: MarketCurve, lines: Sequence[Shock]) -> np.ndarray:
     """The quotes of a curve whose zero rates are changed by the lines.
 
-    "multiply" acts on annual rates, as the factors of regulators do; then "add", which on
-    continuous ones is a shift of every forward rate too.
+    "multiply" acts first, on annual rates, as the factors of regulators do. Then "add" acts on
+    continuous rates, where an equal shift of all zero rates is also a shift of all forward rates.
     """
     factors = [line for line in lines if line.kind == "multiply"]
     zero = zero_rates(curve)
@@ -145,8 +145,8 @@ def _moved(curve: MarketCurve, lines: Sequence[Shock]) -> np.ndarray:
 
 
 def _by_tenor(curve: MarketCurve, lines: Sequence[Shock], rates: np.ndarray) -> np.ndarray:
-    """Rates [n] moved by lines of one kind: those without a tenor move all of them equally, those
-    with one by sizes that are linear between tenors and constant outside."""
+    """Rates [n] moved by lines of one kind. Lines without a tenor move all rates equally; the sizes
+    of lines with a tenor are linear between tenors and constant outside."""
     for line in lines:
         if not line.label:
             rates = line.of(rates)
@@ -194,14 +194,15 @@ def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block
     head = [("Scenario", ""), ("Assets", unit), ("Liability", unit), ("Surplus", unit)]
     head += [("Funding ratio", "%"), ("Change", "points")]
     caption = (
-        "Instantaneous shocks, fully revalued, with unchanged holdings and swaps. Classes with a "
-        "separate shock do not react to rates."
+        "Assets, swaps and liability are fully revalued after an instantaneous shock, with "
+        "unchanged holdings. Equity, property and other classes with a separate mean and "
+        "volatility do not react to rates."
     )
     return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]
 
 
 def _signed(scenario: str) -> str:
-    """The name of a scenario with a true minus before its numbers, and a true sign of times."""
+    """The name of a scenario with a minus sign before its numbers and a multiplication sign."""
     text = re.sub(r"(?<![\w.])-(?=\d)", MINUS, scenario)
     return re.sub(r"(?<= )x(?= \d)", "×", text)
 

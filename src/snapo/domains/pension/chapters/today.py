@@ -24,7 +24,7 @@ from .paths import PATHS, LimitBreaches, PathTables
 
 BREACHES = (("collateral", "Collateral falls short"), ("weights", "Weights leave their bounds"))
 EDGES = (3.5, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0)  # years: half-way between the tenors named
-BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
+BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "from 50y")
 SIDES = ("assets", "swaps", "liability")
 RATES = (
     "Change of value for +1 bp at the nodes nearest to each tenor. A fall of the liability "
@@ -37,9 +37,9 @@ PRICES = (
 RATES_TABLE = "Change for +1 bp, and hedge ratios: now, and after today's trades"
 PRICES_TABLE = "Inflation: change for +1 bp of break-evens, and inflation hedge ratios"
 REAL = (
-    "With break-evens held fixed, a rise in nominal rates is a rise in real rates: it affects "
-    "the part"
-    " of the rate ladder with index-linked payments. The rest depends only on nominal rates."
+    "With break-evens held fixed, a rise in nominal rates is also a rise in real rates. In the "
+    "next table “Real rates” is the change of index-linked payments, which depend on real rates; "
+    "“Nominal rates” is the change of all other payments."
 )
 
 
@@ -64,7 +64,7 @@ class TodayTables:
 
 
 def measure(run: StudyRun) -> TodayTables:
-    """All results are in closed form, from the first decision on the recorded paths."""
+    """All results are in closed form; they use the first decision on the recorded paths."""
     case, inputs, paths = case_of(run), plain(run.setup.problem.inputs), PATHS.of(run)
     assert paths is not None
     weights, digits = paths.first_decision.weights, paths.first_decision.overlay
@@ -91,7 +91,7 @@ def _rebalanced(case: PensionCase, weights: np.ndarray) -> PensionCase:
 
 
 def show(run: PensionRun, result: TodayTables) -> Sequence[Block]:
-    """Today's list from the present weights to the policy's, and the swaps."""
+    """Today's trades from the present weights to the policy's, and those of the swaps."""
     classes, swaps = result.trades.classes, result.trades.swaps
     scale, unit = run.size([x.trade for x in classes])
     body = [
@@ -150,8 +150,8 @@ def show_ladders(run: PensionRun, result: TodayTables) -> Sequence[Block]:
 
 @dataclass(frozen=True)
 class Buckets:
-    """Changes by bucket, money, `before` and `after` today's trades {side: [buckets]}; `used` are
-    the buckets with a change."""
+    """Changes of value by bucket, in money, `before` and `after` today's trades {side: [buckets]};
+    `used` are the buckets with a change."""
 
     run: PensionRun
     before: dict[str, np.ndarray]
@@ -193,8 +193,8 @@ class Buckets:
         rows = [self._line(BUCKET_NAMES[i], [i], scale) for i in self.used]
         rows.append(self._line("All", list(self.used), scale))
         head = [("Tenor", ""), ("Liability", unit), ("Assets now", unit), ("Swaps now", unit)]
-        head += [("Hedge ratio", "%"), ("Assets, policy", unit), ("Swaps, policy", unit)]
-        head.append(("Hedge ratio", "%"))
+        head += [("Hedge ratio now", "%"), ("Assets, policy", unit), ("Swaps, policy", unit)]
+        head.append(("Hedge ratio, policy", "%"))
         return Table(head, rows, caption, 1, strong=frozenset([len(rows) - 1]))
 
     def _line(self, name: str, digits: list, scale: float) -> tuple[str, ...]:
@@ -208,7 +208,8 @@ class Buckets:
 
 
 def _real(run: PensionRun, result: TodayTables) -> Table:
-    """+1 bp of all rates: real assets, nominal assets, and both."""
+    """The changes for +1 bp of all rates: of index-linked payments, of nominal payments, and of
+    both."""
     parts = []
     for when, ladder in (("Now", result.ladder), ("After today's trades", result.ladder_after)):
         for side in ("assets", "liability"):
@@ -229,7 +230,7 @@ LADDERS = TODAY.section(
 
 
 def show_limits(run: PensionRun, result: PathTables) -> Sequence[Block]:
-    """Collateral: headroom today; and by month, paths that violate a limit."""
+    """Today's headroom of the collateral, and by month the share of paths that violate a limit."""
     today, facts = TODAY.of(run), []
     collateral = Collateral() if today is None else today.collateral
     if (now := collateral.now) is not None:
@@ -239,7 +240,7 @@ def show_limits(run: PensionRun, result: PathTables) -> Sequence[Block]:
             ("Required", f"{number(now.required, 0)} bp", "rise in rates that must be withstood"),
         ]
     broken = [(x, text, result.limits[x]) for x, text in BREACHES if x in result.limits]
-    note = f"probability in any month, {run.measure}"
+    note = f"probability of at least one such month, {run.measure}"
     facts += [(label, share(breaches.ever, 2), note) for _, label, breaches in broken]
     blocks: list[Block] = [Facts(facts)]
     if now is None and not run.left_out(TODAY.name):
@@ -251,7 +252,7 @@ def _months(run: PensionRun, name: str, label: str, breaches: LimitBreaches) -> 
     """Shares of the paths that break one limit, step by step."""
     months = breaches.share
     if not np.any(months > 0):
-        return Text(f"{label}: not violated on any path in any month.")
+        return Text(f"{label}: on no path in any month.")
     worst = int(np.nanargmax(months))
     layer = Layer(label, 100 * months, "limit", 0.8)
     text = f"{label} most often in step {worst + 1}: on {share(months[worst], 2)} of the paths."
@@ -262,7 +263,7 @@ def _months(run: PensionRun, name: str, label: str, breaches: LimitBreaches) -> 
 
 def _headroom(run: PensionRun, name: str, room: Headroom | None) -> tuple[str, str, str]:
     if room is None or (room.headroom is None and not room.enough):
-        return name, "no swaps", "nothing to be collateralised"
+        return name, "no swaps", "no collateral is needed"
     note = f"{run.large(room.eligible)} eligible, PV01 {run.large(room.pv01, 2)}"
     if room.direction == "fall":
         note = f"{note}; for a fall in rates"

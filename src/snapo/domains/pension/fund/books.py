@@ -21,8 +21,8 @@ class FundState(NamedTuple):
     assets, or None; `theta`: cumulated indexation; `fresh`: the ratio a of rights accrued since
     time 0 to their baseline; `deaths`: y, the logarithm of the rights lost by mortality beyond the
     baseline; `log_price_last`: the logarithm of prices at the last indexation; `ratio_sum`: the
-    sum so far for the policy ratio; `jump`: the logarithm of the last indexation beyond the part
-    that was valued already.
+    weighted sum so far of the funding ratios that make up the policy ratio; `jump`: the logarithm
+    of the last indexation beyond the part that was valued already.
     """
 
     market: Market
@@ -38,7 +38,8 @@ class FundState(NamedTuple):
 
 
 class FundBalance(NamedTuple):
-    """Value of the liability, its payment nodes [J], of the step's accrual; the funding ratio F."""
+    """Values of the `liability`, of its payments `by_node` [J] and of the step's `accrual`, in
+    money; `ratio`: the funding ratio F."""
 
     liability: Array
     by_node: Array
@@ -66,7 +67,7 @@ def opening(terms: FundTerms) -> FundState:
 def balance(
     case: PensionModel, terms: FundTerms, people, shape: Array, state: FundState
 ) -> FundBalance:
-    """Values on the case's basis, at the market of `state`."""
+    """The values on the case's basis, in the market of `state`."""
     market = state.market
     factor = log_factor(terms.market, shape, market)
     if case.lee_carter is not None:
@@ -87,6 +88,6 @@ def balance(
 
 
 def _ratio(terms: FundTerms, state: FundState, liability: Array) -> Array:
-    """Assets over liability; a fund without liabilities has a large one."""
+    """Assets divided by the liability; a fund without liabilities has a large ratio."""
     minimum = MINIMUM * terms.assets
     return state.assets / jnp.where(liability > minimum, liability, minimum)

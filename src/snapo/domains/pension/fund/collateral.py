@@ -1,9 +1,9 @@
-"""Collateral behind swaps: the eligible assets and the debt of the swaps after a rise of rates,
+"""Collateral behind swaps: the eligible assets and the debt from the swaps after a rise of rates,
 both by full revaluation.
 
-All zero rates rise equally, and with inflation swaps break-evens fall by as much. Par swaps and
-coupon bonds are those of today's curve; assets with a single payment are revalued equally on every
-path.
+All zero rates rise equally; with inflation swaps, break-evens fall by the same amount. Par swaps
+and coupon bonds have the payments that are at par on today's curve. The revaluation is the same on
+every path.
 """
 
 from typing import Any, NamedTuple
@@ -21,29 +21,29 @@ from ..records.case import PensionModel
 
 
 class Stress(NamedTuple):
-    """After a rise of rates: `cover` [n] the collateral by a unit of each class, `need` [b] that
-    for a unit of notional of each swap."""
+    """After a rise of rates: `cover` [n] is the collateral that a unit of each class provides, and
+    `need` [b] the collateral that a unit of notional of each swap needs."""
 
     cover: Array | np.ndarray
     need: Array | np.ndarray
 
     def gap(self, weights: Array | np.ndarray, notional: Array | np.ndarray) -> Array:
-        """The missing collateral, negative if there is a surplus; holdings `weights` [n] and
-        `notional` [b] are in the same unit. If borrowed cash exceeds the eligible assets there is
-        no collateral."""
+        """The missing collateral, negative if there is a surplus, in the unit of the holdings
+        `weights` [n] and `notional` [b]. If borrowed cash exceeds the eligible assets, there is no
+        collateral."""
         there = self.cover @ weights
         return xp.asarray(self.need @ notional - xp.where(there >= 0, there, 0.0))
 
 
 def eligible(case: PensionModel) -> np.ndarray:
-    """[n] share of each class that counts as collateral."""
+    """The share of each class that counts as collateral, [n]."""
     if case.derived is not None:
         return case.derived.eligible
     return np.array([class_.eligible for class_ in case.assets.classes])
 
 
 def stress(case: PensionModel, inputs: dict[str, Any], rise: Any) -> Stress:
-    """The collateral after a `rise` of rates, 0.01 is 100 basis points."""
+    """The collateral after a `rise` of rates (0.01 is 100 basis points)."""
     overlay = case.overlay
     assert overlay is not None
     before = curve_prices(case, inputs)
@@ -57,8 +57,8 @@ def stress(case: PensionModel, inputs: dict[str, Any], rise: Any) -> Stress:
 
 
 def stressed(case: PensionModel, rise: ArrayLike) -> Stress:
-    """The same at the numbers of the case, in 64 bits; for many rises [r] together, [r, n] and [r,
-    b]."""
+    """The collateral as by `stress`, at the numbers of the case and in 64 bits. For many rises [r]
+    together `cover` is [r, n] and `need` [r, b]."""
     from snapo.problem.quickly import compiled_sooner  # with JAX, which a check does without
 
     with jax.enable_x64(True):
@@ -68,7 +68,8 @@ def stressed(case: PensionModel, rise: ArrayLike) -> Stress:
 
 
 def slope(case: PensionModel) -> np.ndarray:
-    """[b] d need / d rise at zero: durations of the swaps, in years."""
+    """The derivative of `need` with respect to the rise, at zero, [b]: the durations of the swaps,
+    in years."""
     from snapo.problem.quickly import compiled_sooner
 
     with jax.enable_x64(True):

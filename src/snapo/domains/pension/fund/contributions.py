@@ -1,9 +1,10 @@
-"""Contribution rules, one object each: its keys, and its payment.
+"""Contribution rules: every rule is an object with its keys and its payment.
 
-Level payments close a gap to the target, as an annuity at the interest of the valuation. Recovery
-periods of whole steps follow one another from time 0. At each step the current gap is divided by
-the value of 1 a year until the end of its period, at the forward rates of the valuation today:
-if assets and liability earn these rates, payments are level and the gap is closed at the end.
+Level payments close a gap to the target as an annuity with the interest of the valuation. From time
+0 on, time is divided into recovery periods of whole steps. At each step the current gap is divided
+by the value of 1 a year until the end of the period, at the forward rates of today's valuation. If
+assets and liability earn these rates, payments are level and the gap is closed at the end of the
+period.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -21,7 +22,8 @@ from .terms import PlanTerms
 
 
 class ContributionDue(NamedTuple):
-    """A fund when a contribution is due: money, with the normal cost and salaries of the step.
+    """A fund when a contribution is due: its assets and liability, and the salaries and the normal
+    cost of the step, in money.
 
     `step`: its length in years. `annuity`: the gap divided by this number is the level yearly
     payment that closes it; None if the rule pays a rolling share of the gap (see `recovery`).
@@ -41,7 +43,7 @@ class ContributionRule:
     - `takes`: its keys in addition to those of the normal cost and of the limits.
     - `by_cost`: whether it begins with the normal cost, valued with a loading or as a rate of
       salaries.
-    - `responds`: whether it depends on the funding ratio, and so on decisions.
+    - `responds`: whether it depends on the funding ratio, and therefore on decisions.
     """
 
     kind: ClassVar[str]
@@ -73,7 +75,7 @@ class FixedContribution(ContributionRule):
 
 
 class NormalCost(ContributionRule):
-    """The value of the step's accrual, independently of the funding ratio."""
+    """The value of the step's accrual, whatever the funding ratio is."""
 
     kind = "normal-cost"
 
@@ -82,7 +84,7 @@ class NormalCost(ContributionRule):
 
 
 class SpreadContribution(ContributionRule):
-    """The normal cost and a yearly share of liability minus assets; a surplus is also spread."""
+    """The normal cost plus a yearly share of liability minus assets; a surplus reduces it."""
 
     kind, takes, responds = "spread", ("spread_factor",), True
 
@@ -116,7 +118,8 @@ CONTRIBUTIONS: dict[str, ContributionRule] = {
 
 
 def log_discount(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) -> Array:
-    """[n] ln of the discount factors of money at times `years` on the basis of the valuation."""
+    """The logarithms [n] of the discount factors of money at times `years`, on the basis of the
+    valuation."""
     basis = case.liability
     added = 0.0 if basis.basis == "risk-free" else -use(inputs, basis.rate) * years
     if basis.basis != "fixed":
@@ -127,8 +130,8 @@ def log_discount(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) 
 
 
 def annuity(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
-    """Worth at each step of 1 a year until the end of its recovery period; None without level
-    payments."""
+    """The value at each step of 1 a year until the end of the recovery period, [T]; None without
+    level payments."""
     period = case.plan.contribution.level_steps
     if period is None:
         return None

@@ -1,4 +1,5 @@
-"""Rules of indexation, an object each: the keys it takes, and the increase it grants."""
+"""Rules of indexation: every rule is an object with the keys that it takes and the increase that it
+grants."""
 
 from typing import ClassVar
 

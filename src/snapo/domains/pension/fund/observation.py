@@ -1,7 +1,6 @@
-"""The policy's view of a pension fund: named parts of order one, in the order of the case.
-
-Logs of ratios are divided by `RATIO`, rates by `RATE`, the generator's factors by their standard
-deviation over ten years.
+"""The observation of a pension fund: parts with names, of order one, in the order of the case.
+Logarithms of ratios are divided by `RATIO`, rates by `RATE`, and the factors of the models by their
+standard deviations over ten years.
 """
 
 from collections.abc import Callable
@@ -46,7 +45,7 @@ def _no(case: PensionModel) -> bool:
 
 @dataclass(frozen=True)
 class Feature:
-    """A part of the observation: the numbers of one name.
+    """A part of the observation: the numbers that belong to one name.
 
     - `see`: computes its numbers from a `View`. `size`: the length of the part in a case.
     - `usual`: whether a policy observes it by default.

@@ -1,4 +1,4 @@
-"""Contribution and indexation of a plan, on one path: its rules within their limits."""
+"""Contribution and indexation of a plan on one path: its rules, applied within their limits."""
 
 import numpy as np
 
@@ -32,8 +32,8 @@ def contribution(
     **Arguments:**
 
     - `normal_cost`: value of the step's accrual; `payroll`: salaries of the step at wages of time
-      0; `wage`: wages relative to time 0; `step`: its length in years; `annuity`: that of level
-      payments.
+      0; `wage`: wages relative to time 0; `step`: its length in years; `annuity`: the value of
+      level payments (see `contributions`).
     """
     rule, salaries = plan.contribution, xp.asarray(payroll * xp.asarray(wage))
     by_rate = rule.normal_cost == "rate"

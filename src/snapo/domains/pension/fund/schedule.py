@@ -1,4 +1,4 @@
-"""From the inputs of a pension case to the numbers that all its paths share."""
+"""The numbers that all paths of a pension case share, computed from its inputs."""
 
 from typing import Any, NamedTuple
 
@@ -23,9 +23,10 @@ from .terms import PlanTerms, TradingLimits, plan_terms, scales, trading_limits
 
 
 class Swaps(NamedTuple):
-    """The overlay: the present `notional`, the limits `low` and `high`, `cost` and whether it is
-    `at_par` [b] for each bucket, `leverage`, and `stress` (see `collateral`). `nearest` [b, J]: 1
-    at the payment nodes that are nearest to the bucket, among the buckets of its kind."""
+    """The overlay. For each bucket [b]: the present `notional`, the limits `low` and `high`, the
+    `cost`, and whether it is `at_par`. `leverage` is the limit of leverage; for `stress` see
+    `collateral`. `nearest` [b, J] is 1 at the payment nodes that are nearer to the bucket than to
+    others of its kind."""
 
     notional: Array
     low: Array
@@ -40,7 +41,8 @@ class Swaps(NamedTuple):
 class FundTerms(NamedTuple):
     """The numbers of the whole horizon. `assets`: the assets now (money); `weight`, `cost`, `fee`
     [n]: those of the classes; `last`, `last_shape` [J]: people and curve at the horizon;
-    `liability`: its value now. No input moves `limits` and the features' `scales`."""
+    `liability`: its value now. `limits` and the `scales` of the features do not depend on inputs.
+    """
 
     market: MarketTerms
     plan: PlanTerms
@@ -57,9 +59,9 @@ class FundTerms(NamedTuple):
 
 
 class Period(NamedTuple):
-    """One step, the same for all paths: people at its start, the curve's `shape` [J] at the
-    payment nodes, flags of indexation, `time` as a share of the horizon; `agreed`: the
-    contributions agreed in money, None if there are none; `annuity`: that of `recovery`."""
+    """One step, the same for all paths: people at its start, the curve's `shape` [J] at the payment
+    nodes, flags of indexation, `time` as a share of the horizon; `agreed`: the contributions agreed
+    in money, None if there are none; `annuity`: see `contributions.annuity`."""
 
     market: MarketSteps
     people: People
@@ -110,7 +112,7 @@ def make_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
 
 
 def agreed(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
-    """Payments agreed in money, by step; None without any."""
+    """The payments agreed in money, by step; None if there are none."""
     plan = case.plan.contribution.schedule
     if plan is None:
         return None
@@ -145,7 +147,7 @@ def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "
 
     H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is that of `Liability`. Payments that
     follow prices are multiplied by the expected index; if increases have a cap and a floor, by the
-    value of the options in them. Under ready-made scenarios the curve comes with the path, and the
+    value of the options in them. Under ready-made scenarios the curve is that of the path, so the
     result contains only the addition to the curve.
     """
     basis, years = case.liability, payment_years(case)

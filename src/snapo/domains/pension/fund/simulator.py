@@ -1,8 +1,8 @@
 """One path of a pension fund: markets move, members are paid, the fund rebalances.
 
-Order within a step: the liability is valued and the contribution set; payments in advance; the
-fund trades; a step of the market; payments in arrears; indexation. Money counts when it is paid,
-and present values discount by the return of cash on the path until then.
+Order within a step: the liability is valued and the contribution is set; payments in advance are
+made; the fund trades; the market moves; payments in arrears are made; rights are indexed. Money
+counts when it is paid, and present values discount by the return of cash on the path until then.
 
 Signs: contributions are received, benefits, expenses and costs are paid; all are positive.
 """
@@ -48,8 +48,9 @@ class FundFlows(NamedTuple):
 
 
 class Happened(NamedTuple):
-    """What happened in a step: the books before it, the payments, the sums `invested` and `held`,
-    the market's move, the state after it, and the indexation `granted` and `cut` at its end."""
+    """The parts of a step: the `books` before it, the payments (`flows`), the sum `invested`, the
+    holdings `held`, the market's `move`, the state `after` it, and the indexation `granted` and
+    `cut` at its end."""
 
     books: FundBalance
     flows: FundFlows
@@ -62,7 +63,7 @@ class Happened(NamedTuple):
 
 
 def actions(case: PensionCase) -> Box:
-    """Weights, then the places of swaps in their ranges."""
+    """The space of actions: weights, then the positions of the swap notionals in their ranges."""
     assets, swaps = case.assets, np.zeros(case.buckets)
     if not assets.short:
         return Box(0.0, 1.0, len(assets.classes) + case.buckets)
@@ -71,7 +72,7 @@ def actions(case: PensionCase) -> Box:
 
 
 def derived(case: PensionCase) -> DerivedNumbers:
-    """The numbers of the case that a simulator contains."""
+    """The derived numbers of the case, which a simulator contains."""
     basis = case.liability
     spread = basis.annual and basis.basis == "spread"
     return DerivedNumbers(
@@ -131,7 +132,7 @@ class PensionSimulator(Simulator):
         return done.after, self._outputs(constants, state, done, smooth)
 
     def happen(self, constants: FundTerms, now: Period, state: FundState, action, noise, smooth):
-        """One step in all its parts: a `Happened`."""
+        """One step with all its parts."""
         case = self.model
         books = balance(case, constants, now.people, now.shape, state)
         flows = self._flows(constants, now, state, books, smooth)
@@ -150,7 +151,7 @@ class PensionSimulator(Simulator):
     def _flows(
         self, constants: FundTerms, now: Period, state: FundState, books, smooth
     ) -> FundFlows:
-        """Money received and paid; the rules look at the books before the step."""
+        """The money received and paid; the rules use the books before the step."""
         people, market = now.people, state.market
         received = contribution(
             self.model.plan,
@@ -262,7 +263,7 @@ class PensionSimulator(Simulator):
 
     @staticmethod
     def _indexation_value(discount: Array, books: FundBalance, state: FundState) -> Array:
-        """Present value of the indexation that the last step ended with."""
+        """The present value of the indexation at the end of the last step."""
         return discount * books.liability * -jnp.expm1(-state.jump)
 
     def terminal(self, constants: FundTerms, state: FundState, smooth):

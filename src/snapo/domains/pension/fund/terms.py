@@ -1,4 +1,5 @@
-"""The numbers of a plan's rules, from the inputs of a case; constant limits and scales."""
+"""The numbers of a plan's rules, from the inputs of a case; the limits of trading and the scales of
+the features, which are constant."""
 
 from typing import Any, NamedTuple
 
@@ -62,7 +63,7 @@ def plan_terms(case: PensionModel, inputs: dict[str, Any]) -> PlanTerms:
 
 class TradingLimits(NamedTuple):
     """Limits of weights and of trading (see `records.assets.Assets`): for the classes [n], and
-    `group_low`, `group_high` for the groups [k]; `max_sale` and `turnover` are those of a step."""
+    `group_low`, `group_high` for the groups [k]; `max_sale` and `turnover` are limits per step."""
 
     low: Float[Array, " n"]
     high: Float[Array, " n"]
@@ -96,7 +97,8 @@ def trading_limits(assets: Assets, step: float) -> TradingLimits:
 
 
 def scales(case: PensionModel) -> Scales:
-    """Scales from the case's own numbers, for all values of its inputs."""
+    """The scales of the features. They follow from the numbers of the case, whatever the inputs
+    are."""
     if case.derived is not None:
         return case.derived.scales
     rates, inflation, credit = case.rates, case.inflation, case.credit

@@ -4,14 +4,18 @@ needed.
 The action is n weights, then for each swap bucket the position of the notional in its range. Cash
 takes the remainder of the other weights, so that any policy finances itself.
 
-Limits apply in this order: a class within its `band` of the wanted weight is not traded; of a class
-with a `max_sale` no more is sold than that share of the holding per year (0: nothing); purchases
-shrink together until no less cash is left than wanted; all trades shrink together to the turnover
-of a step, where turnover is half the sum of all changes of weights, per year.
+Limits apply in this order:
+
+- A class whose weight is within its `band` of the wanted weight is not traded.
+- A class with a `max_sale` is sold by at most that share of the holding per year (0: not at all).
+- Purchases shrink in proportion until at least the wanted cash is left.
+- All trades shrink in proportion to the limit of turnover, which is half the sum of all changes of
+  weights, per year.
 
 If weights may be negative, a fund can lose more than it has. A fund without assets holds no
 investments and no swaps: it owes its debt in cash, at the short rate, without costs, until
-contributions exceed it. Investments fade out with the assets, so that money moves without a jump.
+contributions exceed it. Investments go to zero continuously as the assets do, so that money moves
+without a jump.
 """
 
 from typing import NamedTuple
@@ -44,8 +48,8 @@ class Holdings(NamedTuple):
 
 
 def trade(case: PensionModel, terms, state, action, assets, buckets, smooth) -> Holdings:
-    """Moves from the holdings of `state` to the action's; `assets`: money to invest, `buckets` [b]
-    value of the liability payments nearest to each swap."""
+    """Trades from the holdings of `state` to those of the action. `assets`: the money to invest;
+    `buckets` [b]: the value of the liability payments nearest to each swap."""
     count, cash = len(case.assets.classes), case.assets.cash
     others = action[:count] * (np.arange(count) != cash)
     requested = others + (np.arange(count) == cash) * (1 - jnp.sum(others))
@@ -75,7 +79,7 @@ def trade(case: PensionModel, terms, state, action, assets, buckets, smooth) -> 
 
 
 def _while_solvent(classes: Assets, held: Holdings, assets: Array) -> Holdings:
-    """The holdings, or only cash if there are no `assets` left, but debt."""
+    """The holdings, or only cash if no `assets` but a debt is left."""
     left = assets > 0
     alone = jnp.asarray(np.arange(len(classes.classes)) == classes.cash, held.weights.dtype)
     return held._replace(
@@ -88,8 +92,8 @@ def _while_solvent(classes: Assets, held: Holdings, assets: Array) -> Holdings:
 
 def drifted(classes: Assets, grown: Array, growth: Array) -> Float[Array, " n"]:
     """The weights after a step, computed from `grown` [n], the holdings per unit of the assets
-    before the step, and their sum `growth`. If a fund with debts has lost everything, all is in
-    cash."""
+    before the step, and their sum `growth`. If a fund that may borrow has lost all its assets, its
+    weight in cash is 1."""
     if not classes.short:
         return grown / growth
     left = growth > LEFT
@@ -130,8 +134,8 @@ NONE = 1e-12  # of the assets: fewer purchases than this are none
 def dealt(
     cash: int, limits: TradingLimits, requested: Array, now: Array, smooth: Constraints
 ) -> Float[Array, " n"]:
-    """The weights after trading, from those `now` [n] towards those `requested` [n]; both add up to
-    1, and so do the result's."""
+    """The weights [n] after trading from the weights `now` [n] towards the `requested` ones [n].
+    All three add up to 1."""
     is_cash = np.arange(len(now)) == cash
     move = jnp.where(is_cash, 0.0, requested - now)
     if limits.band is not None:

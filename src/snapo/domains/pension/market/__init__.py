@@ -1,5 +1,5 @@
 """The market of a fund: rates, inflation, spreads, currencies, and the return of every asset.
 
-`dynamics.move` makes a step, by the models (`generated`) or from a file of scenarios (`supplied`).
-Both return a `state.Move`, so that all other code is the same for both.
+`dynamics.move` makes a step, with the models (`generated`) or from a file of scenarios
+(`supplied`). Both return a `state.Move`, so that all other code is the same for both.
 """

@@ -31,7 +31,7 @@ def brownians(case: PensionModel) -> tuple[str, ...]:
 def all_names(
     factors: Sequence[str], ratings: Sequence[str], currencies: Sequence[str], assets: Assets
 ) -> tuple[str, ...]:
-    """The correlation from parts of a case."""
+    """The names of all Brownian motions, from the parts of a case."""
     local = tuple(assets.classes[i].name for i in assets.shocks)
     market = ("inflation", "price index", "wage", MORTALITY)
     return (*factors, *market, *ratings, *currencies, *local)
@@ -49,7 +49,7 @@ def matrix(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "B B"]:
 
 
 def check_correlation(correlations: np.ndarray) -> float:
-    """The smallest eigenvalue: a correlation matrix has none at or below zero."""
+    """The smallest eigenvalue; that of a positive definite matrix is above zero."""
     return float(np.linalg.eigvalsh(correlations)[0])
 
 

@@ -15,8 +15,8 @@ from . import smith_wilson
 def log_bond(curve: MarketCurve, inputs: dict[str, Any], years: np.ndarray) -> Float[Array, " n"]:
     """ln P(0, t) at times `years` [n] >= 0; for break-evens, minus the logarithm of the expected
     index. For zero rates it is -z(t) t, with z linear between nodes and flat before the first. For
-    forward rates it is minus their integral. Beyond the last node it is as `Curve.extrapolation`
-    specifies; "smith-wilson" determines the whole curve.
+    forward rates it is minus their integral. Beyond the last node it is as
+    `MarketCurve.extrapolation` specifies; "smith-wilson" determines the whole curve.
     """
     years, nodes = np.asarray(years, float), curve.tenor
     rate = use(inputs, curve.rate)

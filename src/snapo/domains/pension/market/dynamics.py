@@ -1,8 +1,8 @@
-"""One step of the market: the generator's, or that of a file of ready-made scenarios.
+"""One step of the market, by the models or from a file of ready-made scenarios.
 
-The models are Gaussian rates, inflation, spreads and currencies, with the returns of all asset
-classes and swaps: exact, and martingales under "Q". A share a of an appraised return is shown at
-once and the rest later: shown' = a r + (1 - a) shown.
+In the models, rates, inflation, spreads and currencies are Gaussian. The returns of all asset
+classes and swaps follow from them exactly, and are martingales under "Q". A share a of an appraised
+return is shown at once and the rest later: shown' = a r + (1 - a) shown.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
 
 
 def shown_now(case: PensionModel) -> Array | None:
-    """[q] the last returns that appraisals have shown; None in a case without any."""
+    """The last returns that appraisals have shown [q]; None in a case without appraised classes."""
     count = len(case.assets.smoothed)
     return xp.zeros(count) if count else None
 
@@ -48,8 +48,9 @@ def appraised(
 
 
 class AssetTerms(NamedTuple):
-    """`kinds` one entry per kind (see `AssetClass.prepare`), `swaps` or None; `exposure` [X] the
-    volatility of the unhedged share of a currency; `smoothing` [q]."""
+    """`kinds`: one entry per kind (see `AssetClass.prepare`); `swaps`: their terms, or None;
+    `exposure` [X]: the volatility of the unhedged share of a currency; `smoothing` [q]: the shares
+    a."""
 
     kinds: tuple[Any, ...]
     swaps: Any
@@ -111,8 +112,8 @@ def returns(case: PensionModel, terms: AssetTerms, now, market, shock, cash) -> 
 
 
 class IndexGrowth(NamedTuple):
-    """Growth of ln I and ln W: `price` [T] the shift, `index_volatility` [T], and for wages on top
-    `wage` (per step) and `wage_volatility`."""
+    """Growth of ln I and ln W: for prices the shift `price` [T] and the `index_volatility` [T]; for
+    wages beyond prices the growth `wage` per step and the `wage_volatility`."""
 
     price: Array
     index_volatility: Array
@@ -123,8 +124,8 @@ class IndexGrowth(NamedTuple):
 def growth(
     case: PensionModel, inputs: dict[str, Any], factors: MarketFactors, shift: Array
 ) -> IndexGrowth:
-    """`shift` [T] is the shift of nominal bonds minus that of real bonds, with which the
-    break-even index is fitted.
+    """The growth of prices and wages. `shift` [T] is the shift of nominal bonds minus that of real
+    bonds; it fits the index to the break-evens.
 
     ln I' - ln I = shift + int p + s_I (dW_I + lambda_I d), where int p has its own price of risk.
     """
@@ -244,7 +245,8 @@ def generated_move(
 def supplied_schedule(
     case: PensionModel, scenarios: SuppliedScenarios, inputs: dict[str, Any], nodes: np.ndarray
 ) -> tuple[MarketTerms, MarketSteps, Array]:
-    """Zero rates of the file take the factors' place: ln P(t, t+u) = -u z(u), linear in them."""
+    """The zero rates of the file take the place of the factors: ln P(t, t+u) = -u z(u) is linear in
+    them."""
 
     def slopes(years: np.ndarray) -> np.ndarray:
         linear = [np.interp(years, scenarios.tenor, row) for row in np.eye(len(scenarios.tenor))]
@@ -292,7 +294,7 @@ def supplied_move(case: PensionModel, terms: MarketTerms, market: Market, noise:
 
 
 def noise_size(case: PensionModel) -> int:
-    """Numbers that a step needs: normals, or the columns of a scenario file."""
+    """How many random numbers a step needs: normals, or the columns of a scenario file."""
     return slots(case).size if case.scenarios is None else len(case.scenarios.columns)
 
 

@@ -29,9 +29,9 @@ from .shocks import Slots, reach, slots
 
 
 class MarketFactors(NamedTuple):
-    """The g factors: `volatility` [T, g] is given for each step, all other numbers are [g].
-    `decay`: exp(-a d); `reach`: B(d); `reached`: the integral of B from 0 to d. `price_of_risk` is
-    zero if scenarios are risk-neutral.
+    """The g factors: `volatility` has the shape [T, g], all other numbers [g]. `decay`: exp(-a d);
+    `reach`: B(d); `reached`: the integral of B from 0 to d. `price_of_risk` is zero if scenarios
+    are risk-neutral.
     """
 
     mean_reversion: Array
@@ -43,7 +43,8 @@ class MarketFactors(NamedTuple):
 
 
 class BondLoads(NamedTuple):
-    """The loads of a kind of bond: `loads` [g] of the factors' integrals, `loading` [T] of dW_I."""
+    """The loadings of a kind of bond: `loads` [g] on the integrals of the factors, `loading` [T] on
+    dW_I."""
 
     loads: np.ndarray
     loading: Array
@@ -59,7 +60,7 @@ class Moments(NamedTuple):
 
 
 def factors(case: PensionModel, inputs: dict[str, Any]) -> MarketFactors:
-    """Rates first, expected inflation last."""
+    """The factors of a case: those of rates first, expected inflation last."""
     rates, inflation = case.rates, case.inflation
     both = [(rates.mean_reversion, inflation.mean_reversion)]
     both += [(rates.price_of_risk, inflation.price_of_risk)]
@@ -78,12 +79,12 @@ def factors(case: PensionModel, inputs: dict[str, Any]) -> MarketFactors:
 
 
 def nominal(case: PensionModel) -> BondLoads:
-    """Bonds that pay money."""
+    """Bonds with payments in money."""
     return BondLoads(np.append(np.ones(case.rates.count()), 0.0), xp.zeros(case.steps))
 
 
 def real(case: PensionModel, inputs: dict[str, Any]) -> BondLoads:
-    """Bonds that pay the price index."""
+    """Bonds with payments in units of the price index."""
     return BondLoads(
         np.append(np.ones(case.rates.count()), -1.0), -use(inputs, case.inflation.index_volatility)
     )
@@ -92,7 +93,7 @@ def real(case: PensionModel, inputs: dict[str, Any]) -> BondLoads:
 def moments(
     case: PensionModel, factors: MarketFactors, bond: BondLoads, covariance: Float[Array, "Z Z"]
 ) -> Moments:
-    """One pass over the steps; see the formulas of `_grow`."""
+    """The moments, in one pass over the steps; `_grow` has the formulas of a step."""
     position = slots(case)
     count = len(position.zeta)
     steps = _grow(factors, bond, covariance, position)
@@ -129,7 +130,7 @@ def _grow(factors: MarketFactors, bond: BondLoads, covariance: Array, position: 
 
 
 def shift(log_bond: Float[Array, " T1"], result: Moments) -> Float[Array, " T"]:
-    """The part of K on top of its factors in each step, so that the initial curve is met."""
+    """The shift of K in each step, with which the model fits the initial curve."""
     return -xp.diff(log_bond) + xp.diff(result.total) / 2
 
 

@@ -1,14 +1,14 @@
-"""Growth of prices from date to date, as Gaussians under the measures of payments.
+"""Growth of prices from date to date: Gaussian under the measure of each payment.
 
-Y_k = ln I(u_k) / I(u_{k-1}) seen from time t, u_k years later. With N(u) the part of ln I(t + u)
-that is unknown at t, in the model of `factors` with volatilities that do not change,
+Y_k = ln I(u_k) / I(u_{k-1}), where u_k is in years after time t. N(u) is the part of ln I(t + u)
+that is unknown at t. In the model of `factors`, with volatilities that do not change,
 
     K(u, v) = Cov(N(u), N(v)) = int_0^min (s_p B(u-s) dW_p + s_I dW_I)(s_p B(v-s) dW_p + s_I dW_I)
     C(u, T) = Cov(N(u), int_0^T r) = int_0^u sum_i (s_p B(u-s) dW_p + s_I dW_I) s_i B_i(T-s) dW_i
 
-the forward index of u is exp(E N(u) - C(u, u) + K(u, u) / 2), which the fitted real and nominal
-bonds give (Jarrow and Yildirim, JFQA 38, 2003), and under the measure of a payment at T the mean
-of ln I falls by C(u, T).
+The forward index of u is exp(E N(u) - C(u, u) + K(u, u) / 2), which the fitted real and nominal
+bonds give (Jarrow and Yildirim, JFQA 38, 2003). Under the measure of a payment at T the mean of
+ln I falls by C(u, T).
 """
 
 from typing import Any, NamedTuple
@@ -49,8 +49,8 @@ class PriceGrowth(NamedTuple):
 
 
 def price_growth(case: PensionModel, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
-    """All moments, exact at every time of the grid; `today`: only at time 0, without the scan over
-    the steps that other times need."""
+    """All moments, exact at every time of the grid. With `today` they are computed at time 0 only,
+    without the scan over the steps that other times need."""
     item, d = round(1 / case.step), case.step
     times = np.arange(1 if today else case.steps + 1)
     first = np.ones_like(times)
@@ -118,7 +118,7 @@ class _Model:
         return self.expected * squares + self.both * crossed + self.index * m
 
     def with_rates(self, paid: np.ndarray, u: np.ndarray, after: float) -> Array:
-        """C(u, paid + after), for u up to `paid`; beyond, that of `paid`."""
+        """C(u, paid + after); a u beyond `paid` counts as `paid`."""
         return self._with(np.minimum(u, paid), paid + after)
 
     def with_rates_at(self, u: np.ndarray) -> Array:

@@ -1,4 +1,5 @@
-"""All asset classes and models of the short rate, which the files of two folders register."""
+"""All kinds of asset class and all models of the short rate, as the files of two folders register
+them."""
 
 import pkgutil
 from importlib import import_module

@@ -37,7 +37,7 @@ class Slots(NamedTuple):
 
 
 def slots(case: PensionModel) -> Slots:
-    """The places of a case's vector."""
+    """The indices of the parts of a case's vector."""
     f = case.rates.count()
     rates = np.arange(f)
     spread = 2 * f + 5 + len(case.credit.names)

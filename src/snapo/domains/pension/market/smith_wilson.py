@@ -1,7 +1,7 @@
 """The Smith-Wilson curve: it fits every quote, and its forward rates converge to an ultimate one.
 
-With w the ultimate forward rate (continuous), H the heart of Wilson's function and u the m dates
-of the quotes' cash flows, a bond that pays 1 at t costs
+With w the ultimate forward rate (continuous), H the heart of Wilson's function and u the m dates of
+the quotes' cash flows, the price of a bond that pays 1 at t is
 
     P(t) = exp(-w t) (1 + H(t, u) Q b),   H(t, u) = (a (t + u) + exp(-a (t + u)) - a |t - u|
                                                      - exp(-a |t - u|)) / 2
@@ -44,7 +44,8 @@ class CurveFit(NamedTuple):
 def log_bond(
     curve: MarketCurve, rate: Array, ultimate: Array, years: np.ndarray
 ) -> Float[Array, " times"]:
-    """ln P(0, t) at times `years` [times] >= 0; derivatives take a computed speed into account."""
+    """ln P(0, t) at times `years` [times] >= 0. If the speed is computed, derivatives include its
+    change."""
     result = fit(curve, rate, ultimate)
     added = heart(years, result.dates, result.speed) @ result.weights
     return xp.log1p(added) - ultimate * years
@@ -62,7 +63,8 @@ def fit(curve: MarketCurve, rate: Array, ultimate: Array) -> CurveFit:
 
 @cache
 def _compiled() -> Callable[..., tuple[Array, Array]]:
-    """Compiled once for each form: in a trace the search for a speed takes a second."""
+    """The fit, compiled once for each form, since the search for a speed takes a second in a
+    trace."""
     return jax.jit(_fitted, static_argnums=0)
 
 
@@ -99,7 +101,8 @@ def heart(times: np.ndarray, dates: np.ndarray, speed: Array) -> Float[Array, "t
 
 
 def distance(dates: np.ndarray, local: Array, speed: Array, convergence: float) -> Array:
-    """ln of |f(T) - w| over the required one; 0 or less if that is met."""
+    """The logarithm of |f(T) - w| divided by the largest distance allowed; it is at most 0 if the
+    curve has converged."""
     weights = _weights(dates, local, speed)
     k = (1 + speed * dates @ weights) / (xp.sinh(speed * dates) @ weights)
     gap = speed / xp.abs(1 - k * xp.exp(speed * convergence))
@@ -112,7 +115,7 @@ def _weights(dates: np.ndarray, local: Array, speed: Array) -> Float[Array, " m"
 
 
 def _found_speed(dates: np.ndarray, local: Array, convergence: float) -> Array:
-    """The least speed that converges, differentiated by the implicit function theorem."""
+    """The smallest speed that converges, differentiated by the implicit function theorem."""
     held = fixed(local)
 
     def missed(speed, custom=held):

@@ -1,5 +1,5 @@
-"""Credit spreads, u = ln(s / mean) reverts to zero, one for each rating; and currencies in returns:
-the unhedged share, the cost of hedging and the premium.
+"""Credit spreads s, one for each rating, where u = ln(s / mean) reverts to zero; and the effect of
+currencies on returns: the unhedged share, the cost of hedging and the premium.
 """
 
 from typing import Any, NamedTuple
@@ -60,5 +60,6 @@ def currency_terms(case: PensionModel, inputs: dict[str, Any]) -> CurrencyTerms:
 
 
 def of_currency(values: Array, currency: np.ndarray) -> Array:
-    """`values` [X] of each asset's currency, zero for one without a currency (-1)."""
+    """The entry of `values` [X] for each asset's currency; zero for the fund's own currency
+    (-1)."""
     return xp.append(values, xp.zeros(1, values.dtype))[currency]

@@ -28,7 +28,7 @@ class MarketTerms(NamedTuple):
     payment nodes, with ln P(t, t+u) = shape - `slope` @ factors; `rate_slope` [2, g]: slopes of
     long and short rate. Under ready-made scenarios there is `swap_slope` [2, J, k], for the
     payments of swaps before and after a step; otherwise the numbers of the models, with `shock` [Z,
-    Z], `decay`, `reach` [g] and wages (see `inflation.Growth`)."""
+    Z], `decay`, `reach` [g] and wages (see `dynamics.IndexGrowth`)."""
 
     start: Market
     slope: Array
@@ -45,9 +45,8 @@ class MarketTerms(NamedTuple):
 
 
 class MarketSteps(NamedTuple):
-    """The numbers of each step t: `rate_level` [T, 2]: long and short rate if the factors are
-    zero; the generator's shifts of cash and prices; volatilities and drifts of the factors [T,
-    g]."""
+    """The numbers of each step t: `rate_level` [T, 2]: long and short rate if the factors are zero;
+    the models' shifts of cash and prices; volatilities and drifts of the factors [T, g]."""
 
     rate_level: Array
     cash_shift: Any = None
@@ -77,7 +76,8 @@ def at_start(factors: Array, spread: Array | None = None, displayed: Array | Non
 
 
 def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) -> Array:
-    """[J] ln of the factor of a payment's forward value, at the market's factors."""
+    """The logarithm of the factor [J] on a payment's forward value, at the factors of the
+    market."""
     return shape - terms.slope @ market.factors
 
 

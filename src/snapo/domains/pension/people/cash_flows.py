@@ -1,20 +1,21 @@
-"""Expected payments by step: of rights accrued by now, and of the accrual of every later step.
+"""Expected payments by step: for rights accrued by now, and for the accrual of every later step.
 
-A stream is a payment profile that scales with rights: `unit` [K, N] money in each step per unit
-of yearly pension, times `held` [K] rights at time 0, or `accrual` [K, T] rights per step. With a
-spouse's pension each group of members has three: its own pension, the spouse's as if the member
-were dead, and minus the spouse's while both live. Rights follow the member, so the accrual of
-a step belongs to those alive then.
+A stream is a payment profile that scales with rights: `unit` [K, N] money in each step per unit of
+yearly pension, times `held` [K] rights at time 0, or `accrual` [K, T] rights per step. With a
+spouse's pension each group of members has three streams: the member's pension; the spouse's pension
+as if the member were dead; and, with a minus sign, the spouse's pension while both live. Rights
+belong to the member, so the accrual of a step belongs to the members who are alive in it.
 
-If rights before payment grow by different rates, a spouse's pension depends on when the
-member died. The second stream is then the rights left by past deaths, with those that a death now
-would leave; a fourth one removes members who died before an accrual. The response to the mortality
-factor (`longevity`) neglects that these rights depend on the member's life.
+If rights before payment grow by different rates, a spouse's pension depends on when the member
+died. The second stream then contains the rights that past deaths have left and those that a death
+now would leave. A fourth stream removes members who died before an accrual. The response to the
+mortality factor (`longevity`) neglects that these rights depend on the member's life.
 
-Payments are one step's share of the yearly pension at the start ("advance") or end of a step to
-those alive at that time. Pensions of actives and deferred begin at the retirement age: the step
-that contains this age has work and accrual before it, and pays the pension after it. A spouse's
-begins at the member's death, whenever that is. The accrual of a step is paid from the next step on.
+A payment is one step's share of the yearly pension. It is made at the start ("advance") or the end
+("arrears") of a step to those alive at that time. Pensions of active and deferred members begin at
+the retirement age: the step that contains this age has work and accrual before it, and pays the
+pension after it. A spouse's pension begins at the member's death, whenever that is. The accrual of
+a step is paid from the next step on.
 """
 
 from typing import Any, NamedTuple
@@ -65,7 +66,8 @@ class Projection(NamedTuple):
 
 
 def project(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> Projection:
-    """Expected payments of a case; `log_bond` as in `liability.people` (given flows only)."""
+    """Expected payments of a case; `log_bond` is that of `liability.people`, and only a case with
+    cash flows needs it."""
     if case.cash_flows is not None:
         return _given(case, inputs, case.cash_flows, log_bond)
     if case.members is None:
@@ -144,8 +146,8 @@ def _streams(
 
 
 def _left(alive: Array, ratio: Array, shift: int) -> Float[Array, "C N+1"]:
-    """What the dead of all steps until each time left, as pensions that were in payment from time
-    0: a death of the time before brings the right of the step of its first payment.
+    """The rights that deaths in all steps until a time have left, as pensions that were in payment
+    from time 0. A death in a step leaves the right of the step in which the pension is first paid.
 
     **Arguments:**
 
@@ -194,8 +196,7 @@ def _given(
     case: PensionModel, inputs: dict[str, Any], flows: CashFlows, log_bond: Array
 ) -> Projection:
     """The actuary's vector. The accrual of a step is paid like that vector, seen one step earlier.
-
-    It is scaled such that the normal cost of step 0 is the given one on the initial curve.
+    It is scaled so that the normal cost of step 0 on the initial curve is that of the case.
     """
     count, steps = horizon(case), case.steps
     amount = use(inputs, flows.amount)

@@ -18,22 +18,23 @@ from .lives import Lives
 
 
 class GrownPensions(NamedTuple):
-    """What a right of time 0 has grown to in each step: of a member [C, N], `member`; of a pension
-    that has been in payment all the time [N], `payment`."""
+    """The size in each step of a right that was 1 at time 0: `member` [C, N] of a member, `payment`
+    [N] of a pension that has been in payment all the time."""
 
     member: Array
     payment: Array
 
 
 def due(case: PensionModel, count: int) -> np.ndarray:
-    """[count] whether each step ends on the date of indexation; yearly steps always do."""
+    """Whether a step ends on the date of indexation, [count]; yearly steps always do."""
     if round(1 / case.step) == 1:
         return np.ones(count, bool)
     return (case.start_month + np.arange(count)) % 12 + 1 == case.plan.indexation.month
 
 
 def in_payment(case: PensionModel, inputs: dict[str, Any], count: int) -> Float[Array, " count"]:
-    """[count] a pension in payment, grown, in each step; ones without fixed increases."""
+    """The size in each step of a pension in payment that was 1 at time 0 [count]; always 1 without
+    fixed increases."""
     rule = case.plan.indexation
     if rule.kind != "fixed" or rule.rate is None:
         return xp.ones(count)

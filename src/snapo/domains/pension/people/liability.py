@@ -1,15 +1,17 @@
-"""Payments by date become weights on a few nodes, which each path values with its curve.
+"""The value of payments on every path: payments by date become weights on a few nodes, which the
+curve of the path values.
 
 Seen from time t a payment is due u steps later, between two nodes u1 <= u < u2. Its forward value
-cf P0(t + u) / P0(t) is split over the two linearly in u. A path multiplies the nodes' weights by
-the change of its curve since (1 if it followed the forwards), so the liability depends on the
-initial curve payment by payment, and only the curve's innovation is interpolated.
+cf P0(t + u) / P0(t) is split linearly in u between the two nodes. A path multiplies the weights of
+the nodes by the change of its curve since time 0 (1 if the curve followed the forwards). So the
+liability depends on the initial curve payment by payment, and only the innovation of the curve is
+interpolated.
 
-Liability at t: Theta exp(-y) sum_j (accrued_tj + a fresh_tj) X_tj exp(-outlook_tj k), Theta being
-cumulative indexation, y realised and k present mortality, X the path's factor of the node, and a
-the size of the rights accrued since time 0 over their size at baseline wages:
-a' = (1 - mix) a + mix w / baseline, w = wages / Theta. Their value is then exact on the initial
-curve, and their profile over time is that of baseline wages.
+The liability at t is Theta exp(-y) sum_j (accrued_tj + a fresh_tj) X_tj exp(-outlook_tj k). Theta
+is cumulative indexation, y realised mortality, k the present mortality factor, and X the path's
+factor of the node. a is the size of the rights accrued since time 0 divided by their size at
+baseline wages: a' = (1 - mix) a + mix w / baseline, w = wages / Theta. The value of these rights is
+then exact on the initial curve, and their profile over time is that of baseline wages.
 """
 
 from typing import Any, NamedTuple
@@ -28,9 +30,9 @@ from .mortality import accumulate, partner, step_hazards
 
 
 class Longevity(NamedTuple):
-    """`decline` [T+1]: fall of the logarithm of the value in step t per unit of k. `flow` [T+1,
-    N]: payments for rights accrued before t, each times its response to k from t on, at baseline
-    wages."""
+    """`decline` [T+1]: the fall of the logarithm of the value in step t per unit of k. `flow` [T+1,
+    N]: the payments at baseline wages for rights accrued before t, multiplied by their responses to
+    k from t on."""
 
     decline: Array
     flow: Array
@@ -39,7 +41,8 @@ class Longevity(NamedTuple):
 def longevity(
     case: PensionModel, inputs: dict[str, Any], projection: Projection, log_bond: Float[Array, " H"]
 ) -> Longevity | None:
-    """The response at every time; None without a factor, or without members."""
+    """The response to the mortality factor at every time; None without the factor, or without
+    members."""
     streams = projection.streams
     if case.lee_carter is None or streams is None:
         return None
@@ -61,8 +64,9 @@ def longevity(
 
 
 def _mean(total: Array, weight: Array) -> Array:
-    """`total` over `weight`; 0, without a gradient, where the weight is zero or so small that its
-    square, by which the derivative divides, is not: payments to people who are surely dead."""
+    """`total` divided by `weight`; 0 without a gradient where the weight is zero, or so small that
+    its square, by which the derivative divides, is zero (payments to people who are surely dead).
+    """
     due = weight > np.sqrt(np.finfo(weight.dtype).tiny)
     return xp.where(due, total / xp.where(due, weight, 1.0), 0.0)
 
@@ -84,17 +88,17 @@ def _response(
 
 
 class People(NamedTuple):
-    """The numbers of the members that all paths share. Leading axis T + 1: at time t, before step
-    t.
+    """The numbers of the members that all paths share. The leading axis T + 1 is time: t means
+    before step t.
 
     - `accrued`, `fresh` [T+1, J]: forward values on the nodes, including the loading for expenses,
       of rights accrued by time 0, and of rights accrued in steps before t at baseline wages.
       `accrual` [T+1, J]: the forward values of the accrual of step t, per unit of w (last row
-      zeros). All are money at indexation 1.
+      zeros). All are in money, at an indexation of 1.
     - `benefit`, `fresh_benefit` [T+1]: money paid in step t for `accrued` and for `fresh` rights.
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
     - `baseline` [T+1]: the assumed w, exp(real wage growth).
-    - `mix` [T+1]: share of step t's accrual in the value of fresh rights after it.
+    - `mix` [T+1]: the share of the accrual of step t in the value of fresh rights after this step.
     - `lpi`: the options in limited increases; None if they are not in the liability.
     - `decline` [T+1], `outlook` [T+1, J]: response of the logarithm of values to the mortality
       factor, see `longevity`; zeros without one.
@@ -161,7 +165,7 @@ def people(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " 
 
 
 def ahead(case: PensionModel) -> np.ndarray:
-    """Position [T+1, S] of the payments of steps t, t + 1, ... in a vector by step."""
+    """The positions [T+1, S] of the payments of steps t, t + 1, ... in a vector by step."""
     later = round(PAYMENT_YEARS / case.step)
     return np.arange(case.steps + 1)[:, None] + np.arange(later)
 
@@ -178,7 +182,8 @@ def forward_discount(case: PensionModel, log_bond: Array) -> Float[Array, "times
 
 
 def on_nodes(case: PensionModel, flow: Array, discount: Array) -> Float[Array, "times J"]:
-    """Forward values on the nodes at every time, of payments [T+S] or, by time, [times, T+S]."""
+    """Forward values on the nodes at every time, of payments [T+S], or of payments that differ by
+    time [times, T+S]."""
     times = discount.shape[0]
     position = ahead(case)[:times]
     due = flow[position] if flow.ndim == 1 else flow[np.arange(times)[:, None], position]
@@ -204,7 +209,7 @@ def _with_row(rows: Array) -> Array:
 
 
 def _mix(case: PensionModel, by_step: Array, fresh: Array, discount: Array) -> Float[Array, " T"]:
-    """Value after step t of its accrual, over that of all fresh rights."""
+    """The value after step t of the accrual of this step, divided by that of all fresh rights."""
     steps, value = case.steps, fresh[1:].sum(1)
     due = by_step[np.arange(steps)[:, None], ahead(case)[1:]]
     local = xp.sum(due * discount[1:], axis=1)

@@ -1,4 +1,4 @@
-"""The people whose payments are projected: cohorts of the case, and who enters after them."""
+"""The people whose payments are projected: the cohorts of the case, and those who enter later."""
 
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ class Lives(NamedTuple):
     - `sex`, `age` (at time 0, rounded; entrants may be below their entry age), `entry` (step from
       which they count, NumPy), `service` (years at entry): [C].
     - `earning`: [C] bool, whether they work until retirement; `waiting`: [C] bool, whether their
-      pension begins at the retirement age only.
+      pension does not begin before the retirement age.
     - `base`: [C] pensionable salary of all of them, and `pension`: [C] accrued, money per year.
     - `alive`: [C, N+1] probability of being alive at each time, if alive at entry.
     - `factor`: [C] factors on their own death probabilities; None means ones.
@@ -40,7 +40,8 @@ class Lives(NamedTuple):
 
 
 def share_before(until: Any, time: Any, step: float) -> Array:
-    """The share of a step that begins at `time` which lies before `until`, years; 0 to 1."""
+    """For a step that begins at `time`: the share of the step before `until`, from 0 to 1; all
+    times are in years."""
     share = xp.clip((until - time) / step, 0.0, 1.0)
     near = TINY / step
     return xp.where(share < near, 0.0, xp.where(share > 1 - near, 1.0, share))
@@ -55,7 +56,7 @@ def working(case: PensionModel, lives: Lives, steps: int) -> Array:
 
 
 def drawing(case: PensionModel, lives: Lives, steps: int) -> Array:
-    """The share of each step that a group's own pension is in payment [C, steps]."""
+    """The share of each step in which the pension of a group is in payment [C, steps]."""
     time = np.arange(steps)
     age = lives.age[:, None] + time * case.step
     old = 1 - share_before(case.plan.retirement_age, age, case.step)
@@ -89,7 +90,7 @@ def entrants(case: PensionModel, inputs: dict[str, Any], lives: Lives, steps: in
     """The lives that replace actives who retire or die: one group per sex and year of entry.
 
     At the start of each year entrants replace the pensionable salary that was lost in the year
-    before, so that at the start of every year it has the level of time 0.
+    before, so that at the start of every year this salary has the level of time 0.
     """
     item = round(1 / case.step)
     entry = np.arange(item, case.steps, item)
@@ -129,7 +130,7 @@ def _renewal(selected: Float[Array, "E E"], missing: Float[Array, " E"]) -> Arra
 
 
 def joined(first: Lives, second: Lives) -> Lives:
-    """Both together; only the first have separate factors."""
+    """Both groups together; only those of the first have factors on their death probabilities."""
     factor = first.factor
     if factor is not None:
         factor = xp.concatenate([factor, xp.ones(len(second.age))])

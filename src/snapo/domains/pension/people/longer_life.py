@@ -16,9 +16,8 @@ MINIMUM, MAXIMUM = 0.01, 1.0  # scales between which one more year is searched f
 
 
 def life_expectancy(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> float:
-    """Complete expectation of life at `age` today, years, improvement included.
-
-    The sum over whole years of the probability to be alive, plus a half.
+    """The complete expectation of life at `age` today, in years, improvement included: the sum over
+    whole years of the probability of being alive, plus a half.
     """
     return _expectancy(_life(case, inputs, sex, age))
 
@@ -46,7 +45,7 @@ def year_of_life(case: PensionCase, inputs: dict[str, Any], sex: int) -> float:
 
 @with_numpy
 def _life(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> Yearly:
-    """Each year from now on of who is `age` now."""
+    """The mortality in each year from now on of a person who is `age` now."""
     years = np.arange(PAYMENT_YEARS)
     return yearly(case, inputs, np.array(sex), age + years, years)
 
@@ -57,7 +56,7 @@ def _expectancy(life: Yearly, factor: float = 1.0) -> float:
 
 
 class LongerLife(NamedTuple):
-    """The input that moves, and the move of each of its numbers [n]."""
+    """The input that moves, and the `change` of each of its numbers [n]."""
 
     input: str
     change: np.ndarray
@@ -65,9 +64,10 @@ class LongerLife(NamedTuple):
 
 def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
     """All death probabilities are scaled, by sex, until the life expectancy at 65 is a year longer.
-    The inputs that change are the multipliers; else the death probabilities; else the parameters of
-    the formula, whose hazards are then scaled to first order. None if mortality is not an input or
-    no scale suffices. A number that both sexes share moves by the mean of the two moves.
+    The input that changes is the first one that the case has of these: the multipliers, the death
+    probabilities, and the parameters of the formula, with which hazards are scaled to first order.
+    None if mortality is not an input, or if no scale suffices. A number that both sexes share moves
+    by the mean of the two moves.
     """
     mortality = case.mortality
     if mortality is None:

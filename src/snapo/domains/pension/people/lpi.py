@@ -1,20 +1,21 @@
 """Limited price indexation: increases by prices within a cap and a floor, valued as options.
 
-From date to date rights grow by X = min(max(e^Y, 1 + floor), 1 + cap), Y Gaussian growth of
-prices (`market.price_growth`). With m, s its mean and deviation, by Black's formula (F. Black,
-J. Financial Economics 3, 1976) of a caplet and a floorlet on the year's growth
+From date to date rights grow by X = min(max(e^Y, 1 + floor), 1 + cap), where Y is the Gaussian
+growth of prices (`market.price_growth`), with mean m and standard deviation s. By Black's formula
+(F. Black, J. Financial Economics 3, 1976) for a caplet and a floorlet on the year's growth,
 
     E X = (1 + floor) + call(1 + floor) - call(1 + cap),
     call(K) = exp(m + s^2 / 2) N((m + s^2 - ln K) / s) - K N((m - ln K) / s)
 
-Years are not independent, as expected inflation lasts: to first order in their covariances
-(R. Price, IRE Trans. Inform. Theory 4, 1958), d_k being d ln E X_k / d m_k,
+Years are not independent, since expected inflation persists. To first order in their covariances
+(R. Price, IRE Trans. Inform. Theory 4, 1958), with d_k = d ln E X_k / d m_k,
 
     ln E prod X_k = sum ln E X_k + sum_{j<k} d_j d_k Cov(Y_j, Y_k)
 
-which is exact without limits. A later payment's measure shifts means, and ln E X_k by d_k of that.
-On a path the first year's part depends on the growth of prices so far, and is computed there; the
-sum of the later ones is a polynomial in the factor of expected inflation, fitted in `prepare`.
+which is exact without limits. The measure of a later payment shifts the means, and so ln E X_k by
+d_k times the shift. The part of the first year depends on the growth of prices so far, and is
+computed on every path. The sum of the later parts is a polynomial in the factor of expected
+inflation, which `lpi` fits once.
 """
 
 from typing import Any, NamedTuple
@@ -35,8 +36,8 @@ MINIMUM = 1e-16  # variance that takes the place of none
 
 
 class Lpi(NamedTuple):
-    """What increases add to the logarithm of the payments on the nodes, beyond today's expectation;
-    arrays are [T+1, ...].
+    """The additions of increases to the logarithm of the payments on the nodes, beyond today's
+    expectation; arrays are [T+1, ...].
 
     - `mean`, `load`, `deviation` [T+1]: the mean of the growth of prices up to the first date, the
       rise of this mean with the factor, and the standard deviation.
@@ -74,15 +75,15 @@ def expected(mean, deviation, floor, cap) -> tuple[Array, Array]:
 
 
 def dates_before(case: PensionModel, first: np.ndarray, wait: np.ndarray) -> np.ndarray:
-    """How many increases rights have had before a payment of `wait` steps later, `first` being the
-    steps to the first date."""
+    """How many increases rights have had before a payment that is due in `wait` steps; `first` is
+    the number of steps to the first date."""
     item = round(1 / case.step)
     return np.where(wait >= first, 1 + (wait - first) // item, 0)
 
 
 def log_growth(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " H"]:
-    """ln of the expected growth of rights until each payment at time s * step, seen today, under
-    the payment's measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
+    """The logarithm of the expected growth of rights from today until the payment at time s * step,
+    under the payment's measure, for s = 0 ... T + `PAYMENT_YEARS` / step."""
     result, none = price_growth(case, inputs, today=True), xp.zeros(1)
     first, d_first, later, joint = _parts(case, inputs, result, none)
     complete = first[0, 0] + later[0, 0] + d_first[0, 0] * joint[0, 0]
@@ -157,7 +158,7 @@ def _parts(case: PensionModel, inputs: dict[str, Any], result: PriceGrowth, fact
 
 
 def factor_width(case: PensionModel) -> Any:
-    """`WIDE` long-run deviations of the factor; no input changes it."""
+    """`WIDE` long-run standard deviations of the factor; this width does not depend on inputs."""
     if case.derived is not None:
         return case.derived.width
     spread = case.inflation.volatility.used()[0] / np.sqrt(2 * case.inflation.mean_reversion.used())

@@ -17,9 +17,8 @@ TINY = 1e-9  # of a year: closer to a birthday than this is the birthday
 
 
 def hazard(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "2 G"]:
-    """-ln(1 - q) of a whole year from each birthday, before multipliers and improvement.
-
-    A death probability of 1 is a hazard of `CERTAIN`, without a gradient.
+    """The hazard -ln(1 - q) of the year after each birthday, before multipliers and improvement. A
+    death probability of 1 gives the hazard `CERTAIN`, without a gradient.
     """
     mortality = _mortality(case)
     if mortality.kind == "table":
@@ -55,7 +54,7 @@ def rounded_age(plan: PensionPlan, age: ArrayLike) -> Array:
 
 
 def divided(case: PensionModel) -> bool:
-    """Whether birthdays lie within steps: of members, spouses, or those who replace them."""
+    """Whether birthdays of members, spouses or entrants lie within steps."""
     members = case.members if case.plan.age_basis == "exact" else None
     ages = [] if members is None else members.age
     steps = np.append(ages, case.plan.entry_age if case.plan.open else 0.0) / case.step
@@ -63,15 +62,15 @@ def divided(case: PensionModel) -> bool:
 
 
 def partner(plan: PensionPlan, sex: ArrayLike, age: Array) -> tuple[Array, Array]:
-    """Sex and age of the spouse: the other sex, wives being younger by `spouse_age_gap`."""
+    """The sex and age of the spouse: the other sex, where wives are younger by `spouse_age_gap`."""
     sex = xp.asarray(sex)
     gap = xp.where(sex == FEMALE, plan.spouse_age_gap, -plan.spouse_age_gap)
     return 1 - sex, age + gap
 
 
 class Yearly(NamedTuple):
-    """Death in a whole year: `level` is -ln(1 - q), where `base` first multiplies q; `trend` is the
-    improvement so far, a factor of the hazard."""
+    """Death in a whole year: `level` is -ln(1 - q), where q is first multiplied by `base`; `trend`
+    is the improvement so far, a factor on the hazard."""
 
     base: Array
     level: Array
@@ -87,8 +86,8 @@ class Yearly(NamedTuple):
 def yearly(
     case: PensionModel, inputs: dict[str, Any], sex: ArrayLike, age: ArrayLike, year: np.ndarray
 ) -> Yearly:
-    """Yearly mortality at whole `age` in calendar `year` after time 0; shapes broadcast. Ages
-    outside it use its ends."""
+    """Yearly mortality at whole `age` in the calendar year that is `year` years after time 0;
+    shapes broadcast. Ages outside the table have the mortality of its first or last age."""
     mortality = _mortality(case)
     position = _place(mortality, sex, age)
     trend = use(inputs, mortality.improvement).ravel()
@@ -108,10 +107,11 @@ def step_hazards(
     loading: Array | None = None,
     factor: Array | None = None,
 ) -> Float[Array, "C steps"]:
-    """-ln of survival over each step, of cohorts aged `age` [C] at time 0.
+    """The hazards of each step, -ln of the survival over it, for cohorts aged `age` [C] at time 0.
 
-    A step across a birthday is divided there; the calendar year is that of its start. Constant
-    force: hazard times length; uniform deaths: -ln((1 - t q) / (1 - s q)) from s to t.
+    A step across a birthday is divided at the birthday; its calendar year is that of its start.
+    With a constant force the value is the hazard times the length; with uniform deaths, from s to
+    t, it is -ln((1 - t q) / (1 - s q)).
 
     **Arguments:**
 
@@ -148,7 +148,8 @@ def log_survival(
     steps: int,
     factor: Array | None = None,
 ) -> Float[Array, "C steps+1"]:
-    """ln of the probability to be alive after each step, 0 at time 0; `factor` [C] on q."""
+    """The logarithm of the probability of being alive after each step, 0 at time 0; `factor` [C]
+    multiplies q."""
     return accumulate(-step_hazards(case, inputs, sex, age, steps, factor=factor))
 
 
@@ -158,7 +159,8 @@ def accumulate(by_step: Float[Array, "C steps"]) -> Float[Array, "C steps+1"]:
 
 
 def _within(plan: PensionPlan, rate: Array, until: Array) -> Array:
-    """Hazard from the birthday to a fraction `until` of the year, all of it being `rate`."""
+    """The hazard from the birthday to a fraction `until` of the year; that of the whole year is
+    `rate`."""
     if plan.fractional_ages == "constant-force":
         return rate * until
     inside = until < 1

@@ -1,4 +1,5 @@
-"""Policies for the weights of a fund: the network, classical ones, and closed forms.
+"""Policies for the weights of a fund: the network and classical policies.
 
-All decide within `limits.AllocationLimits`: weights in bounds and groups, swaps with collateral.
+All policies decide within `allocation.AllocationLimits`: weights within bounds and groups, and
+swaps that are backed by collateral.
 """

@@ -1,5 +1,5 @@
-"""The network of a fund, and actions within all limits: weights within bounds and groups, swaps
-backed by collateral; the limits of swaps in money.
+"""The network of a fund; actions within all limits (weights within bounds and groups, swaps backed
+by collateral); and the limits of swaps in money.
 """
 
 from typing import Any
@@ -30,10 +30,10 @@ class AllocationLimits(Policy):
     """Turns real numbers, one per class and swap bucket, into an action within all limits.
 
     Weights are `smooth.simplex` of the first n numbers, which reaches every mix inside the bounds,
-    with negative and levered ones if the bounds allow them. The positions of the notionals in
-    their ranges are a logistic function of the other numbers. If these ranges are shares of the
-    assets, all swaps are scaled down together until the collateral of the weights is sufficient.
-    If they are shares of the liability, a policy does not observe enough to ensure this, and the
+    including negative and levered weights if the bounds allow them. The positions of the notionals
+    in their ranges are a logistic function of the other numbers. If these ranges are shares of the
+    assets, all swaps are scaled down together until the collateral of the weights is sufficient. If
+    they are shares of the liability, a policy does not observe enough to ensure this, and the
     simulator counts the shortfall.
     """
 
@@ -72,7 +72,8 @@ class AllocationLimits(Policy):
         return [(members, low[i], high[i]) for i, members in enumerate(self.groups)]
 
     def nearest(self, weights: Array, smooth) -> Float[Array, " n"]:
-        """Weights within the limits from weights that may leave them: these, if they do not."""
+        """Weights within the limits that are close to `weights`; weights within the limits are
+        unchanged."""
         low, high = (jnp.asarray(item.array, weights.dtype) for item in (self.low, self.high))
         logits = _logit(_inside(weights, low, high))
         for members, minimum, maximum in self._bounded(weights.dtype):
@@ -101,8 +102,8 @@ class AllocationLimits(Policy):
 
 
 class Cover(eqx.Module):
-    """Collateral behind swaps: ranges of their shares of assets `low`, `width` [b], and under
-    stress `need` [b] and `cover` [n] (see `fund.collateral`)."""
+    """Collateral behind swaps: the ranges `low`, `width` [b] of the notionals as shares of the
+    assets, and under stress `need` [b] and `cover` [n] (see `fund.collateral`)."""
 
     low: Frozen
     width: Frozen
@@ -110,7 +111,8 @@ class Cover(eqx.Module):
     cover: Frozen
 
     def __call__(self, positions: Array, weights: Array, smooth) -> Float[Array, " b"]:
-        """Places at which the collateral needed is there; these, where they need no more."""
+        """Positions of the notionals for which the collateral is sufficient; `positions` if it
+        already is."""
         values = (self.low, self.width, self.need, self.cover)
         low, width, need, cover = (jnp.asarray(x.array, positions.dtype) for x in values)
         share = low + positions * width
@@ -123,7 +125,7 @@ class Cover(eqx.Module):
 
 
 def present(case: PensionCase) -> np.ndarray:
-    """[n + b] the numbers that `AllocationLimits` maps close to the present weights and
+    """The numbers [n + b] that `AllocationLimits` maps close to the present weights and
     notionals."""
     assets, overlay = case.assets, case.overlay
     position = [_place(assets.weight.used(), assets.low, assets.high)]
@@ -136,7 +138,7 @@ def present(case: PensionCase) -> np.ndarray:
 
 
 def logits_of(case: PensionCase, weights: np.ndarray) -> np.ndarray:
-    """[n] the numbers from which `AllocationLimits` makes these weights, if no group limits
+    """The numbers [n] from which `AllocationLimits` makes these weights, if no group limits
     them."""
     inside = np.clip(_place(weights, case.assets.low, case.assets.high), 1e-3, 1 - 1e-3)
     return np.log(inside / (1 - inside))
@@ -161,7 +163,7 @@ class PensionPolicy(Policy):
 
     **Arguments:**
 
-    - `features`: size of the observation; `hidden`: widths of the layers between.
+    - `features`: size of the observation; `hidden`: widths of the hidden layers.
     """
 
     network: Network
@@ -187,7 +189,7 @@ def new_policy(case: PensionCase, simulator: Simulator, schedule: Schedule, key)
 
 
 def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """[b] notionals of the policy, from their `positions` in the ranges, 0 to 1.
+    """The notionals [b] of the policy, from their `positions` (0 to 1) in the ranges.
 
     `values`: [b] the money to which limits refer (see `limit_unit`).
     """
@@ -202,8 +204,8 @@ def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> n
 
 
 def limit_unit(case: PensionCase) -> np.ndarray:
-    """[b] money of today; the limits of the swaps are shares of it: all assets, or the liability
-    payments nearest to each bucket."""
+    """The amounts of money today [b] of which the limits of swaps are shares: all assets, or the
+    value of the liability payments nearest to each bucket."""
     if case.overlay is None or case.overlay.unit == "assets":
         return np.full(case.buckets, float(case.assets.amount.used()))
     simulator = PensionSimulator.of(case)

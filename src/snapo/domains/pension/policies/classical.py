@@ -1,4 +1,4 @@
-"""Classical policies with their tunable parameters, and closed forms of known problems."""
+"""Classical policies with parameters that can be tuned, and the present mix."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ UNIT = 0.1  # of shares and funding ratios: in it they are tuned by steps as lar
 
 
 class ConstantMix(Policy):
-    """Constant weights and swaps: `logits` [n + b] (see `policy.Limits`)."""
+    """Constant weights and swaps: `logits` [n + b] (see `AllocationLimits`)."""
 
     limits: AllocationLimits
     logits: Array
@@ -43,8 +43,8 @@ class ConstantMix(Policy):
 
 class GlidePath(Policy):
     """Moves from one mix of assets and swaps to another, linearly in the funding ratio between two
-    bounds. `logits` [2, n + b]: those of the mix at and below the lower bound, and of the mix at
-    and above the upper bound; `bounds` [2]: the bounds in `UNIT`. It starts with the same `mix` at
+    bounds. `logits` [2, n + b]: the mix at and below the lower bound, and the mix at and above the
+    upper bound; `bounds` [2]: the bounds in units of `UNIT`. Before tuning, the mix is the same at
     all ratios.
     """
 
@@ -72,11 +72,11 @@ class GlidePath(Policy):
 class LiabilityDriven(Policy):
     """A growth portfolio (classes with a separate shock) and a hedge (bonds, credit, cash).
 
-    The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
-    are the logits of the classes within the two portfolios, and `hedge` [b] those of the positions
-    of the swaps in their ranges. If weights may be negative, the growth share is within `reach`,
-    and the weight of a class within its portfolio is floor + (1 - sum of floors) softmax(mix);
-    otherwise `floor` [n] is zero. It starts at a constant `mix`.
+    The growth share is growth[0] + growth[1] (F - 1), limited to 0 to 1; `growth` is in units of
+    `UNIT`. `mix` [n] are the logits of the classes within the two portfolios, and `hedge` [b] those
+    of the positions of the swaps in their ranges. If weights may be negative, the growth share is
+    within `reach`, and the weight of a class within its portfolio is floor + (1 - sum of floors)
+    softmax(mix); otherwise `floor` [n] is zero. Before tuning, it is a constant mix.
     """
 
     limits: AllocationLimits
@@ -130,7 +130,8 @@ def _whole(local: np.ndarray, grown: float) -> np.ndarray:
 
 
 def _floor(case: PensionCase, local: np.ndarray, grown: float):
-    """[n] the least that each class weighs in its portfolio, and the range of the growth share."""
+    """The smallest weights [n] of classes within their portfolios, and the range of the growth
+    share."""
     low, high, complete = case.assets.low, case.assets.high, _whole(local, grown)
     # A portfolio that is borrowed as a whole turns bounds round.
     floor = np.minimum(np.minimum(low / complete, high / complete), 0.0)
@@ -159,7 +160,8 @@ def followers(
 
 
 def _ratio_slot(case: PensionCase) -> int:
-    """The position of ln of the funding ratio, over that now where nothing else is seen."""
+    """The position of the logarithm of the funding ratio in the observation, or of the relative
+    one."""
     observed: dict[str, slice] = slots(case)
     name = "funding_ratio" if "funding_ratio" in observed else "relative_funding"
     return observed[name].start
@@ -210,8 +212,8 @@ class PresentMix(Policy):
 
 
 def present_mixes(case: PensionCase) -> dict[str, tuple[str, Policy]]:
-    """{key: (name, policy)}: rebalanced at every step, and yearly if steps are shorter and the
-    policy observes time and weights."""
+    """{key: (name, policy)} of the present mix: rebalanced at every step; and rebalanced yearly, if
+    steps are shorter and the policy observes time and weights."""
     item = round(1 / case.step)
     table: dict[str, tuple[str, Policy]] = {
         "present_mix": ("Present mix", PresentMix(case, 1)),
@@ -235,7 +237,7 @@ class OneOf(Policy):
 
     @property
     def rule(self) -> Policy:
-        """The one that decides."""
+        """The rule that decides."""
         return self.rules[round(float(self.slot.array))]
 
     def __call__(self, observation, smooth=EXACT):

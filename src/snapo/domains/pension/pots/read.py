@@ -1,4 +1,4 @@
-"""Reads `[pots]`: personal pots with a solidarity reserve, within the law at the date."""
+"""Reads `[pots]`: personal pots with a solidarity reserve, within the law on the valuation date."""
 
 import datetime
 from dataclasses import replace
@@ -44,12 +44,13 @@ def read_pots(
 ) -> Pots | None:
     """The pots of a case under the rules in force on `day`; None without the table.
 
-    **Raises:** `CaseError` if the reserve is filled beyond the law, or cohorts are missing.
+    **Raises:** `CaseError` if the reserve is filled by more than the law allows, or if cohorts are
+    missing.
     """
     if table is None:
         return None
     if members is None:
-        raise section.error("rules", table.rules, "pots are those of the cohorts of [members] file")
+        raise section.error("rules", table.rules, "pots need cohorts, which members.file names")
     rules = in_force(section, table.rules, OWN, day, _rules)
     largest = table.largest
     if largest is None:
@@ -60,7 +61,7 @@ def read_pots(
             message = f"the law in force since {rules.since} allows at most {maximum:g}"
             raise section.error(key, stated.written, message)
     if table.reserve.used() > largest.used():
-        message = f"the reserve is at most {largest.values[0]:g}"
+        message = f"the reserve must be at most {largest.values[0]:g}, the value of largest"
         raise section.error("reserve", table.reserve.written, message)
 
     def input(key: str) -> CaseInput:
@@ -90,7 +91,10 @@ def read_pots(
 
 
 def check_pots(file: str, pots: Pots | None, plan: PensionPlan, liability: Liability) -> None:
-    """Rules that cannot be combined with pots are refused."""
+    """Refuses rules that cannot be combined with pots.
+
+    **Raises:** `CaseError` with the key of the rule and the words that are allowed.
+    """
     if pots is None:
         return
     request = (
@@ -104,7 +108,7 @@ def check_pots(file: str, pots: Pots | None, plan: PensionPlan, liability: Liabi
     for key, value, allowed in request:
         if value not in allowed:
             text = " or ".join(str(item).lower() for item in allowed)
-            raise CaseError(file, key, value, f"a fund of personal pots needs {text}")
+            raise CaseError(file, key, value, f"with personal pots it must be {text}")
 
 
 def _rules(data: dict[str, Any]) -> PotRules:

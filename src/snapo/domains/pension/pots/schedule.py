@@ -21,7 +21,8 @@ from .sharing import Reserve
 
 
 class Cohorts(NamedTuple):
-    """The data that all paths share. Leading axis T + 1: at time t, before step t.
+    """The data of the cohorts that all paths share. The leading axis T + 1 is time: t means before
+    step t.
 
     - `value` [T+1, C, J]: forward value of each cohort's payments on the nodes, for pensions as
       they were earned at time 0; `benefit` [T+1, C]: the payments in step t.
@@ -89,9 +90,9 @@ class PotTerms(NamedTuple):
 class PotPeriod(NamedTuple):
     """One step: the `fund`'s period; for the cohorts the payments on the nodes before and after it
     [C, J], the `benefit` [C] of the step, the shares of `payroll` [C], whether they are `drawing`
-    [C] at its end, `protection` and `exposure` [C]; `shape_after` [J]: the shape of the curve
-    after it; `unwound`: the part of an annuity's growth that is due to the addition to the
-    curve."""
+    pensions [C] at its end, `protection` and `exposure` [C]. `shape_after` [J]: the shape of the
+    curve after the step; `unwound`: the part of an annuity's growth that is due to the addition to
+    the curve."""
 
     fund: Period
     value: Array
@@ -153,5 +154,5 @@ def pot_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
 def annuity_values(
     terms: FundTerms, value: Float[Array, "C J"], shape: Array, market
 ) -> Float[Array, " C"]:
-    """Each cohort's annuity at a market."""
+    """The value of each cohort's annuity in a market, [C]."""
     return value @ jnp.exp(log_factor(terms.market, shape, market))

@@ -1,14 +1,15 @@
 """The shares of pots in the return of a fund, and the solidarity reserve at the end of a year.
 
-    protection of a cohort = V (x R + (1 - x) Rc), V its pot and x its share of protection
-    of the reserve         = S Rc: a pot with x = 0
-    excess return          = the whole return - all protection
-    a cohort's part of it  = exposure x pot, over the sum of these and of the reserve
+    protection of a cohort     = V (x R + (1 - x) Rc)
+    protection of the reserve  = S Rc
+    excess return              = the whole return - all protection
+    a cohort's share of excess = exposure x pot / (the sum of exposure x pot + S)
 
-R, the return of a cohort's annuity, is that of its payments on the curve of the path, so that a pot
-that is fully protected buys the same pension at any rates; Rc is the return of cash over the
-step. If all assets of the fund earn Rc, so do every pot and the reserve, for any protections and
-exposures: there is no ex-ante redistribution.
+V is the pot of a cohort, x its share of protection, and S the reserve. R, the return of a cohort's
+annuity, is that of its payments on the curve of the path, so that a fully protected pot buys the
+same pension at any rates. Rc is the return of cash over the step. If all assets of the fund earn
+Rc, every pot and the reserve also earn Rc, for any protections and exposures: there is no ex-ante
+redistribution.
 
 Source: De Nederlandsche Bank, Open Boek Toezicht, Q&A "Hoe kan een pensioenuitvoerder de
 toedelingsregels zo vormgeven dat er op voorhand geen herverdelingseffecten tussen leeftijdsgroepen
@@ -20,8 +21,8 @@ Pensioenwet, art. 10a (5), which forbids redistribution beforehand between pots,
 and the reserve (DNB, factsheet "Toedelingsregels in de solidaire premieregeling", 29 June 2023).
 
 The reserve has an exposure of one; a loss that it cannot bear falls on the pots, in proportion to
-their exposures. All functions conserve money: pots and reserve after them add up to those before
-plus the return.
+exposure times pot. All functions conserve money: afterwards pots and reserve add up to their sum
+before plus the return.
 """
 
 from collections.abc import Callable
@@ -100,13 +101,13 @@ def closed(
     rules: Reserve,
     smooth: Constraints,
 ) -> ClosedPots:
-    """The end of a year: the reserve takes its share of the excess return `gained` in it, returns
-    the excess over its maximum size, and restores pensions.
+    """The end of a year: the reserve takes its share of the excess return `gained` in the year,
+    returns the money above its maximum size, and restores pensions.
 
     **Arguments:**
 
-    - `missing`: a function of pots [C] that gives the money [C] by which their pensions in payment
-      are too low.
+    - `missing`: a function of pots [C] that gives the money [C] that their pensions in payment
+      lack.
     """
     total = jnp.sum(pots) + reserve
     scale = ROUND * total
@@ -125,7 +126,7 @@ def closed(
 
 
 def _parts(weights: Array, pots: Array) -> Float[Array, " C"]:
-    """Shares by weight; by pot where all weights are zero."""
+    """Shares in proportion to the weights, or to the pots if all weights are zero."""
     complete = jnp.sum(weights)
     weights = jnp.where(complete > 0, weights, pots)
     complete = jnp.sum(weights)

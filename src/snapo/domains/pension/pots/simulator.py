@@ -1,9 +1,9 @@
 """One path of a fund of personal pots: the fund invests, and shares its return among cohorts.
 
-Order within a step: contributions go into pots and reserve, pensions are paid out of pots; the
-fund trades; a step of the market; its return is shared (`sharing`); at the end of a year the
-reserve takes its part, restores pensions in payment, and pensions are set for the next year as pot
-over annuity (`members`). Pots and reserve add up to the assets at every time.
+Order within a step: contributions go into pots and reserve, and pensions are paid out of pots; the
+fund trades; the market moves; the return is shared (`sharing`). At the end of a year the reserve
+takes its part and restores pensions in payment; then the pensions of the next year are set to pot
+divided by annuity. Pots and reserve add up to the assets at every time.
 """
 
 from typing import Any, NamedTuple
@@ -41,12 +41,13 @@ class PotState(NamedTuple):
 
     @property
     def weights(self) -> Array:
-        """[n] of the fund, as drifted."""
+        """The weights [n] of the fund after their drift."""
         return self.fund.weights
 
 
 class Paid(NamedTuple):
-    """Money of a step in and out: the fund's `flows`, and of each pot [C] and the reserve."""
+    """Money paid in and out in a step: the `flows` of the fund, and those of each pot [C] and of
+    the reserve."""
 
     flows: FundFlows
     pots: Array
@@ -65,8 +66,8 @@ class PotSimulator(PensionSimulator):
         return PotState(fund, constants.pots, constants.start_reserve, level, none)
 
     def observe(self, constants: PotTerms, now: PotPeriod, state: PotState):  # pyright: ignore
-        """The observation of a fund, then ln of each pot over its annuity, and the reserve's
-        share."""
+        """The observation of a fund, then the logarithm of each pot divided by its annuity, and the
+        share of the reserve."""
         terms, fund = constants.fund, state.fund
         books = balance(self.model, terms, now.fund.people, now.fund.shape, fund)
         observed = observe(self.model, terms, now.fund, fund, books.ratio)
@@ -183,7 +184,7 @@ class PotSimulator(PensionSimulator):
 
     @staticmethod
     def _level(constants: PotTerms, pots: Array, annuity: Array) -> Float[Array, " C"]:
-        """Pots over annuities; that of today for a cohort without payments."""
+        """Pots divided by annuities; the level of today for a cohort without payments."""
         there = annuity > MINIMUM * constants.assets
         return jnp.where(there, pots / jnp.where(there, annuity, 1.0), constants.level)
 

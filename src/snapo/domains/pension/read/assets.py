@@ -53,7 +53,7 @@ FARTHEST = 10.0  # a bound beyond 1,000 % of the assets is a percentage that was
 def read_assets(
     section: TableContext, table: AssetsTable, amount: CaseInput, grid: TimeGrid, names: AssetNames
 ) -> Assets:
-    """The table of asset classes; costs and fees of classes without one are zero."""
+    """The table of asset classes; a cost or a fee that is empty is zero."""
     rows = read_rows(
         FileReference(section, "file", table.file), ("name", "kind", "weight"), OPTIONAL
     )
@@ -68,7 +68,8 @@ def read_assets(
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
             raise rows[_cash(classes)].error(
-                column_name, "the weight of cash follows from the other classes"
+                column_name,
+                "the weight of cash follows from the other classes, so cash has no such limit",
             )
     low, high = _bounds(rows)
     groups = _groups(rows, classes, low, high)
@@ -174,10 +175,10 @@ def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
             raise row.error("low", f"the lower bound must not exceed the upper one, {maximum:g}")
         for name, bound in (("low", minimum), ("high", maximum)):
             if bound > 1 and not (low < 0).any():
-                message = "it must be at most 1, unless a low below 0 lets some class be sold short"
+                message = "it must be at most 1, unless a low below 0 allows short positions"
                 raise row.error(name, message)
         if minimum < 0 and row.cells.get("max_sale"):
-            message = "a class whose low is below 0 can be sold short, so its sales have no limit"
+            message = "a class whose low is below 0 can be sold short: its sales cannot be limited"
             raise row.error("max_sale", message)
     return low, high
 
@@ -240,7 +241,7 @@ def _check_bounds(
         minimum += lower - inside[0]
         maximum += upper - inside[1]
     if minimum > 1 + WHOLE or maximum < 1 - WHOLE:
-        got = Unquoted(f"bounds between which the weights add up to {minimum:g} to {maximum:g}")
+        got = Unquoted(f"bounds within which the weights add up to {minimum:g} to {maximum:g}")
         message = (
             "the weights must be able to add up to 1: the lower bounds add up to at most 1, the "
             "upper ones to at least 1"

@@ -91,7 +91,7 @@ def read_case(path: str | Path) -> PensionCase:
 
 @dataclass(frozen=True)
 class _Reader:
-    """One case while it is read: its tables by name, without those that it has not; `notes` are
+    """A case while it is read: its tables by name, without those that it does not have; `notes` are
     remarks for its user, `defaulted` the names of numbers that were left at a default."""
 
     file: Path
@@ -115,7 +115,7 @@ class _Reader:
 
 
 def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
-    """The tables of a case by name, "" the whole file.
+    """The tables of a case by name; "" is the whole file.
 
     **Raises:** `CaseError` if a key is wrong, or has no meaning in this case.
     """
@@ -133,7 +133,7 @@ def parsed(file: Path, top: PensionTable) -> dict[str, CaseTable]:
 
 
 def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
-    """The same for TOML data that was read already; other files are searched for next to `file`."""
+    """The case of TOML data that was read already; the other files are next to `file`."""
     top = parse(PensionTable, data, str(file), "")
     reader = _Reader(file, top, parsed(file, top), [], set())
     fund = reader.table(tables.FundTable, "fund")
@@ -151,7 +151,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     if pots is not None:  # rights are earned no more: contributions go into pots
         rules = replace(rules, accruing=False)
     if supplied is not None and market["overlay"] is not None and market["overlay"].inflation:
-        message = "ready-made scenarios contain no break-evens: swaps of inflation need the models"
+        message = "ready-made scenarios have no break-evens, which swaps of inflation need"
         raise CaseError(str(file), "overlay.file", None, message)
     case = PensionCase(
         file=file,
@@ -277,7 +277,7 @@ def _people(
     parts: dict[str, Any] = dict.fromkeys(names)
     if (table.file is None) == (table.cash_flows is None):
         got = None if table.file is None else table.cash_flows
-        raise section.error("file", got, "either file or cash_flows is needed, and not both")
+        raise section.error("file", got, "either file or cash_flows is needed, but not both")
     if table.cash_flows is not None:
         arrears = rules.timing == "arrears"
         parts["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
@@ -297,12 +297,12 @@ def _people(
 
 
 def usual_observation(case: PensionCase) -> tuple[str, ...]:
-    """The default observation: every part that means something in this case."""
+    """The default observation: every part that has a meaning in this case."""
     return tuple(name for name, observed in FEATURES.items() if observed.usual(case))
 
 
 def _held(reader: _Reader, case: PensionCase) -> tuple[str, ...]:
-    """Names of inputs without a gradient: asked for, left at a default, or without effect."""
+    """Names of inputs without a gradient: by request, left at a default, or without effect."""
     request = reader.table(tables.SensitivityTable, "sensitivity").held
     every = list(every_given(case))
     names, missing = (
@@ -330,7 +330,8 @@ USUAL = {"cvar": "surplus_ratio", "mean": "funding_ratio"}
 
 
 def read_objectives(file: str, data: Any, more: Sequence[str] = ()) -> tuple[ObjectiveTerm, ...]:
-    """One table, or several that are added up; `more`: further outputs than those of every fund."""
+    """The terms of the objective, from one table or several. `more`: outputs that the case has in
+    addition to those of every fund."""
     many = isinstance(data, list)
     terms = data if many else [data or {"kind": "crra", "risk_aversion": 5.0}]
     if not terms:

@@ -1,8 +1,8 @@
 """Reads `[plan.contribution] schedule`: payments agreed in money, by date or by time from now.
 
 A date counts as the beginning of the month that is nearest to it, like the valuation date. With
-monthly steps a payment falls into its month; with yearly ones into its year, whose payments are
-made together at the beginning ("advance") or at the end of it ("arrears").
+monthly steps a payment falls into its month. With yearly steps it falls into its year, and all
+payments of a year are made together at its beginning ("advance") or its end ("arrears").
 """
 
 import datetime
@@ -20,7 +20,7 @@ from ..records.plan import CashPlan
 from .cells import NEVER, TimeGrid, years
 
 PAYMENT = AMOUNT.of("plan").in_column(
-    "amount", "a payment agreed in money, on top of the rule of contributions"
+    "amount", "a payment agreed in money, in addition to the rule of contributions"
 )
 HALF = datetime.timedelta(15)  # of a month: a later day belongs to the next one
 
@@ -83,6 +83,6 @@ def _step(row: Row, column: str, due: float, timer: PlanClock) -> int:
     step = math.floor(steps + NEVER)
     if step < 0:
         now = Unquoted(f"{timer.start:%Y-%m-%d}")
-        message = f"payments come after the valuation date, {now}"
-        raise row.error(column, f"{message}; in arrears the first one is after one step")
+        message = f"payments must be on or after the valuation date, {now}"
+        raise row.error(column, f"{message}; in arrears the first payment is after one step")
     return step

@@ -1,4 +1,4 @@
-"""Cells of the tables: optional ones, keywords, names and times."""
+"""Reads cells of the tables: optional cells, keywords, names and times."""
 
 import math
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class TableReader(TableContext):
 
 
 def empty(name: str, shape: tuple[int, ...] = (0,)) -> CaseInput:
-    """A number that the case does not have: no value, and zeros of `shape` in its use."""
+    """A number that the case does not have: it has no value, and counts as zeros of `shape`."""
     return CaseInput(name, np.zeros(0), (), "1", np.zeros(shape, np.int64))
 
 
@@ -50,7 +50,7 @@ def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) 
 
 
 def word(row: Row, column: str, available: Sequence[str]) -> str:
-    """One of a few names; in any case of letters."""
+    """The word in a cell, in lower case; it must be one of those `available`."""
     text = row.cells[column].lower()
     if text not in available:
         raise row.error(column, f"it must be one of {', '.join(available)}")
@@ -70,7 +70,7 @@ def position(row: Row, column: str, names: Sequence[str], subject: str) -> int:
 
 
 def unique(rows: Sequence[Row], column: str) -> tuple[str, ...]:
-    """The names in a column: none empty, none twice."""
+    """The names in a column; a name must not be empty or occur twice."""
     names: list[str] = []
     for row in rows:
         if not row.cells[column]:

@@ -52,8 +52,8 @@ IDLE = {"kind": "hull-white", "mean_reversion": 0.1, "volatility": 0.0}
 
 
 class RateQuotes(NamedTuple):
-    """The file of a curve: the key and the name of its file; its inputs by name, each with a
-    separate column; the name of the ultimate rate."""
+    """The quotes of a curve: the `key` and the name of its `file`; its `inputs` by name, each with
+    a separate column; and the name of the ultimate rate (`far`)."""
 
     key: str
     file: str
@@ -72,7 +72,7 @@ def read_curve(section: TableReader, table: CurveTable) -> MarketCurve:
 
 
 def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -> MarketCurve:
-    """The curve with the numbers of the method; others unchanged.
+    """The curve with the numbers of the method; a curve of another method is unchanged.
 
     **Raises:** `CaseError` if keys or quotes do not suit the method, if no speed converges,
     or if the price of a bond would not be above 0.
@@ -92,7 +92,9 @@ def _smith_wilson(section: TableReader, table: CurveTable, curve: MarketCurve) -
         )
     convergence = table.convergence or max(last + PERIOD, EARLIEST)
     if convergence <= last:
-        raise section.error("convergence", convergence, f"it must be above the tenor {last:g}")
+        raise section.error(
+            "convergence", convergence, f"it must be above the last tenor, {last:g}"
+        )
     complete = np.round(curve.tenor) if curve.quote == "swap" else curve.tenor
     curve = replace(curve, tenors=complete, speed=table.speed, convergence=convergence)
     _possible(section, table, curve)
@@ -115,7 +117,10 @@ def _possible(section: TableReader, table: CurveTable, curve: MarketCurve) -> No
         )
         raise section.error("file", table.file, message)
     if table.speed is None and missed > 1e-6:
-        message = f"no speed up to {MAXIMUM:g} brings the forward rate within a basis point by then"
+        message = (
+            f"no speed up to {MAXIMUM:g} brings the forward rate within a basis point of the "
+            "ultimate rate by then"
+        )
         raise section.error("convergence", curve.convergence, message)
     if table.speed is None:
         section.notes.append(
@@ -136,10 +141,10 @@ def quotes(
     rates = quantity.from_rows(name, rows, [years(t) for t in tenor])
     if annual and column != "swap":
         rates = _continuous(rates)
-        text = "annual rates were converted to continuous; sensitivities are per continuous rate."
+        text = "annual rates are converted, so sensitivities refer to continuous rates."
         section.notes.append(f"{values.file}: {text}")
     if (table.ultimate is None) != (table.extrapolation == "flat-forward"):
-        message = 'extrapolation "ultimate" needs this key, "flat-forward" does not use it'
+        message = 'all values of extrapolation except "flat-forward" need this key'
         stated = None if table.ultimate is None else table.ultimate.written
         raise section.error("ultimate", stated, message)
     far = empty(values.far, ())
@@ -180,7 +185,7 @@ def _quoted(
     if len(present) != 1:
         got = f"the columns {', '.join(rows[0].cells)}"
         row = Row(rows[0].file, 1, {"header": got})
-        raise row.error("header", f"exactly one of the columns {' and '.join(columns)} is needed")
+        raise row.error("header", f"exactly one of the columns {', '.join(columns)} is needed")
     return present[0]
 
 
@@ -234,7 +239,7 @@ EQUAL = 1e-9
 def read_correlations(
     section: TableContext, table: CorrelationsTable | None, available: Sequence[str]
 ) -> Correlation:
-    """The matrix in `table`; without it, everything is independent."""
+    """The matrix that `table` names; without a table, everything is independent."""
     folded = [name.lower() for name in available]
     for i, name in enumerate(folded):
         if name in folded[:i]:
@@ -256,8 +261,9 @@ def read_correlations(
             raise section.error("file", got, message)
         matrix, change = nearest_correlation(matrix)
         section.notes.append(
-            f"{table.file} was not positive definite (smallest eigenvalue {smallest:.3g}); in "
-            f"the nearest positive definite matrix, entries differ by at most {change:.3g}."
+            f"{table.file} is not positive definite (smallest eigenvalue {smallest:.3g}); the "
+            "nearest positive definite matrix is used instead, whose entries differ by at most "
+            f"{change:.3g}."
         )
     below = np.tril_indices(len(names), -1)
     labels = [f"{names[i]}, {names[j]}" for i, j in zip(*below)]
@@ -267,7 +273,7 @@ def read_correlations(
         if rows[j].cells[columns[i]]:
             positions[k] = Copies((positions[k], rows[j].position(columns[i])))
     if change:
-        reason = f"the matrix of {table.file} was repaired: the case has other numbers"
+        reason = f"the matrix of {table.file} was repaired, so the case uses other numbers"
         positions = [NoPosition(reason)] * len(positions)
     located = tuple(positions)
     return Correlation(
@@ -290,7 +296,7 @@ def _names(rows: Sequence[Row], available: Sequence[str], folded: Sequence[str])
     columns = [column for column in rows[0].cells if column != "name"]
     if columns != [name.lower() for name in names]:
         head = Row(rows[0].file, 1, {"header": f"the columns {', '.join(columns)}"})
-        message = f"the columns must be those of the rows, in their order: {', '.join(names)}"
+        message = f"the columns must have the names and the order of the rows: {', '.join(names)}"
         raise head.error("header", message)
     return tuple(names)
 
@@ -305,7 +311,7 @@ def _matrix(rows: Sequence[Row]) -> np.ndarray:
                 continue
             value = row.number(column, -1.0, 1.0)
             if i == j and value != 1:
-                raise row.error(column, "the diagonal is 1")
+                raise row.error(column, "a number on the diagonal must be 1")
             if j < i:
                 matrix[i, j] = matrix[j, i] = value
     for i, row in enumerate(rows):

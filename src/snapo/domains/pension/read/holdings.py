@@ -41,7 +41,9 @@ CURRENCY = (
     SHARE.of("model", blank=0.0).in_column(
         "hedge_ratio", "the share of a currency's exposure that is hedged"
     ),
-    FEE.in_column("hedge_cost", "the cost of hedging a currency, per year of the hedged amount"),
+    FEE.in_column(
+        "hedge_cost", "the yearly cost of hedging a currency, as a share of the hedged amount"
+    ),
 )
 NOTIONAL = AMOUNT.of("overlay").in_column(
     "notional", "the notional of today, before the first trade", range=ANY
@@ -79,7 +81,7 @@ def read_currencies(section: TableContext, table: CurrenciesTable | None) -> Cur
 def _columns(
     prefix: str, quantities: Sequence[FundQuantity], rows: Sequence[Row], labels: Sequence[str]
 ) -> dict[str, Any]:
-    """{column: its numbers}; of one that was left out, none."""
+    """{column: its numbers}; a column that was left out has none."""
     return {x.column: x.column_of(f"{prefix}_{x.column}", rows, labels) for x in quantities}
 
 

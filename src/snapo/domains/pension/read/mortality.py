@@ -31,8 +31,9 @@ FEWEST = 10  # ages of a table that can be closed
 
 
 def read_mortality(section: TableReader, table: MortalityTable, start: datetime.date) -> Mortality:
-    """Death probabilities by sex and age, or Gompertz-Makeham, with their modifiers; improvement
-    counts from their year on, else from `start`, the valuation date."""
+    """Death probabilities by sex and age, or by the Gompertz-Makeham formula, with multipliers and
+    improvement. Improvement counts from `year` of the table on, or without it from the valuation
+    date `start`."""
     if table.kind == "table":
         for key in ("male", "female"):
             if getattr(table, key) is not None:
@@ -101,13 +102,13 @@ def _ages(section: TableReader, file: str, first: int, q: np.ndarray) -> int:
         rises = np.log(oldest) @ position > 0
     if not rises.all() or not (oldest.max() < HALF):
         message = (
-            f"a table that ends before {OLD} is extrapolated from its oldest ages, but their death"
-            f" probabilities do not rise, or reach {HALF:g}, at {ages}"
+            f"a table that ends before age {OLD} is extrapolated from its oldest ages, but the "
+            f"death probabilities do not rise, or reach {HALF:g}, at the ages {ages}"
         )
         raise section.error("file", got, message)
     section.notes.append(
-        f"{file} ends at {last}: it is extrapolated to the ages {last + 1} to {LAST_AGE}, where "
-        f"the logit of the hazard rises as at {ages} (Kannisto)."
+        f"{file} ends at age {last}: it is extrapolated to {last + 1} to {LAST_AGE}, where "
+        f"the logit of the hazard rises as at the ages {ages} (Kannisto)."
     )
     return LAST_AGE - first + 1
 
@@ -169,7 +170,8 @@ def _banded(
     ages: range,
     in_file: Range,
 ) -> CaseInput:
-    """A number for all, or a CSV sex,age,value: each value holds from its age on; index [2, G].
+    """A number for all, or a CSV sex,age,value in which a value applies from its age on; index [2,
+    G].
 
     `in_file`: the numbers that the CSV may have.
     """
@@ -194,7 +196,8 @@ def bands(reference: FileReference, name: str, ages: range, quantity: FundQuanti
         begins = [_whole_age(row) for row in local]
         if not local or begins[0] > ages[0]:
             got = Unquoted(f"no value for {SEX[sex]} at {ages[0]}")
-            raise reference.section.error(reference.key, got, f"{reference.name} must begin there")
+            message = f"{reference.name} must begin at or below this age"
+            raise reference.section.error(reference.key, got, message)
         for row, before, here in zip(local[1:], begins[:-1], begins[1:]):
             if here <= before:
                 raise row.error("age", f"ages must increase; the previous row has {before}")

@@ -23,7 +23,7 @@ PEOPLE = AMOUNT.of("people")
 NUMBER = PEOPLE.in_column("number", "the number of members of a cohort", unit="members")
 PENSION = PEOPLE.in_column("pension", "the yearly pension that each member has earned")
 SALARY = PEOPLE.in_column(
-    "salary", "the salary of each member, and with it contributions and accrual"
+    "salary", "the salary of each member; contributions and accrual change with it"
 )
 FACTOR = PEOPLE.of("people", unit="1", blank=1.0).in_column(
     "mortality", "the death probabilities of a cohort rise by a relative 1 %"
@@ -38,7 +38,7 @@ def read_members(
     retirement_age: float,
     grid: TimeGrid,
 ) -> FundMembers:
-    """Cohorts, each within the ages of the mortality table."""
+    """The cohorts, whose ages must be within the mortality table."""
     columns = ("name", "status", "sex", "age", "number", "pension")
     more = ("salary", "service", "mortality")
     rows = read_rows(FileReference(section, "file", str(table.file)), columns, more)
@@ -83,7 +83,7 @@ def _age(row: Row, first: int, last: int) -> float:
 
 
 def _salary(rows: Sequence[Row], status: np.ndarray, names, unit: str) -> CaseInput:
-    """Salaries of those who are active; who is not has no salary that could be an input."""
+    """The salaries of active members; others have no salary that could be an input."""
     active = [i for i, item in enumerate(status) if item == ACTIVE]
     if not active:
         return empty("salary", (len(rows),))
@@ -106,9 +106,9 @@ def read_cash_flows(
             raise row.error("year", f"it must be a whole number of steps of {years(grid.step)}")
         paid = round(due) - arrears
         if paid < 0:
-            raise row.error("year", "with payments in arrears the first one is after one step")
+            raise row.error("year", "with payments in arrears the first payment is after one step")
         if paid >= round(PAYMENT_YEARS / grid.step):
-            raise row.error("year", f"payments in advance end before {PAYMENT_YEARS} years")
+            raise row.error("year", f"payments in advance must be before year {PAYMENT_YEARS}")
         if steps and paid <= steps[-1]:
             raise row.error("year", "times must increase from row to row")
         steps.append(paid)

@@ -108,7 +108,8 @@ def read_indexation(section: TableContext, table: IndexationTable) -> Indexation
 
 
 def read_revaluation(section: TableReader, table: RevaluationTable | None) -> Revaluation | None:
-    """Rates of increase before payment; None if rights grow as pensions in payment do."""
+    """The rates of increase before payment; None if rights grow in the same way as pensions in
+    payment."""
     if table is None:
         return None
 
@@ -141,7 +142,7 @@ def read_contribution(
         step, term = timer.grid.step, float(table.recovery_years.used())
         level = round(term / step)
         if not level or abs(level * step - term) > WHOLE:
-            message = f"level payments end after whole steps of {years(step)}"
+            message = f"level payments must end after whole steps of {years(step)}"
             raise section.error("recovery_years", term, message)
 
     def input(name: str) -> CaseInput:
@@ -187,9 +188,10 @@ def read_liability(section: TableContext, table: LiabilityTable, annual: bool) -
 
 
 def check_limited(case: PensionCase) -> None:
-    """Options in limited increases can be valued if increases are limited and the models apply.
+    """Checks whether the options in limited increases can be valued: increases must be limited, and
+    the models must apply with constant volatilities.
 
-    **Raises:** `CaseError` with the reason if they cannot.
+    **Raises:** `CaseError` with the reason if the options cannot be valued.
     """
     if case.liability.future_indexation != "capped":
         return
@@ -198,9 +200,9 @@ def check_limited(case: PensionCase) -> None:
     if case.plan.indexation.kind != "capped":
         message = 'increases of plan.indexation are not limited: kind "capped" is needed'
     elif case.scenarios is not None:
-        message = "ready-made scenarios contain no volatilities, which the options' value needs"
+        message = "ready-made scenarios have no volatilities, and options need them to be valued"
     elif any(np.ptp(model.used(), axis=0).any() for model in models):
-        message = "options are valued at volatilities of rates and inflation that do not change"
+        message = "options need volatilities of rates and inflation that do not change over time"
     if message is not None:
         raise CaseError(str(case.file), "liability.future_indexation", "capped", message)
 
@@ -213,10 +215,10 @@ def read_frontier(
         return None
     kind = plan.contribution.kind
     if not CONTRIBUTIONS[kind].responds:
-        allowed = " and ".join(f'"{k}"' for k, rule in CONTRIBUTIONS.items() if rule.responds)
+        allowed = " or ".join(f'"{k}"' for k, rule in CONTRIBUTIONS.items() if rule.responds)
         message = (
-            f'contributions of kind "{kind}" do not depend on decisions; '
-            f"allowed are {allowed} in plan.contribution"
+            f'contributions of kind "{kind}" do not depend on decisions; a frontier needs the kind '
+            f"{allowed} in plan.contribution"
         )
         raise section.error("points", table.points, message)
     return Frontier(table.points, table.steps, table.level)

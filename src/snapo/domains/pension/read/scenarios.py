@@ -15,7 +15,8 @@ from .tables import ScenariosTable
 
 
 class Columns(NamedTuple):
-    """The columns of a scenario file in the order of the records, and the tenors of its zeros."""
+    """The columns of a scenario file in the order of the records, and the tenors of its zero
+    rates."""
 
     names: tuple[str, ...]
     tenor: np.ndarray
@@ -29,8 +30,8 @@ def read_scenarios(
     start: str,
     annual: bool,
 ) -> SuppliedScenarios | None:
-    """Two sets of paths; `start` is the valuation date, for files that give dates. Zero rates that
-    are `annual` are made continuous."""
+    """The two sets of paths. `start` is the valuation date, which files with dates need. If zero
+    rates are `annual`, they are converted to continuous ones."""
     if table is None:
         return None
     if table.training == table.evaluation:
@@ -42,7 +43,7 @@ def read_scenarios(
         rows = read_rows(reference, ("path",))
         columns = _columns(rows, classes)
         if available is not None and columns.names != available.names:
-            message = f"the columns must be those of {table.training}"
+            message = f"the columns must be the same as in {table.training}"
             raise section.error(key, reference.name, message)
         available = columns
         paths = _paths(reference, rows, columns, grid, start)
@@ -67,20 +68,21 @@ def _columns(rows: Sequence[Row], classes: Sequence[str]) -> Columns:
             try:
                 tenors[float(name.removeprefix("zero "))] = name
             except ValueError:
-                message = "a zero rate's column is named like zero 10, with its tenor in years"
+                message = "the name of a zero rate's column must have the tenor in years: zero 10"
                 raise Row(head.file, 1, {name: name}).error(name, message) from None
     if len(tenors) < 2:
-        raise head.error("header", "at least two columns of zero rates are needed, like zero 10")
+        message = "at least two columns of zero rates are needed, such as zero 1 and zero 10"
+        raise head.error("header", message)
     tenor = sorted(tenors)
     if tenor[0] <= 0:
-        raise head.error("header", "the tenors of zero rates are above 0")
+        raise head.error("header", "the tenors of zero rates must be above 0")
     return Columns((*needed, *(tenors[item] for item in tenor)), np.array(tenor))
 
 
 def _paths(
     reference: FileReference, rows: Sequence[Row], columns: Columns, grid: TimeGrid, start: str
 ) -> np.ndarray:
-    """[paths, T, K] without a hole."""
+    """The paths [paths, T, K], without a missing number."""
     numbers: dict[str, int] = {}
     for row in rows:
         numbers.setdefault(row.cells["path"], len(numbers))
@@ -100,10 +102,10 @@ def _paths(
         path, step = holes[0]
         name = list(numbers)[path]
         got = Unquoted(f"no row for path {name}, step {step + 1}")
-        message = f"every path needs all {grid.steps} steps, and {len(holes)} are missing"
+        message = f"every path needs all {grid.steps} steps; missing rows: {len(holes)}"
         raise CaseError(reference.name, "", got, message)
     if len(numbers) < 2:
-        raise CaseError(reference.name, "", Unquoted("one path"), "two paths or more are needed")
+        raise CaseError(reference.name, "", Unquoted("one path"), "at least two paths are needed")
     return paths
 
 
@@ -124,5 +126,5 @@ def _step(row: Row, grid: TimeGrid, start: str) -> int:
         raise head.error("header", f"a column {name} or date is needed")
     value = row.number(name, 1.0)
     if value != int(value):
-        raise row.error(name, "steps are counted 1, 2, 3 …")
+        raise row.error(name, "steps must be numbered 1, 2, 3 …")
     return int(value) - 1

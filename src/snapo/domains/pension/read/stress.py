@@ -1,9 +1,12 @@
-"""Reads `[stress]`: shocks from a file; lines of the same scenario apply together.
+"""Reads `[stress]`: shocks from a file. The lines of a scenario apply together.
 
-A line moves a curve ("curve", "break_even": `label` is a tenor in years, between tenors the size
-is linear and beyond them constant; no label moves all nodes equally; "multiply" is of annual rates,
-"add" of continuous ones), the price of assets ("price": `label` is a class or a kind of classes),
-or any other input of the case by its name and label.
+A line moves one of these:
+
+- A curve ("curve" or "break_even"). `label` is a tenor in years; between tenors the size is linear,
+  and beyond them it is constant. Without a label all nodes move equally. "multiply" applies to
+  annual rates, "add" to continuous rates.
+- The price of assets ("price"). `label` is a class or a kind of classes.
+- Any other input of the case, by its name and label.
 """
 
 from collections.abc import Iterable, Iterator
@@ -39,7 +42,8 @@ class Shock:
     size: float
 
     def of(self, values: np.ndarray, size: np.ndarray | float | None = None) -> np.ndarray:
-        """The values after the shock, of this `size` if it is not the same for all."""
+        """The values after the shock; `size` replaces that of the line if it differs between
+        values."""
         size = self.size if size is None else size
         return values + size if self.kind == "add" else values * (1 + size)
 
@@ -50,7 +54,7 @@ def read_shocks(case: PensionCase) -> tuple[Shock, ...]:
 
 
 def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
-    """The same for the table of a TOML file that was read already; None if it has none."""
+    """The shocks of a table `[stress]` that was read already; none if there is no table."""
     if data is None:
         return ()
     table = parse(StressTable, data, str(case.file), "stress")
@@ -72,7 +76,7 @@ def shock_sizes(shocks: Iterable[Shock]) -> Iterator[CheckedNumbers]:
 def _shock(case: PensionCase, row: Row) -> Shock:
     target, label = row.cells["input"], row.label("label")
     if not row.cells["scenario"]:
-        raise row.error("scenario", "every line must name a scenario")
+        raise row.error("scenario", "every line must have the name of a scenario")
     values = {item.name: item for item in every_given(case)}
     available = (*CURVES, PRICE, *values)
     if target not in available:
@@ -86,7 +90,9 @@ def _shock(case: PensionCase, row: Row) -> Shock:
         raise row.error("label", f"{target} has the labels {', '.join(values[target].labels)}")
     kind = word(row, "kind", ("add", "multiply"))
     if target == PRICE and kind != "multiply":
-        raise row.error("kind", "prices are multiplied: a size of -0.3 is a fall by 30 %")
+        raise row.error(
+            "kind", 'for prices it must be "multiply": a size of -0.3 is a fall by 30 %'
+        )
     size = row.number("size", -1.0 if kind == "multiply" else -np.inf)
     return Shock(row.cells["scenario"], target, label, kind, size)
 
@@ -97,5 +103,5 @@ def _held(case: PensionCase, row: Row) -> None:
     if label and label not in names:
         available = ", ".join(dict.fromkeys(names))
         raise row.error(
-            "label", f"there is no such class or kind of classes; known are {available}"
+            "label", f"there is no such class or kind of classes; available: {available}"
         )

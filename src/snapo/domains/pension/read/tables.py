@@ -1,6 +1,5 @@
-"""The tables of a pension case of the TOML file, each key with its meaning.
-
-The description of a key is the text that an error message quotes as allowed.
+"""The tables in the TOML file of a pension case, with the meaning and the allowed values of every
+key. Error messages quote these texts.
 """
 
 import datetime
@@ -42,8 +41,8 @@ ValuationDate = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 HiddenLayers = Annotated[list[Annotated[int, Field(ge=1, le=1024)]], Field(max_length=4)]
 Ratio = Annotated[float, Field(gt=0)]
 DATE, WHOLE = "a date, YYYY-MM-DD", "a whole number"
-OF_FACTOR = "volatility or mean reversion of a factor of the short rate; the curve is fitted again"
-OF_INFLATION = "volatility or mean reversion of expected inflation; break-evens are fitted again"
+OF_FACTOR = "of a factor of the short rate; the model is fitted to the curve again"
+OF_INFLATION = "of expected inflation; the model is fitted to the break-evens again"
 MOVING = QUIET_VOLATILITY.of("volatility", by=FROM_YEAR)
 REVERSION = NUMBER.of("model", unit=YEARLY, range=POSITIVE)
 PRICE_OF_RISK = NUMBER.of("premium", unit=SQUARE_ROOT)
@@ -51,7 +50,7 @@ FAR_OUT = "the forward rate far beyond the last node"
 RESERVE = SHARE.of("plan")
 
 SWAP_LIMIT = SHARE.of("overlay")
-OVER_GILTS = YEARLY_RATE._replace(noun="a rate over gilts")
+OVER_GILTS = YEARLY_RATE._replace(noun="a margin over gilts")
 
 
 def _share_of(text: str) -> Range:
@@ -64,7 +63,7 @@ def _above(text: str) -> Range:
 
 COHORTS = Only(
     lambda tables: tables["members"].cash_flows is None or tables["members"].file is not None,
-    "for cohorts of [members] file",
+    "for cohorts, which members.file names",
     lambda _: "a case with cash flows of the actuary",
 )
 PROMISED = Only(
@@ -95,7 +94,7 @@ def csv(meaning: str, columns: str, default: Any = ...) -> Any:
 class FundTable(CaseTable):
     """`[fund]`: the horizon, its steps and the money."""
 
-    valuation_date: ValuationDate = doc("day of today's assets, prices and rights", allowed=DATE)
+    valuation_date: ValuationDate = doc("date of today's assets, prices and rights", allowed=DATE)
     years: int = plain("horizon of the decisions, in years", Range(1, 60, noun=WHOLE))
     step: Literal["month", "year"] = doc("time from one decision to the next", "month")
     currency: Nonempty = doc("currency of all money", "EUR", 'a name such as "EUR"')
@@ -165,12 +164,12 @@ class InflationTable(CaseTable):
     )
     volatility: CaseInput = MOVING(f"volatility {OF_INFLATION}", 0.007, name="inflation_volatility")
     price_of_risk: CaseInput = PRICE_OF_RISK(
-        f"price of the risk {OF_INFLATION}", 0.0, name="inflation_price_of_risk"
+        "price of the risk of expected inflation", 0.0, name="inflation_price_of_risk"
     )
-    index_volatility: CaseInput = MOVING("volatility of realised prices", 0.01)
-    index_price_of_risk: CaseInput = PRICE_OF_RISK("price of the risk of realised prices", 0.0)
-    real_wage_growth: CaseInput = RATE("growth of wages over prices", 0.0, group="model")
-    wage_volatility: CaseInput = QUIET_VOLATILITY("volatility of wages over prices", 0.0)
+    index_volatility: CaseInput = MOVING("volatility of realised inflation", 0.01)
+    index_price_of_risk: CaseInput = PRICE_OF_RISK("price of the risk of realised inflation", 0.0)
+    real_wage_growth: CaseInput = RATE("growth of wages beyond prices", 0.0, group="model")
+    wage_volatility: CaseInput = QUIET_VOLATILITY("volatility of wages beyond prices", 0.0)
 
 
 class AssetsTable(CaseTable):
@@ -180,7 +179,9 @@ class AssetsTable(CaseTable):
         "classes of assets",
         "name,kind,mean,volatility,weight,low,high and, where they apply, others",
     )
-    return_kind: Literal["excess", "total"] = doc("whether mean returns are over cash or total")
+    return_kind: Literal["excess", "total"] = doc(
+        "whether means are over cash or of the whole return"
+    )
     mean_kind: Literal["geometric", "arithmetic", "log"] = doc("kind of the mean returns")
     turnover: float | None = plain(
         "limit on trading, by default none",
@@ -190,7 +191,7 @@ class AssetsTable(CaseTable):
 
 
 class CreditTable(CaseTable):
-    """`[credit]`"""
+    """`[credit]`: credit spreads by rating."""
 
     file: Nonempty = csv(
         "credit spreads by rating",
@@ -199,23 +200,23 @@ class CreditTable(CaseTable):
 
 
 class CurrenciesTable(CaseTable):
-    """`[currencies]`"""
+    """`[currencies]`: foreign currencies and their hedges."""
 
     file: Nonempty = csv("currencies", "currency,market,volatility,premium,hedge_ratio,hedge_cost")
 
 
 class CorrelationsTable(CaseTable):
-    """`[correlations]`"""
+    """`[correlations]`: correlations of the shocks."""
 
     file: Nonempty = doc(
         "correlations of the shocks; others are independent",
         allowed="the name of a CSV file: a square matrix with names in the first row",
     )
-    repair: bool = doc("whether the nearest positive definite matrix is used", False)
+    repair: bool = doc("whether an invalid matrix is replaced by the nearest valid one", False)
 
 
 class OverlayTable(CaseTable):
-    """`[overlay]`: receiver swaps by tenor, at par unless their kind is another."""
+    """`[overlay]`: receiver swaps by tenor, at par by default."""
 
     file: Nonempty = csv("swaps by tenor", "tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = doc("unit of the limits of notionals", "assets")
@@ -231,10 +232,10 @@ class OverlayTable(CaseTable):
 
 
 class ScenariosTable(CaseTable):
-    """`[scenarios]`: ready-made scenarios instead of the generator."""
+    """`[scenarios]`: ready-made scenarios instead of the models."""
 
-    training: Nonempty = doc("scenarios of the training", allowed="the name of a CSV file")
-    evaluation: Nonempty = doc("scenarios of the valuation", allowed="the name of another CSV file")
+    training: Nonempty = doc("scenarios for training", allowed="the name of a CSV file")
+    evaluation: Nonempty = doc("scenarios for valuation", allowed="the name of another CSV file")
 
 
 class PolicyTable(CaseTable):
@@ -251,7 +252,7 @@ class SensitivityTable(CaseTable):
 
 
 class FrontierTable(CaseTable):
-    """`[frontier]`: contributions against the shortfall, from a sweep."""
+    """`[frontier]`: the efficient frontier of contributions against the shortfall."""
 
     points: int = plain("points of the frontier", Range(2, 20, noun=WHOLE), 5)
     steps: int = plain("training steps for every point", Range(1, noun=WHOLE), 60)
@@ -267,19 +268,19 @@ class StressTable(CaseTable):
 
 
 class FundReportTable(ReportTable):
-    """`[report]`: the parts of a run that are wanted, and texts of its page."""
+    """`[report]`: the requested parts of a run, and texts of the report."""
 
     parts: PartNames = names_of_parts("sensitivities")
 
 
 class RegulationTable(CaseTable):
-    """`[regulation]`: a regulator's rules, and the figures they ask for."""
+    """`[regulation]`: a regulator's rules, and the figures that they need."""
 
     rules: Nonempty = doc(
         "rules of the regulator", allowed='"dutch-ftk", or the name of a TOML file of rules'
     )
     policy_ratios: list[Ratio] = doc(
-        "past funding ratios of the policy ratio, by default today's",
+        "past funding ratios, whose mean is the policy ratio; by default only today's",
         [],
         "funding ratios at the ends of the last months, the newest last",
     )
@@ -290,23 +291,23 @@ class RegulationTable(CaseTable):
 class PotsTable(CaseTable):
     """`[pots]`: personal pots by cohort, with a solidarity reserve."""
 
-    rules: Nonempty = doc("law of pots", allowed='"dutch-wtp", or the name of a TOML file of rules')
+    rules: Nonempty = doc("law on pots", allowed='"dutch-wtp", or the name of a TOML file of rules')
     allocation: Nonempty = csv("protection and exposure by age", "age,protection,exposure")
     reserve: CaseInput = RESERVE(
         "solidarity reserve today", 0.0, range=_share_of("the assets"), name="reserve_today"
     )
     fill_contribution: CaseInput = RESERVE(
-        "part of contributions that fills the solidarity reserve",
+        "share of contributions that is paid into the solidarity reserve",
         0.0,
         range=_share_of("contributions"),
     )
     fill_return: CaseInput = RESERVE(
-        "part of excess returns that fills the solidarity reserve",
+        "share of excess returns that is paid into the solidarity reserve",
         0.0,
         range=_share_of("a year's excess return"),
     )
     release: CaseInput = RESERVE(
-        "largest part of the solidarity reserve released in a year",
+        "largest share of the solidarity reserve that is released in a year",
         0.2,
         range=_share_of("the reserve"),
     )

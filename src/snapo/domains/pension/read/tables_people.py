@@ -1,4 +1,4 @@
-"""The tables of a case about people and rules, each key with its meaning; see `tables`."""
+"""The tables of a case about people and rules, with the meaning of every key; see `tables`."""
 
 from collections.abc import Callable, Iterable
 from typing import Annotated, Literal
@@ -124,7 +124,7 @@ RATED = Only(
 )
 PAID = Only(
     lambda tables: tables["plan.contribution"].kind != "none",
-    'with another kind than "none"',
+    'with a kind other than "none"',
     _kind("plan.contribution"),
 )
 ADDED = Only(
@@ -157,10 +157,10 @@ class MembersTable(CaseTable):
         None,
     )
     cash_flows: Nonempty | None = csv(
-        "benefits of the actuary, in currency, instead of cohorts", "year (or month),amount", None
+        "the actuary's expected payments, in money, instead of cohorts", "year,amount", None
     )
     normal_cost: Annotated[CaseInput, FLOWS, ACCRUING] = MEMBER_MONEY(
-        "the value of the accrual of a step today", 0.0, name="normal_cost"
+        "the value of a year's accrual today", 0.0, name="normal_cost"
     )
     salary: Annotated[CaseInput, FLOWS, SALARIES] = MEMBER_MONEY(
         "all salaries", 0.0, name="payroll"
@@ -210,29 +210,29 @@ class PlanTable(CaseTable):
         "whether pensions are paid at the start or the end of a step", "arrears"
     )
     age_basis: Annotated[Literal["nearest", "last", "exact"], COHORTS] = doc(
-        "ages on birthdays or exact", "nearest"
+        "ages at the nearest birthday, at the last birthday, or exact", "nearest"
     )
     fractional_ages: Annotated[Literal["constant-force", "uniform"], COHORTS] = doc(
-        "deaths between two ages", "constant-force"
+        "distribution of deaths between two birthdays", "constant-force"
     )
     retirement_age: Annotated[float, COHORTS] = plain(
         "age at which pensions begin, in years", Range(40.0, 90.0, noun="an age"), 67.0
     )
     accruing: Annotated[bool, PROMISED] = doc("whether members in service earn new rights", True)
-    open: Annotated[bool, COHORTS] = doc("whether new members replace leavers", False)
+    open: Annotated[bool, COHORTS] = doc("whether new members replace those who leave", False)
     entry_age: Annotated[float, COHORTS, OPEN, ACCRUING] = plain(
         "age of new members, in years", Range(15.0, 90.0, noun="an age"), 25.0
     )
     max_service: Annotated[float, COHORTS, PROMISED, ACCRUING, ACCRUED] = plain(
-        "service after which no rights are earned",
+        "years of service after which no more rights are earned",
         Range(0.0, endpoints="()", noun="a number of years"),
         60.0,
     )
     accrual_rate: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING] = PLAN_RATE(
-        "the share of salary minus offset that a year of service earns", 0.0, range=FRACTION
+        "the pension from a year of service, as a share of salary minus offset", 0.0, range=FRACTION
     )
     offset: Annotated[CaseInput, COHORTS, PROMISED, ACCRUING, ACCRUED] = PLAN_MONEY(
-        "the part of a salary without a pension", 0.0
+        "the part of a salary that earns no pension", 0.0
     )
     spouse_share: Annotated[CaseInput, COHORTS] = PLAN_SHARE(
         "the spouse's pension as a share of the member's", 0.0
@@ -252,18 +252,22 @@ class PlanTable(CaseTable):
 
 
 class IndexationTable(CaseTable):
-    """`[plan.indexation]`: increases of pensions in payment, and of other rights equally where
-    there is no `[plan.revaluation]`."""
+    """`[plan.indexation]`: increases of pensions in payment; without `[plan.revaluation]`, the same
+    increases of all other rights."""
 
     kind: Literal["none", "fixed", "full", "capped", "conditional"] = doc(
         "rule of the increases", "none"
     )
     rate: Annotated[CaseInput | None, _increase("rate")] = PLAN_RATE("fixed indexation", None)
     month: Annotated[int, INCREASING] = plain(
-        "calendar month of increases, cuts and pots", Range(1, 12, noun="a month"), 1
+        "calendar month of increases and cuts, and of the end of a year of pots",
+        Range(1, 12, noun="a month"),
+        1,
     )
     averaging: Annotated[int, AVERAGED] = plain(
-        "months of the policy funding ratio", Range(1, 12, noun="a whole number of months"), 12
+        "months whose mean is the policy funding ratio",
+        Range(1, 12, noun="a whole number of months"),
+        12,
     )
     cap: Annotated[CaseInput, _increase("cap")] = PLAN_RATE("largest rate of indexation", 0.5)
     floor: Annotated[CaseInput, _increase("floor")] = PLAN_RATE("smallest rate of indexation", -0.5)
@@ -273,14 +277,17 @@ class IndexationTable(CaseTable):
     upper_ratio: Annotated[CaseInput, _increase("upper_ratio")] = RATIO(
         "funding ratio above which there is full indexation", 1.3
     )
-    required_ratio: Annotated[CaseInput, CUTS] = RATIO("funding ratio that avoids cuts", 1.0)
+    required_ratio: Annotated[CaseInput, CUTS] = RATIO(
+        "funding ratio below which pensions are cut", 1.0
+    )
     cut_years: Annotated[int, PROMISED] = plain(
         "years over which a cut is spread, 0 for no cuts", Range(0, 50, noun=WHOLE), 0
     )
 
 
 class RevaluationTable(CaseTable):
-    """`[plan.revaluation]`: fixed increases of rights before payment, apart from payment."""
+    """`[plan.revaluation]`: fixed increases of rights before payment, which differ from those in
+    payment."""
 
     deferred: CaseInput = PLAN_RATE(
         "yearly increase of deferred rights until payment",
@@ -295,7 +302,7 @@ class RevaluationTable(CaseTable):
 
 
 class ContributionTable(CaseTable):
-    """`[plan.contribution]`"""
+    """`[plan.contribution]`: the rule of contributions and its limits."""
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"] = doc(
         "rule of the contributions", "none"
@@ -321,7 +328,7 @@ class ContributionTable(CaseTable):
         "funding ratio that contributions aim at", 1.0, range=POSITIVE
     )
     recovery: Annotated[Literal["rolling", "level"], _contribution("recovery")] = doc(
-        "recovery by an annuity to a fixed date, or a rolling share of the gap", "rolling"
+        "recovery by an annuity to a fixed date, or by a rolling share of the gap", "rolling"
     )
     recovery_years: Annotated[CaseInput, _contribution("recovery_years")] = TIME(
         "time in which the gap to the target is closed", 10.0, group="plan"
@@ -336,33 +343,37 @@ class ContributionTable(CaseTable):
         "largest contributions in money, which grow with wages", None
     )
     schedule: Nonempty | None = csv(
-        "payments agreed in money, in addition to all limits", "date,amount (or year,amount)", None
+        "payments agreed in money, beyond the rule and its limits",
+        "date,amount (or year,amount)",
+        None,
     )
 
 
 class LiabilityTable(CaseTable):
-    """`[liability]`"""
+    """`[liability]`: the valuation of the payments."""
 
     basis: Literal["risk-free", "spread", "fixed"] = doc(
         "discount rate: the curve, the curve plus a rate, or a rate", "risk-free"
     )
     rate: Annotated[CaseInput | None, ADDED] = PLAN_RATE(
-        "the rate that is added to the curve, or replaces it, in valuation", None
+        "the rate that the valuation adds to the curve, or uses instead of the curve", None
     )
     expense_loading: Annotated[CaseInput, PROMISED] = PLAN_SHARE(
         "the reserve for expenses, as a share of the value of the payments", 0.0,
         range=FRACTION._replace(noun="a share of the value of the payments"),
     )  # fmt: skip
     future_indexation: Literal["none", "full", "capped"] = doc(
-        "which future increases the value of payments includes", "none"
+        "the future increases that are included in the value of payments", "none"
     )
 
 
 class ReconcileTable(CaseTable):
     """`[reconcile]`: the actuary's figures."""
 
-    liability: float | None = plain("liability of the actuary, in currency", POSITIVE, None)
-    duration: float | None = plain("duration of the actuary, in years", POSITIVE, None)
+    liability: float | None = plain("the actuary's liability, in money", POSITIVE, None)
+    duration: float | None = plain(
+        "the actuary's duration of the liability, in years", POSITIVE, None
+    )
     tolerance: Annotated[float, COMPARED] = plain(
-        "largest relative difference from the figures of the actuary", Range(0.0, 1.0, "()"), 0.001
+        "largest relative difference from the actuary's figures", Range(0.0, 1.0, "()"), 0.001
     )

@@ -15,7 +15,8 @@ AttributionPart = Literal["cash", "rates", "credit", "assets"]
 
 @dataclass(frozen=True)
 class AssetRow:
-    """One row of the asset table, with the properties of its kind. Exactly one of a case is cash.
+    """One row of the asset table, with the properties of its kind. Exactly one row of a case is
+    cash.
 
     - `currency`: position in `PensionCase.currencies`, -1 for the fund's own.
     - `group`: name of a group, or "". `eligible`: share that counts as collateral, 0 to 1.
@@ -56,7 +57,7 @@ class AssetGroup(TreeRecord):
 
 
 class Assets(TreeRecord):
-    """The asset classes; n is their number, m those with a shock of their own (`shocks`).
+    """The asset classes; n is their number, m the number of those with a separate shock (`shocks`).
 
     - `mean`: index [m], per year. `return_kind` is "excess" for returns over cash, "total" for the
       whole return including that of cash. `mean_kind` "log": the mean of the log return;
@@ -141,11 +142,11 @@ class Overlay(TreeRecord):
 
     @property
     def maturity(self) -> np.ndarray:
-        """[b] the same as an array."""
+        """`maturities` as an array [b]."""
         return np.array(self.maturities, int)
 
     @property
     def at_par(self) -> np.ndarray:
-        """[b] whether each is an interest rate swap at par."""
+        """Whether a swap is an interest rate swap at par, [b]."""
         position = np.arange(len(self.maturity))
         return (position < len(position) - self.inflation) & ~np.isin(position, self.zero_coupon)

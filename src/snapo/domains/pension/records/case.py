@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..market.rates.short_rate import ShortRate
 
 
-# Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
+# At the horizon: the ratio F, ln(F / F now), A - L, min(F - 1, 0) …; "pv_" discounts from there.
 AT_END = (
     "funding_ratio",
     "log_relative",
@@ -41,9 +41,9 @@ AT_END = (
     "discount",
     "pv_shortfall",
 )
-# Sums over the steps; "pv_" discounts, "_square" is of 1 - F below 1 and per year, "normal_cost"
-# the value of the accrual, "granted" and "cut" the indexation; "funding" is F before each step,
-# "bound_excess" by how much weights leave their bounds.
+# Sums over the steps. "pv_" are present values; "shortfall_square" is max(1 - F, 0)^2 times the
+# years of a step; "normal_cost" is the value of the accrual; "granted" and "cut" are indexation.
+# No sums: "funding" is F before the last step, "bound_excess" the largest excess over bounds.
 EACH_STEP = (
     "contribution",
     "benefit",
@@ -77,8 +77,8 @@ class ObjectiveTerm:
 
 @dataclass(frozen=True, eq=False)
 class Frontier:
-    """A sweep of contributions against the shortfall: `points` policies, each trained for `steps`
-    more, CVaR at `level`."""
+    """A sweep of contributions against the shortfall: the number of `points`, the training `steps`
+    of every policy, and the `level` of the CVaR."""
 
     points: int
     steps: int
@@ -115,12 +115,12 @@ class DerivedNumbers(TreeRecord):
 class PensionModel(TreeRecord):
     """A fund, its markets and its people: everything on which its paths depend.
 
-    The model of a case has all numbers. The model of a simulator is made from a case with `of`: it
-    has every number that is not an input, as an array.
+    The model of a case has all numbers. The model of a simulator is made from a case by
+    `inputs.model_of`: it has every number that is not an input, as an array.
 
     - `step`: 1/12 or 1 years; `steps`: T; `start_month`: 1 to 12, the calendar month of time 0.
     - `measure`: "P" real-world, "Q" risk-neutral.
-    - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
+    - `members`, `cash_flows`: exactly one of them is not None; `mortality` is None without members.
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
     - `pots`: personal pots instead of promised rights; None if these are promised.
     - `derived`: the derived numbers, for a simulator only.
@@ -206,8 +206,8 @@ OF_MODELS = ("variance by source", "market consistency")
 
 
 def missing_parts(case: PensionCase, stress: bool) -> dict[str, str]:
-    """{part: why a run of the case has it not, or has nothing in it}; `stress`: whether the case
-    names a file of shocks."""
+    """{part: the reason why a run of the case does not have it, or why it is empty}; `stress`:
+    whether the case names a file of shocks."""
     result = {} if stress else {"stress": "the case has no [stress]"}
     if case.frontier is None:
         result["frontier"] = "the case has no [frontier]"

@@ -32,7 +32,7 @@ def input_values(case: PensionCase) -> dict[str, np.ndarray]:
 
 
 def every_given(record: Any) -> Iterator[CaseInput]:
-    """All numbers given in a record and the records within it; empty ones are left out."""
+    """All numbers of a case in a record and in the records within it; empty ones are left out."""
     for field in fields(record):
         value = getattr(record, field.name)
         if isinstance(value, CaseInput):
@@ -43,7 +43,7 @@ def every_given(record: Any) -> Iterator[CaseInput]:
 
 
 def model_of(case: PensionCase, derived: DerivedNumbers) -> PensionModel:
-    """The model as a simulator has it: cases of one form differ in its arrays only."""
+    """The model that a simulator contains. For cases of the same form, only its arrays differ."""
     parts: dict[str, Any] = {x.name: getattr(case, x.name) for x in fields(PensionModel)}
     parts["derived"] = derived
     # What no path depends on.
@@ -73,12 +73,13 @@ class Held(TreeRecord):
     values: np.ndarray
 
     def __call__(self, inputs: dict[str, Any]) -> Array:
-        """The numbers where they are used; those of an input of this name, if there is one."""
+        """The numbers at the positions where they are used; an input of this name takes their
+        place."""
         return self.position({self.position.name: self.values} | inputs)
 
 
 def use(inputs: dict[str, Any], values: CaseInput | Use | Held) -> Array:
-    """The numbers where they are used: input or number held fixed."""
+    """The numbers at the positions where they are used: those of the input, or those held fixed."""
     if isinstance(values, Use | Held):
         return values(inputs)
     if not values.values.size:

@@ -23,9 +23,10 @@ class MarketCurve(TreeRecord):
       once a year, tenors in whole years.
     - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate; "ultimate"
       moves the forward rate to `ultimate` by exp(-speed * (years beyond the node)); "smith-wilson"
-      is this method for all terms, with `speed`; if it is None, with the smallest speed at which
-      forward rates have reached `ultimate` at `convergence` years.
-    - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
+      is this method for all terms, with `speed`, or if it is None with the smallest speed at which
+      the forward rate has converged to `ultimate` at `convergence` years.
+    - `ultimate`: the forward rate at very long terms, continuous, index []; not used with
+      "flat-forward".
     """
 
     tenors: tuple[float, ...] = field(static=True, converter=as_tuple)
@@ -38,15 +39,15 @@ class MarketCurve(TreeRecord):
 
     @property
     def tenor(self) -> np.ndarray:
-        """[n] the same as an array."""
+        """`tenors` as an array [n]."""
         return np.array(self.tenors, float)
 
 
 class Inflation(TreeRecord):
     """Expected inflation p + phi_p(t) fitted to break-evens, realised prices, and wages.
 
-    dp = -k p dt + s(t) (dW + lambda dt); d ln I = (phi_p + p) dt + s_I(t) (dW_I + lambda_I dt);
-    d ln W = d ln I + real_wage dt + s_W dW_W. Prices of risk count under "P" only.
+    dp = -k p dt + s(t) (dW + lambda dt); d ln I = (phi_p + p) dt + s_I(t) (dW_I + lambda_I dt); d
+    ln W = d ln I + real_wage dt + s_W dW_W. Prices of risk are used under "P" only.
 
     - `break_even`: zero-coupon break-even curve.
     - `mean_reversion`, `price_of_risk`, `index_price_of_risk`, `real_wage_growth`,
@@ -96,11 +97,11 @@ class Currencies(TreeRecord):
 
 
 class Correlation(TreeRecord):
-    """Instantaneous correlations: positive definite, repaired before if the case requests this.
+    """Instantaneous correlations. They are positive definite, if necessary after a repair.
 
     - `names`: [k] the names of the correlated quantities: "rate", "rate 2", "inflation", "price
-      index", "wage", ratings, currencies, and classes with a separate shock. Others, and mortality,
-      are independent of all the rest.
+      index", "wage", ratings, currencies, and classes with a separate shock. All other quantities,
+      and mortality, are independent.
     - `lower`: strict lower triangle, row by row, index [k (k - 1) / 2]; labels "equity, rate".
     - `repaired`: the largest change of an entry, 0 if nothing was repaired.
     """
@@ -111,7 +112,7 @@ class Correlation(TreeRecord):
 
 
 class SuppliedScenarios(TreeRecord):
-    """Ready-made scenarios instead of the generator: two different sets of paths.
+    """Ready-made scenarios instead of the models: two different sets of paths.
 
     - `training`, `evaluation`: [paths, T, K], the returns and growth over step t, and the zero
       rates at its end.

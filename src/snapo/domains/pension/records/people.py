@@ -27,7 +27,7 @@ class Mortality(TreeRecord):
     q(x))^exp(-improvement(x) (since + j)), m = `multiplier(x)` times the factor of the cohort, and
     m q at most 1.
 
-    - `first_age`: the first age of all index axes "age"; ages have length G.
+    - `first_age`: the first age of every axis of ages, whose length is G.
     - `table`: index [2, ages of the table]; empty for the other kind. `gompertz`: index [2, 3],
       columns alpha, beta, makeham; empty for "table".
     - `multiplier`: a factor on q, index [2, G]. `improvement`: per year, index [2, G].
@@ -45,9 +45,8 @@ class Mortality(TreeRecord):
 
 
 class LeeCarter(TreeRecord):
-    """ln hazard(x, t) moves by b(x) k(t), k a random walk from 0 with no drift.
-
-    The drift belongs to `Mortality.improvement`.
+    """ln hazard(x, t) moves by b(x) k(t), where k is a random walk from 0 without drift.
+    `Mortality.improvement` contains the drift.
 
     - `volatility`: the volatility of k, 1/sqrt(year), index []. `loading`: b, index [2, G].
     """
@@ -63,7 +62,7 @@ class FundMembers(TreeRecord):
     - `age`: exact ages in years at time 0 (fractions if the case requests them).
     - `number`: members, index [C]. `pension`: accrued pension per member and year, index [C].
       `salary`: per member and year, index [C] (0 for those who are not active).
-    - `service`: [C] years until now, for reports and for `Plan.max_service`.
+    - `service`: [C] years until now, for reports and for `PensionPlan.max_service`.
     - `mortality`: factor on the members' q, index [C]; None if the table has none.
     """
 

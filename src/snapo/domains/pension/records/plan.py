@@ -45,7 +45,7 @@ class Revaluation(TreeRecord):
 class CashPlan(TreeRecord):
     """Payments agreed in money, such as a recovery plan's.
 
-    - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
+    - `amount`: the money of each row, index [n]; `step`: [n] the step in which it is paid.
     """
 
     amount: CaseInput
@@ -87,19 +87,19 @@ class Contribution(TreeRecord):
 class PensionPlan(TreeRecord):
     """Terms of the scheme: a career-average pension.
 
-    - `revaluation`: the revaluation of rights before payment; None: they grow as pensions in
-      payment do.
+    - `revaluation`: the revaluation of rights before payment; None if they grow in the same way as
+      pensions in payment.
 
-    - `timing`: payments at the start ("advance") or end ("arrears") of a step, benefits and
-      contributions equally.
+    - `timing`: payments at the start ("advance") or end ("arrears") of a step, for both benefits
+      and contributions.
     - `retirement_age`: whole or fractional years; it determines a date and has no gradient.
       `accrual_rate`: pension per year of service as a share of (salary - `offset`), index [];
       `offset`: money, index [].
     - `spouse_share`: share of the member's pension, index []; `married_share`: index [];
       `spouse_age_gap`: years by which wives are younger than their husbands (older if negative),
       whichever of the two is the member; it has no gradient.
-    - `age_basis`: "nearest" or "last" birthday or "exact"; `fractional_ages`: between birthdays
-      "constant-force", "uniform" deaths.
+    - `age_basis`: ages at the "nearest" or "last" birthday, or "exact" ages. `fractional_ages`: the
+      distribution of deaths between birthdays, "constant-force" or "uniform".
     - `open`: every active who retires or dies is replaced by an entrant of `entry_age` with the
       same salary, so that payroll in wages of today stays constant. In a closed plan no one enters,
       and active members continue to accrue. With `accruing` False there is no new accrual (frozen
@@ -131,12 +131,13 @@ class Liability(TreeRecord):
 
     - `basis` "risk-free": the simulated curve; "spread": this curve plus `rate`; "fixed": `rate`
       for all terms. `rate`: index [], `annual` or continuous; an annual spread is added to annual
-      rates of today's curve, term by term, and the resulting continuous spreads are held.
+      rates of today's curve, term by term, and the resulting continuous spreads are held fixed.
     - `loading`: the loading for expenses, index []: reserves are (1 + `loading`) times the value
       of the payments.
-    - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (real
-      curve; basis "fixed" then takes `rate` as real), "capped" payments that follow prices within
-      the cap and the floor of the plan's indexation, valued as options (`people.lpi`).
+    - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (on
+      the real curve; with the basis "fixed" `rate` is then real), "capped" payments that follow
+      prices within the cap and the floor of the plan's indexation, valued as options
+      (`people.lpi`).
     """
 
     basis: Literal["risk-free", "spread", "fixed"] = field(static=True)
@@ -147,7 +148,8 @@ class Liability(TreeRecord):
 
 
 class Reconcile(TreeRecord):
-    """The actuary's own figures; None if not given. `tolerance` is relative."""
+    """The actuary's figures; a figure that the case does not have is None. `tolerance` is
+    relative."""
 
     liability: float | None
     duration: float | None

@@ -1,4 +1,5 @@
-"""Ranges outside which a number of a fund is likely to be in another unit; all are notes.
+"""Ranges outside which a number of a fund is likely to be in another unit; such a number causes a
+note.
 
 The ranges are wide: a fund outside one of them is possible, and its actuary knows why.
 """
@@ -50,7 +51,7 @@ RANGES = (
     _by_name(0.01, 2.0, "it is the volatility of the logarithm of the spread, 0.35 is 35 %",
              "credit_volatility"),
     _by_name(0.0, 0.15, YEARLY, "credit_default_loss"),
-    _by_name(0.0, 20.0, "1 means the size of the assets", "overlay_leverage"),
+    _by_name(0.0, 20.0, "1 is a notional as large as the assets", "overlay_leverage"),
     _by_name(0.002, 0.1, "a rise in rates as a fraction is expected, 0.035 is 350 bp",
              "overlay_collateral_stress"),
     _by_name(0.5, 1e7, "it is the number of members", "members"),
@@ -110,7 +111,7 @@ def amounts(case: PensionCase) -> Iterator[Plausible]:
         low = 50.0 if case.currency in MAJOR else 0.0
         hint = f"a pension of a member is in {case.currency} a year"
         yield _by_name(low, 3e5 if low else np.inf, hint, "accrued_pension")
-        hint = f"the part of a salary without a pension is in {case.currency} a year"
+        hint = f"the part of a salary that earns no pension is in {case.currency} a year"
         yield _by_name(low, 3e5 if low else np.inf, hint, "plan_offset")
     size = _size(case)
     hint = f"the fund has about {case.currency} {size:,.3g}; {MONEY}"
@@ -121,7 +122,8 @@ def amounts(case: PensionCase) -> Iterator[Plausible]:
 
 
 def _size(case: PensionCase) -> float:
-    """Assets, or 15 years of all pensions if that is more: one of them has the right unit."""
+    """The assets, or 15 years of all pensions if that is more, since one of them has the right
+    unit."""
     owed = 0.0
     if case.members is not None:
         owed = 15 * float(case.members.number.used() @ case.members.pension.used())
@@ -131,7 +133,7 @@ def _size(case: PensionCase) -> float:
 
 
 def _salaries(case: PensionCase) -> Plausible:
-    """The range of salaries: of their currency, or above the offset if none is."""
+    """The range of salaries: that of their currency, or above the offset if no salary is."""
     assert case.members is not None
     salary = case.members.salary.used()[case.members.status == ACTIVE]
     offset = float(case.plan.offset.used()) if case.plan.offset.values.size else 0.0

@@ -15,8 +15,8 @@ class PotRules:
     """The state of the law; see the comments in `regulation/dutch_wtp.toml`.
 
     - `largest`: the largest solidarity reserve, as a share of all assets; `from_contributions`,
-      `from_excess_return`: the largest shares of a year's contributions and excess return that are
-      paid into it.
+      `from_excess_return`: the largest shares of a year's contributions and excess return that may
+      be paid into the reserve.
     """
 
     since: str
@@ -29,10 +29,11 @@ class PotRules:
 class Pots(TreeRecord):
     """Personal pots instead of rights; C cohorts, shares as fractions.
 
-    - `reserve`: the solidarity reserve's share of the assets now; `largest`: its largest share.
+    - `reserve`: the share of the solidarity reserve in the assets now; `largest`: the largest share
+      that it may have.
     - `fill_contribution`, `fill_return`: the shares of contributions and of a year's positive
-      excess return, see `pots.sharing`, that go into it; `release`: the share of it that a year may
-      take at most to restore pensions in payment. All index [].
+      excess return, see `pots.sharing`, that are paid into it; `release`: the largest share of it
+      that may be used in a year to restore pensions in payment. All index [].
     - `protection`: the share of a cohort's pot that earns the return of its annuity, while the
       rest earns the return of cash; `exposure`: the weight of the pot in the excess return; both
       by age, index [T, C].
@@ -55,5 +56,6 @@ POT_OUTPUTS = ("pension", "reserve", "filled", "released")
 
 
 def pensions(members: FundMembers | None) -> tuple[str, ...]:
-    """The output of each cohort: its pension at the horizon over that of today."""
+    """The names of the outputs of cohorts: a cohort's pension at the horizon divided by that of
+    today."""
     return () if members is None else tuple(f"pension {name}" for name in members.names)

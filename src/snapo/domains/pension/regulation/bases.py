@@ -1,7 +1,7 @@
 """Technical provisions, low dependency and buy-out, and the payments of a recovery plan.
 
-Each basis discounts the expected payments at annual rates of the curve plus its margin (gilts plus
-a margin). Payments, and so mortality, are the same on every basis: a case has one set of them.
+Each basis discounts the expected payments at annual rates of the curve plus a margin (gilts plus a
+margin). Payments, and so mortality, are those of the case on every basis.
 """
 
 import datetime
@@ -27,8 +27,8 @@ PROVISIONS, LOW, BUY_OUT = "Technical provisions", "Low dependency", "Buy-out"
 
 @dataclass(frozen=True)
 class Basis:
-    """One basis: `margin` over the curve; `liability` and `surplus` (assets minus it), in money;
-    `ratio` assets over it; `duration` years."""
+    """One basis: the `margin` over the curve; the `liability` and the `surplus` (assets minus
+    liability), in money; the funding `ratio`; the `duration` in years."""
 
     name: str
     margin: float
@@ -96,8 +96,8 @@ class Due(NamedTuple):
 
 
 def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
-    """Payments due on the basis of the case, or of its curve where scenarios are supplied; with the
-    expected increases of a limited indexation."""
+    """The expected payments, discounted on the basis of the case; scenarios that are supplied have
+    no effect. They include the expected increases of a limited indexation."""
     case = replace(case, scenarios=None)
 
     flow, discount = with_numpy(payments)(case, inputs)
@@ -115,7 +115,8 @@ def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:
 
 
 def side_by_side(case: PensionCase, paid: Due) -> Bases:
-    """The same results from expected payments, discounted on the curve only."""
+    """The results of `bases`, from expected payments that are discounted on the curve without a
+    margin."""
     assert case.funding is not None
     assets = float(case.assets.amount.used())
     funding = case.funding
@@ -144,7 +145,8 @@ def _basis(name: str, margin: float, paid: Due, assets: float) -> Basis:
 
 
 def _recovery(provisions: Basis, owed: Due, years: float) -> Recovery:
-    """A whole number of payments, and one in proportion for the rest of a year."""
+    """The recovery plan: a whole number of payments, and a payment in proportion for a part of a
+    year."""
     deficit = max(-provisions.surplus, 0.0)
     endpoints = np.append(np.arange(1, int(years) + 1), years)
     paid = np.append(np.ones(int(years)), years - int(years))

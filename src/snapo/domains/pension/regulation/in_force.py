@@ -1,4 +1,4 @@
-"""The state of the law at a date, from a file of dated rules; reads `[regulation]`."""
+"""The state of the law on a date, from a file of rules with dates; also reads `[regulation]`."""
 
 import datetime
 from collections.abc import Callable, Mapping
@@ -39,7 +39,7 @@ def in_force(
         available = [(version["from"], version) for version in versions if version["from"] <= day]
     except FileNotFoundError:
         message = (
-            "there is no such file, and the package has no rules of this name, only "
+            "there is no such file, and the package has no rules of this name; it has "
             f"{', '.join(local)}"
         )
         raise section.error("rules", name, message) from None
@@ -78,8 +78,8 @@ def read_regulation(
     rules = in_force(section, table.rules, OWN, day, _rules)
     if len(table.policy_ratios) > rules.averaging_months:
         message = (
-            f"the policy ratio is the mean of {rules.averaging_months} months: specify at "
-            "most that many"
+            f"the policy ratio is the mean of {rules.averaging_months} months, so there must be "
+            "no more ratios than months"
         )
         raise section.error("policy_ratios", len(table.policy_ratios), message)
     ratios = tuple(table.policy_ratios)

@@ -1,4 +1,4 @@
-"""A fund's position before its regulator: required own funds, policy ratio, and recovery.
+"""The regulatory position of a fund: required own funds, policy ratio, and recovery.
 
 Required own funds follow the standard model: S1 rates, S2 shares and property, S3 currencies, S4
 commodities, S5 credit, S6 insurance, S10 active management; S7 to S9 are zero by law. Annex 3 of
@@ -37,7 +37,8 @@ class Losses:
 
 
 def total(rules: Rules, losses: Losses) -> float:
-    """The required own funds: the root of squares and correlated products."""
+    """The required own funds: the square root of the sum of squared losses and of their products,
+    weighted by correlations."""
     available = rules.correlations
     falling = 1.0 if losses.falling else 0.0
     s1, s2, s5 = losses.rates, losses.equity, losses.credit
@@ -55,15 +56,15 @@ def correlated(parts: Sequence[float], correlation: float) -> float:
 
 
 def equity_loss(rules: Rules, held: dict[str, float]) -> float:
-    """S2 of the market values {group: money} of shares and property; a group that is sold short has
-    no loss, and its gain offsets no other loss."""
+    """S2 for the market values {group: money} of shares and property; a group that is sold short
+    has no loss, and its gain offsets no other loss."""
     names = ("developed", "emerging", "unlisted", "unlisted-property")
     parts = [rules.falls[name] * max(held.get(name, 0.0), 0.0) for name in names]
     return correlated(parts, rules.correlations["equity"])
 
 
 def currency_loss(rules: Rules, exposed: Sequence[float], emerging: Sequence[bool]) -> float:
-    """S3 of the unhedged exposures, money, each in a different currency."""
+    """S3 for unhedged exposures, in money, each to a different currency."""
     sides = []
     for market, late in zip(MARKETS, (False, True)):
         local = [item for item, is_late in zip(exposed, emerging) if is_late == late]
@@ -75,7 +76,8 @@ def currency_loss(rules: Rules, exposed: Sequence[float], emerging: Sequence[boo
 def shifted_discount(
     rules: Rules, factors: str, years: np.ndarray, discount: np.ndarray
 ) -> np.ndarray:
-    """Discount factors after all annual zero rates were multiplied by the factors of a name."""
+    """Discount factors after all annual zero rates were multiplied by the factors of the rules that
+    have the name `factors`."""
     due = np.where(years > 0, years, 1.0)
     rate = discount ** (-1 / due) - 1
     factor = np.interp(years, rules.term, rules.factors[factors])
@@ -184,7 +186,8 @@ def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability:
 
 
 def shocked(case: PensionCase, inputs: dict[str, Any], paid: Due, name: str) -> Shocked:
-    """Everything revalued at once, each payment at the factor of its term."""
+    """The changes of liability, classes and swaps after one move of rates, in which every payment
+    has the factor of its term."""
     rules, after = regulation_of(case).rules, paid.discount
     if case.liability.basis != "fixed":
         after = shifted_discount(rules, name, paid.years, paid.discount)
@@ -220,7 +223,8 @@ def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
 
 
 def _credit(case: PensionCase, held: np.ndarray) -> float:
-    """S5: bonds with a rating lose the rise of its spread until their payments."""
+    """S5: bonds with a rating lose the rise of the spread of this rating, over the time until
+    payment."""
     rules, lost, before = regulation_of(case).rules, 0.0, _prices(case, {})
     for kind, positions in by_kind(case):
         for position, rating in zip(positions, kind.ratings(case, positions)):

@@ -1,4 +1,4 @@
-"""Today's balance sheet: key rates of assets, swaps and liabilities, trades, collateral, stresses.
+"""Today's balance sheet: key rates of assets, swaps and liabilities; trades; and collateral.
 
 All numbers are in closed form on today's curve; no path is simulated.
 """
@@ -33,8 +33,8 @@ class CurveLadder:
     liability.
 
     - `tenor` [nodes], years; `quote`: the kind of its rates.
-    - `real_assets`, `real_liability`: the part that follows the price index, and so real rates;
-      empty for break-evens.
+    - `real_assets`, `real_liability`: the part that follows the price index, and therefore real
+      rates; empty for break-evens.
     """
 
     label: tuple[str, ...] = ()
@@ -49,7 +49,8 @@ class CurveLadder:
 
 @dataclass(frozen=True)
 class ClassTrade:
-    """Weights of a class now, of the policy and their bounds; the trade and its cost, in money."""
+    """The weight of a class now, by the policy, and its bounds; the trade and its cost, in
+    money."""
 
     name: str
     now: Number
@@ -62,7 +63,7 @@ class ClassTrade:
 
 @dataclass(frozen=True)
 class SwapTrade:
-    """Notionals of a swap now and of the policy, and their difference, in money."""
+    """The notional of a swap now and by the policy, and their difference, in money."""
 
     tenor: str
     now: Number
@@ -118,7 +119,7 @@ def slopes(
 def ladder(
     case: PensionCase, values: dict[str, Any], figure: LiabilityFigures, notional: np.ndarray
 ) -> CurveLadder:
-    """The ladder of nominal rates, break-evens held.
+    """The ladder of nominal rates, with break-evens held fixed.
 
     Classes with a separate shock count as insensitive to the curve.
     """
@@ -135,7 +136,8 @@ def ladder(
 def inflation_ladder(
     case: PensionCase, values: dict[str, Any], figure: LiabilityFigures, notional: np.ndarray
 ) -> CurveLadder:
-    """IE01: the same for +1 bp at each node of the break-evens, nominal rates held."""
+    """The ladder of break-evens (IE01): changes for +1 bp at each node, with nominal rates held
+    fixed."""
     liability = np.asarray(figure.key_inflation)
     return _ladder(case, case.inflation.break_even, values, notional, liability)
 
@@ -167,7 +169,8 @@ def _by_node(
 def trades(
     case: PensionCase, weights: np.ndarray, positions: np.ndarray, values: np.ndarray
 ) -> TradeList:
-    """The trades of the classes, and of the swaps to their `positions` between limits [b]."""
+    """The trades of the classes to `weights` [n], and of the swaps to their `positions` between
+    limits [b]."""
     amount, now = float(case.assets.amount.used()), case.assets.weight.used()
     cost = case.assets.cost.used() if case.assets.cost.values.size else np.zeros(len(now))
     classes = tuple(
@@ -193,7 +196,8 @@ def trades(
 
 
 def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> Headroom | None:
-    """Largest move of rates, both sides revalued (see `fund.collateral`); None without swaps."""
+    """The largest move of rates that the collateral withstands, with assets and swaps revalued (see
+    `fund.collateral`); None without swaps."""
     if case.overlay is None:
         return None
     held = float(case.assets.amount.used()) * weights

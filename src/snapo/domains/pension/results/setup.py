@@ -1,4 +1,5 @@
-"""A pension case made ready to solve: its problem, policy and engines; its measure of success."""
+"""A pension case made ready to solve: its problem, policy and engines, and the output that measures
+success."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -24,7 +25,8 @@ from ..records.market import SuppliedScenarios
 
 
 class OutcomeMeasure(NamedTuple):
-    """The output that summarises a fund, a ratio with 1 as its target; its description."""
+    """The output that summarises a fund: a ratio with the target 1. `mean`, `tail`, `below`: the
+    names of its mean, of the mean of its worst 5 %, and of the probability that it is below 1."""
 
     output: str
     mean: str
@@ -40,19 +42,19 @@ FUNDING = OutcomeMeasure(
 )
 PENSION = OutcomeMeasure(
     "pension",
-    "Mean pension over today's",
+    "Mean pension divided by today's",
     "Pension divided by today's, mean of the worst 5 %",
-    "Probability of less than today's",
+    "Probability of a pension below today's",
 )
 
 
 def outcome_measure(case: PensionModel) -> OutcomeMeasure:
-    """The funding ratio; the mean pension over that of today if nothing is promised."""
+    """The funding ratio; for a fund of personal pots the mean pension divided by that of today."""
     return FUNDING if case.pots is None else PENSION
 
 
 def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
-    """The settings of training, with the seed of the case."""
+    """The problem of a case, its untrained policy, its settings and its engines."""
     training = TrainingPlan.from_settings(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
@@ -72,7 +74,7 @@ def simulator_of(case: PensionCase) -> PensionSimulator:
 
 
 def setup_at(setup: Setup, case: PensionCase, engine: str) -> Setup:
-    """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
+    """The setup of another case, equal to that of `make_setup`.
 
     Nothing is compiled if the case has the same form.
     """
@@ -102,7 +104,8 @@ def objective_of(case: PensionCase) -> Objective:
 
 
 def _divided(scenarios: SuppliedScenarios, seed: int) -> Sources:
-    """Ready-made paths: four fifths of those for training train, the rest validate."""
+    """The sources of ready-made paths: four fifths of the paths for training train, the others
+    validate."""
     training, evaluation = (
         Supplied(np.ascontiguousarray(np.swapaxes(paths, 0, 1)), seed=seed)
         for paths in (scenarios.training, scenarios.evaluation)

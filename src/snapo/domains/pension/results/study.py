@@ -48,9 +48,10 @@ MEASURES = {"P": "real-world (P)", "Q": "risk-neutral (Q)"}
 
 
 def pension_study(case: PensionCase, options: Options) -> Study:
-    """All that a run of the case does.
+    """The study of a case: everything that a run of it does.
 
-    **Raises:** `CaseError`, before anything is written, if a figure of the actuary is not met.
+    **Raises:** `CaseError`, before anything is written, if a figure differs too much from the
+    actuary's.
     """
     notes = (options.about or {}).get("notes")  # of a run that passed, and goes on
     if notes is None:
@@ -87,8 +88,8 @@ def parts(case: PensionCase) -> tuple[Part, ...]:
 
 
 def requested(case: PensionCase) -> list[Part]:
-    """The parts that the case asks for and those that they need; with a policy also the description
-    of its value, with which every report begins."""
+    """The parts that the case requests and those that they need. With training, the description of
+    the policy's value is added, with which every report begins."""
     every = parts(case)
     selected = training.with_needs(every, case.parts)
     if case.parts and TRAINING in selected:
@@ -142,7 +143,9 @@ def _description(run: StudyRun, case: PensionCase) -> Iterator[str]:
     """The value and the leads in the terms of a fund."""
     objective = OBJECTIVE.of(run)
     if objective is not None and objective.output is not None:
-        name = "pension over today's" if objective.output == "pension" else "funding ratio"
+        name = (
+            "pension, as a share of today's," if objective.output == "pension" else "funding ratio"
+        )
         value, half = measured(100 * objective.equivalent, 100 * objective.equivalent_error, 2)
         years = counted(case.steps * case.step, "year")
         yield f"certain {name} after {years}: {value} % {half} (95 %)"
@@ -154,7 +157,7 @@ STILL = re.compile(r"(\d+)(?: of \d+)?(?: never changes)? \(([-+.\deE]+), at its
 
 
 def in_classes(note: str, case: PensionCase) -> str:
-    """A note on weights that never leave a bound, with the names of their classes: it needs no
+    """A note on weights that never leave a bound, with the names of their classes and without
     advice."""
     rows, classes = STILL.findall(note), case.assets.classes
     if "never change" not in note or not rows or any(int(k) > len(classes) for k, _ in rows):
@@ -184,6 +187,8 @@ def _unbounded(case: PensionCase) -> str:
 def _model(case: PensionCase) -> str:
     if case.scenarios is not None:
         return "Supplied scenarios: returns, inflation, wages and zero rates from a file."
-    mean = f"means {case.assets.mean_kind}, of {case.assets.return_kind} returns"
+    mean = f"means are {case.assets.mean_kind} means of {case.assets.return_kind} returns"
     text = f"{case.rates.description}, fitted to the curve; {MEASURES[case.measure]} scenarios"
-    return f"{text}; {mean}." if case.measure == "P" else f"{text}; every class earns cash."
+    return (
+        f"{text}; {mean}." if case.measure == "P" else f"{text}; every class earns cash on average."
+    )

@@ -35,7 +35,7 @@ def test_an_incomplete_kind_is_an_error():
     with pytest.raises(TypeError, match="no columns colour"):
         register(Unpriced)
 
-    with pytest.raises(TypeError, match="the kind 'cash' is already that of Cash"):
+    with pytest.raises(TypeError, match="the kind 'cash' is already registered by Cash"):
         register(type("Again", (Cash,), {"risk": "none"}))
 
 

@@ -106,7 +106,7 @@ def test_check_remarks_on_slips(tmp_path):
     ]
     case = read_case(short_case(tmp_path / "case", slips))
     (remark,) = [line for line in DOMAIN.check(case) if line.startswith("note: ")]
-    assert "is fund.assets in the unit" in remark
+    assert "is fund.assets in the same unit" in remark
     (note,) = case.notes
     assert note.startswith("rates.volatility: rate_volatility is 8,000 bp (0.8)")
 

@@ -1,4 +1,5 @@
-"""Asset classes, found by `market.registry`; returns of a step are in `market.dynamics`.
+"""Asset classes, which `market.registry` collects; returns of a step are in `market.dynamics`.
 
-A new one is an `asset_class.AssetClass`: the columns of its row, and its return over a step.
+A new class is a subclass of `asset_class.AssetClass`: it has the columns of its row and its return
+over a step.
 """

@@ -1,8 +1,8 @@
 """An asset class: a row of the asset table, with the behaviour of its kind.
 
 A kind is a subclass in a separate file of this folder: its columns and their reader, its returns,
-its price today by the curves and spreads, and its description. Classes of one kind are handled
-together: the class methods take the indices `positions` [k] of a case's classes.
+the dependence of its price on curves and spreads, and its description. Classes of one kind are
+handled together: the class methods take the indices `positions` [k] of a case's classes.
 """
 
 import inspect
@@ -29,7 +29,8 @@ SPECIAL = ("mean", "volatility", "maturity", "coupon", "rating", "smoothing")
 
 
 class AssetNames(NamedTuple):
-    """The references of a row of the table: the years of a step, ratings and currencies."""
+    """The data to which a row of the table refers: the length of a step in years, the ratings and
+    the currencies."""
 
     step: float
     ratings: Sequence[str]
@@ -45,7 +46,8 @@ class AssetNames(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """The sources from which all kinds prepare their returns; `moments` of nominal bonds."""
+    """The data from which all kinds prepare their returns; the `moments` are those of nominal
+    bonds."""
 
     case: PensionModel
     inputs: dict[str, Any]
@@ -76,16 +78,16 @@ class Now(NamedTuple):
 
 class AssetMixture(NamedTuple):
     """Holdings made of bonds: `log` [q] are the Gaussian log returns of the bonds over cash.
-    `share` [k, q] are the weights of the bonds in each holding, fixed before the step; its gain
-    over cash is share @ expm1(log)."""
+    `share` [k, q] are the weights of the bonds in each holding, fixed before the step; the gain of
+    a holding over cash is share @ expm1(log)."""
 
     share: Array
     log: Array
 
 
 class AssetClass(AssetRow, ABC):
-    """The behaviour of one kind of asset classes. A kind sets the attributes of `AssetRow`, and -
-    `columns`: the columns of `SPECIAL` that it has; `without`: the reason why it has no others.
+    """The behaviour of one kind of asset class. A kind sets the attributes of `AssetRow`, and also
+    `columns`, the columns of `SPECIAL` that it has, and `without`, the reason why it has no others.
     """
 
     columns: ClassVar[tuple[str, ...]]
@@ -111,7 +113,8 @@ class AssetClass(AssetRow, ABC):
     @classmethod
     @abstractmethod
     def payments(cls, case: PensionModel, positions: Sequence[int]) -> Payments | None:
-        """The payments by which these classes follow the curve; None if they do not."""
+        """The payments of these classes, through which they follow the curve; None if they do not
+        follow it."""
 
     @classmethod
     def ratings(cls, case: PensionModel, positions: Sequence[int]) -> np.ndarray:
@@ -130,7 +133,8 @@ class AssetClass(AssetRow, ABC):
     def ratio(
         cls, case: PensionModel, positions: Sequence[int], before: Prices, after: Prices
     ) -> Float[Array, " k"]:
-        """Values over those before, when prices of payments go from `before` to `after`."""
+        """The ratio of values after to values before, if the prices of payments move from `before`
+        to `after`."""
         due = cls.payments(case, positions)
         return xp.ones(len(positions)) if due is None else ratio(due, cls.linked, before, after)
 
@@ -138,8 +142,8 @@ class AssetClass(AssetRow, ABC):
     def log_price(
         cls, case: PensionModel, inputs: dict[str, Any], positions: Sequence[int]
     ) -> Float[Array, " k"]:
-        """ln of prices over those at the case's numbers: its derivatives are the exposures to
-        curves, break-evens and spreads."""
+        """The logarithm of prices divided by those at the case's numbers. Its derivatives are the
+        exposures to curves, break-evens and spreads."""
         now = curve_prices(case, {}), curve_prices(case, inputs)
         return xp.log(cls.ratio(case, positions, *now))
 
@@ -150,7 +154,7 @@ class AssetClass(AssetRow, ABC):
 
     @classmethod
     def currencies(cls, case: PensionModel, positions: Sequence[int]) -> np.ndarray:
-        """[k] their currencies."""
+        """The positions of their currencies [k], -1 for the fund's own currency."""
         return np.array([item.currency for item in cls.of(case, positions)], int)
 
 
@@ -163,7 +167,7 @@ def register(kind: AnyKind) -> AnyKind:
     needed = ("kind", "description", "columns", "without", "part", "risk")
     missing = [name for name in needed if not hasattr(kind, name)]
     # Each kind defines its risk: an inherited one would hide that it was forgotten.
-    missing += ["risk of its own"] * ("risk" not in vars(kind) and "risk" not in missing)
+    missing += ["its own risk"] * ("risk" not in vars(kind) and "risk" not in missing)
     missing += sorted(getattr(kind, "__abstractmethods__", ()))
     if missing or inspect.isabstract(kind):
         raise TypeError(f"{kind.__name__}: a kind of asset class needs {', '.join(missing)}.")
@@ -175,7 +179,7 @@ def register(kind: AnyKind) -> AnyKind:
         )
     if kind.kind in KINDS:
         raise TypeError(
-            f"{kind.__name__}: the kind {kind.kind!r} is already that of "
+            f"{kind.__name__}: the kind {kind.kind!r} is already registered by "
             f"{KINDS[kind.kind].__name__}."
         )
     KINDS[kind.kind] = kind
@@ -183,7 +187,8 @@ def register(kind: AnyKind) -> AnyKind:
 
 
 def by_kind(case: PensionModel) -> list[tuple[type[AssetClass], tuple[int, ...]]]:
-    """The kinds in a case, in the order of their first class, with the positions."""
+    """The kinds in a case, in the order of their first class, and the positions of their
+    classes."""
     by_type: dict[type[AssetClass], list[int]] = {}
     for i, class_ in enumerate(case.assets.classes):
         assert isinstance(class_, AssetClass)
@@ -198,10 +203,10 @@ def in_order(case: PensionModel, parts: Sequence[Array]) -> Array:
 
 
 def log_prices(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " n"]:
-    """ln of the price of every class over today's (see `AssetClass.log_price`)."""
+    """The logarithm of the price of every class divided by today's (see `AssetClass.log_price`)."""
     return in_order(case, [kind.log_price(case, inputs, at) for kind, at in by_kind(case)])
 
 
 def ratios(case: PensionModel, before: Prices, after: Prices) -> Float[Array, " n"]:
-    """Values of all classes over those before, when prices of payments move."""
+    """The ratio of values after to values before, for all classes (see `AssetClass.ratio`)."""
     return in_order(case, [kind.ratio(case, at, before, after) for kind, at in by_kind(case)])

@@ -1,13 +1,12 @@
-"""Bonds by their maturity: government, index-linked and coupon bonds, without default.
+"""Bonds of a constant maturity: government, index-linked and coupon bonds, without default.
 
 Index-linked bonds are zero-coupon bonds of constant maturity that pay the price index. The value of
 a bond of u years is I(t) P_real(t, t + u) in money, where P_real discounts by the real rate (R.
 Jarrow, Y. Yildirim, JFQA 38, 2003, with Gaussian rates); its return over a step follows (see
-`constant_maturity`). Indexation is without a lag, the principal without a floor.
-
-Coupon bonds have a fixed coupon or are at par. After each step they are sold, and bonds of the
-first maturity and of the same coupon are bought; at par, the coupon is the one at which the path's
-curve values them at their principal.
+`constant_maturity`). Indexation has no lag, and the principal has no floor. Coupon bonds have a
+fixed coupon or are at par. After each step they are sold, and bonds of the original maturity with
+the same coupon are bought; at par, the coupon is the one at which the path's curve values the bonds
+at their principal.
 """
 
 from dataclasses import dataclass
@@ -41,7 +40,7 @@ class BondSteps(NamedTuple):
 
 @dataclass(frozen=True)
 class Maturing(AssetClass):
-    """Zero-coupon bonds of `maturity` whole steps, kept constant."""
+    """Zero-coupon bonds of a constant maturity of `maturity` whole steps."""
 
     maturity: int = 0
 

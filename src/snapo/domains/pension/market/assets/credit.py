@@ -1,8 +1,9 @@
 """Corporate bonds: the curve plus a rating's spread, minus defaults.
 
-Over a bond of the same maturity the log return is minus the duration times the change of the spread
-s = mean exp(u), with the spread's noise made a martingale. In the real world it earns the spread
-minus defaults, and minus the fall of prices while u reverts to zero.
+The log return over that of a default-free bond of the same maturity is minus the duration times the
+change of the spread s = mean exp(u), where the noise of the spread is made a martingale. In the
+real world the bond earns the spread minus defaults, and minus the fall of its price while u reverts
+to zero.
 """
 
 from dataclasses import dataclass
@@ -24,8 +25,9 @@ from .bond import Maturing
 
 class CreditTerms(NamedTuple):
     """Terms of the k classes: `reach` [k, f]: that of the underlying bond; `duration`: in years;
-    `mean_spread`: the mean spread; `volatility`, `variance`: those of the spread's zeta; `carry`:
-    per unit of spread and step; `reverting`: the share of u that is lost in a step."""
+    `mean_spread`: the mean spread; `volatility`, `variance`: those of the shock zeta of the spread;
+    `carry`: the return per unit of spread and step; `reverting`: the share of u that disappears in
+    a step."""
 
     reach: Array
     duration: Array

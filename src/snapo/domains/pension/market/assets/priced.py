@@ -22,14 +22,14 @@ from .asset_class import AssetClass, Scene, register
 
 
 class PricedSteps(NamedTuple):
-    """`drift` [T, k] of log returns before cash, `volatility` [T, k] in local currency."""
+    """`drift` [T, k] of log returns without that of cash, `volatility` [T, k] in local currency."""
 
     drift: Array
     volatility: Array
 
 
 class Priced(AssetClass):
-    """A class with its own shock; equity, property and others are kinds of it."""
+    """A class with a separate shock; equity, property and others are subclasses."""
 
     columns: ClassVar[tuple[str, ...]] = ("mean", "volatility", "smoothing")
     without: ClassVar[str] = "its return has a separate mean and volatility"
@@ -67,7 +67,7 @@ class Priced(AssetClass):
 
 
 def _rank(case: PensionModel, positions) -> np.ndarray:
-    """[k] positions among the classes with a shock of their own."""
+    """The positions [k] among the classes with a separate shock."""
     return np.array([case.assets.shocks.index(i) for i in positions], int)
 
 
@@ -83,7 +83,7 @@ def _variance(scene: Scene, rank: np.ndarray, volatility: Array, currency) -> Fl
 
 
 def _drift(case: PensionModel, inputs: dict[str, Any], rank: np.ndarray, variance: Array) -> Array:
-    """Mean of a step's log return, before currencies."""
+    """Mean of a step's log return, currencies excluded."""
     if case.risk_neutral:
         return -variance / 2
     mean = use(inputs, case.assets.mean)[rank]
@@ -100,7 +100,7 @@ class Equity(Priced):
 
     kind: ClassVar[str] = "equity"
     description: ClassVar[str] = (
-        "shares, listed or private, and infrastructure; lognormal with a separate shock"
+        "shares, listed or private, and infrastructure; lognormal, with mean and volatility"
     )
     risk: ClassVar[str] = "developed"
 
@@ -112,7 +112,7 @@ class Property(Priced):
 
     kind: ClassVar[str] = "property"
     description: ClassVar[str] = (
-        "buildings and land; lognormal with a separate shock, appraised values with a lag"
+        "buildings and land; lognormal, with mean and volatility; appraised values have a lag"
     )
     risk: ClassVar[str] = "unlisted-property"
 
@@ -123,7 +123,7 @@ class Commodity(Priced):
     """Commodities, lognormal with a separate shock."""
 
     kind: ClassVar[str] = "commodity"
-    description: ClassVar[str] = "commodities; lognormal with a separate shock"
+    description: ClassVar[str] = "commodities; lognormal, with mean and volatility"
     risk: ClassVar[str] = "commodity"
 
 
@@ -134,6 +134,6 @@ class HedgeFund(Priced):
 
     kind: ClassVar[str] = "hedge-fund"
     description: ClassVar[str] = (
-        "hedge funds and other alternatives; lognormal with a separate shock"
+        "hedge funds and other alternatives; lognormal, with mean and volatility"
     )
     risk: ClassVar[str] = "unlisted"

@@ -6,9 +6,10 @@ zero-coupon swap is a zero-coupon bond bought with the notional. A zero-coupon s
 receives the growth of the price index over its maturity and pays the break-even: an index-linked
 bond financed by a nominal one of the same maturity.
 
-So per unit of notional all earn exp(cash) times w @ (exp(n) - 1) over a step, n being log returns
-over cash of zero-coupon bonds and w the shares of a bond's payments, or 1 and -1 for inflation.
-Reported is ln(1 + w @ (exp(n) - 1)). Swaps of rates come first among the buckets.
+Per unit of notional a swap therefore earns exp(cash) times w @ (exp(n) - 1) over a step. Here n are
+the log returns over cash of zero-coupon bonds, and w the shares of a bond's payments, or 1 and -1
+for inflation. The return of a swap is reported as ln(1 + w @ (exp(n) - 1)). Swaps of rates come
+first among the buckets.
 """
 
 from typing import Any, NamedTuple
@@ -46,7 +47,7 @@ def _overlay(case: PensionModel) -> Overlay:
 
 
 def fixed_legs(case: PensionModel) -> Payments:
-    """Payments of all fixed legs, those against swaps of inflation among them."""
+    """Payments of all fixed legs, including those of inflation swaps."""
     overlay = _overlay(case)
     coupon = np.where(overlay.at_par, AT_PAR, 0.0)
     return payments(overlay.maturity, coupon, case.step)
@@ -101,7 +102,7 @@ def swap_returns(
 
 
 def swap_gains(case: PensionModel, before: Prices, after: Prices) -> Float[Array, " b"]:
-    """Gains of a unit of notional of each swap, after a sudden move of the prices of payments."""
+    """The gain per unit of notional of each swap, after a sudden move of the prices of payments."""
     overlay = _overlay(case)
     fixed = ratio(fixed_legs(case), False, before, after)
     if not overlay.inflation:
@@ -113,5 +114,5 @@ def swap_gains(case: PensionModel, before: Prices, after: Prices) -> Float[Array
 
 
 def swap_values(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " b"]:
-    """Values of swaps whose value is zero at the numbers of the case, per unit of notional."""
+    """Values per unit of notional of swaps that have no value at the numbers of the case."""
     return swap_gains(case, curve_prices(case, {}), curve_prices(case, inputs))

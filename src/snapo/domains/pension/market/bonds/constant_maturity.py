@@ -1,14 +1,15 @@
-"""Zero-coupon bonds that are sold after each step and bought again at their first maturity.
+"""Zero-coupon bonds that are sold after each step and replaced by bonds of the original maturity.
 
-A bond of m steps loads on the factors f through l (see `market.factors`: rates 1 each, and for
-index-linked bonds expected inflation -1). Over a step of length d its log return over cash is
+A bond of m steps depends on the factors f with the loadings l (see `market.factors`: 1 for every
+factor of rates, and -1 for expected inflation if the bond is index-linked). Over a step of length d
+its log return over cash is
 
     drift - sum_i l_i s_i (B_i((m - 1) d) zeta_i + iota_i) + (index-linked) s_I dW_I + currency
 
-where minus half of its total variance makes it a martingale under "Q". Under "P" each dW moves by
-lambda d, so that the drift has -sum_i l_i s_i lambda_i (B_i((m - 1) d) B_i(d) + int_0^d B_i) and,
-index-linked, s_I lambda_I d on top. For index-linked bonds it is that of I(t) P_real(t, T), in
-money.
+where a drift of minus half the total variance makes the bond over cash a martingale under "Q".
+Under "P" each dW moves by lambda d, so that the drift has -sum_i l_i s_i lambda_i (B_i((m - 1) d)
+B_i(d) + int_0^d B_i) and, index-linked, s_I lambda_I d on top. For index-linked bonds the return is
+that of I(t) P_real(t, T), in money.
 """
 
 from typing import NamedTuple
@@ -28,8 +29,8 @@ from ..spreads import of_currency
 
 
 class HeldBonds(NamedTuple):
-    """k bonds, static: `maturity` in steps and `currency` [k]; `loads` [f] l of the first f
-    factors; whether they are `linked` to prices."""
+    """k bonds, as static data: `maturity` [k] in steps, `currency` [k], `loads` [f]: the loadings l
+    of the first f factors, and whether they are `linked` to prices."""
 
     maturity: np.ndarray
     currency: np.ndarray
@@ -38,19 +39,19 @@ class HeldBonds(NamedTuple):
 
 
 def nominal_bonds(case: PensionModel, maturity: ArrayLike, currency: ArrayLike) -> HeldBonds:
-    """Bonds that pay money."""
+    """Bonds with payments in money."""
     loads = np.ones(case.rates.count())
     return HeldBonds(np.asarray(maturity, int), np.asarray(currency, int), loads, False)
 
 
 def linked_bonds(case: PensionModel, maturity: ArrayLike, currency: ArrayLike) -> HeldBonds:
-    """Bonds that pay the price index."""
+    """Bonds with payments in units of the price index."""
     loads = np.append(np.ones(case.rates.count()), -1.0)
     return HeldBonds(np.asarray(maturity, int), np.asarray(currency, int), loads, True)
 
 
 class Load(NamedTuple):
-    """The loads of returns over cash: `size` [T, k, L] of the components `which` [k, L] of the
+    """The loadings of returns over cash: `size` [T, k, L], on the components `which` [k, L] of the
     Gaussian vector."""
 
     size: Array
@@ -67,7 +68,7 @@ class Load(NamedTuple):
 
 
 def reach(held: HeldBonds, factors: MarketFactors, step: float) -> Float[Array, "k f"]:
-    """l B((m - 1) d) by the factors on which the bonds load."""
+    """The products l B((m - 1) d), one for each factor on which a bond depends."""
     shorter = (held.maturity - 1)[:, None] * step
     a = factors.mean_reversion[: len(held.loads)]
     return xp.asarray(-held.loads) * xp.expm1(-a * shorter) / a

@@ -1,6 +1,7 @@
-"""Payments of bonds and of the fixed legs of swaps: amounts at dates, of money or linked to prices.
+"""Payments of bonds and of the fixed legs of swaps: amounts at dates, in money or linked to prices.
 
-Coupons are paid once a year up to the maturity, the first in proportion to the time before it.
+Coupons are paid once a year up to the maturity. The first coupon is in proportion to the time since
+the purchase.
 """
 
 from collections.abc import Callable
@@ -58,8 +59,8 @@ def zero_coupon(maturity: ArrayLike, step: float) -> Payments:
 def coupons(
     of: Payments, price: Array | np.ndarray
 ) -> tuple[Float[Array, " k"], Float[Array, " k"]]:
-    """Coupons per year, the par rate of these prices [J] for bonds at par; and annuities, the
-    prices of a coupon of 1 per year."""
+    """Coupons per year, which for bonds at par are the par rate at these prices [J]; and annuities,
+    the prices of a coupon of 1 per year."""
     at_par, last = np.isnan(of.coupon), np.argmax(of.principal, axis=1)
     annuity = xp.asarray(of.period) @ price
     # Periods of nothing would divide by nothing.
@@ -68,7 +69,7 @@ def coupons(
 
 
 def amounts(of: Payments, price: Array | np.ndarray) -> Float[Array, "k J"]:
-    """The sums due at these prices [J]."""
+    """The amounts due, [k, J], if the prices of payments are these [J]."""
     coupon, _ = coupons(of, price)
     return coupon[:, None] * of.period + of.principal
 
@@ -81,7 +82,8 @@ def ratio(of: Payments, linked: bool, before: Prices, after: Prices) -> Float[Ar
 
 
 def curve_prices(case: PensionModel, inputs: dict[str, Any]) -> Prices:
-    """Today's, on the curve, and minus break-evens; without `inputs` at the case's own numbers."""
+    """Today's prices of payments: on the curve, and for linked payments on the curve minus
+    break-evens. Without `inputs` they are at the numbers of the case."""
 
     def prices(steps: np.ndarray, linked: bool) -> Array:
         years = steps * case.step

@@ -2,7 +2,7 @@
 the path's curve and sold after the step (see `constant_maturity`).
 
 With shares w of the value by payment, fixed at the purchase, a bond earns sum_j w_j exp(n_j) over
-cash, n_j being the log returns over cash of the payments.
+cash, where n_j are the log returns over cash of the payments.
 """
 
 from typing import NamedTuple
@@ -65,7 +65,7 @@ def mixture(
     case: PensionModel, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
     now: Now,
 ) -> AssetMixture:  # fmt: skip
-    """The payments' shares of each holding, and their log returns over cash."""
+    """The shares of the payments in each holding, and the log returns of the payments over cash."""
     log = constant_maturity.over_cash(
         case, _held(case, of, currency), terms.reach, steps.drift, now
     )
@@ -100,6 +100,6 @@ def gain(of: Payments, price: Float[Array, " J"], growth: Float[Array, " J"]) ->
 
 
 def shares(of: Payments, price: Float[Array, " J"]) -> Float[Array, "k J"]:
-    """Shares of the value of each holding, by payment."""
+    """The share of each payment in the value of each holding."""
     due = amounts(of, price) * price
     return due / xp.sum(due, axis=1, keepdims=True)

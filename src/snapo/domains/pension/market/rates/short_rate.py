@@ -1,7 +1,7 @@
 """Models of the short rate: Gaussian factors that are fitted exactly to the initial curve.
 
-r = phi(t) + sum of F factors, dx_i = -a_i x_i dt + s_i(t) (dW_i + lambda_i dt), x_i(0) = 0; lambda
-used under "P" only, and a negative one is a positive premium of long bonds. A model is a
+r = phi(t) + sum of F factors, dx_i = -a_i x_i dt + s_i(t) (dW_i + lambda_i dt), x_i(0) = 0. lambda
+is used under "P" only; a negative lambda is a positive premium of long bonds. A model is a
 subclass, here or in a separate file of this folder, that names its factors; a case uses these names
 for correlations.
 """
@@ -42,12 +42,13 @@ class ShortRate(TreeRecord):
 
     @classmethod
     def labels(cls) -> tuple[str, ...]:
-        """Their labels in a table of sensitivities; a single one needs none."""
+        """The labels of the factors in a table of sensitivities; a single factor needs none."""
         return cls.factors if len(cls.factors) > 1 else ("",)
 
     @classmethod
     def read(cls, section: TableReader, table: CaseTable, grid: TimeGrid) -> Self:
-        """The numbers of `[rates]`: lists have one per factor; volatilities may change in time."""
+        """The numbers of `[rates]`: lists have one number per factor; volatilities may change over
+        time."""
 
         def of_factors(key: str) -> CaseInput:
             parts = [on_steps(x, grid) if key == "volatility" else x for x in part_of(key)]

@@ -1,1 +1,1 @@
-"""The figures that an actuary knows already: next to the model's own."""
+"""The figures of the model, next to those that an actuary has already."""

@@ -1,4 +1,4 @@
-"""The figures by which a human recognises a fund: its size, durations, volatilities and returns."""
+"""The figures by which a user recognises a fund: its size, durations, volatilities and returns."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -122,7 +122,7 @@ def _median(case: PensionCase, values: dict[str, Any]) -> np.ndarray:
 
 
 def _supplied(case: PensionCase) -> np.ndarray:
-    """[n] the same of ready-made paths: their mean log returns."""
+    """The returns per year [n] of ready-made paths, from their mean log returns."""
     assert case.scenarios is not None
     simple = case.scenarios.training[:, :, : len(case.assets.classes)]
     return np.expm1(np.log1p(simple).mean((0, 1)) / case.step)

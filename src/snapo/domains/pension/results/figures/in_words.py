@@ -33,7 +33,9 @@ def _accrual(case: PensionCase) -> str:
         return "none, the plan is frozen"
     if case.members is None:
         cost = case.cash_flows is not None and case.cash_flows.normal_cost.used() > 0
-        return "in proportion to the cash flows, with the given normal cost" if cost else "none"
+        return (
+            "in proportion to the cash flows, with the normal cost of the case" if cost else "none"
+        )
     if not plan.accrual_rate.values.size:
         return "none, the plan has no accrual_rate"
     offset = float(plan.offset.used()) if plan.offset.values.size else 0.0
@@ -59,7 +61,7 @@ def _increases(case: PensionCase) -> str:
         return "pensions follow the pots"
     values = _rule(rule)
     if case.members is None:
-        text = f"{values}, of all payments"
+        text = f"{values}, for all payments"
     elif apart is None:
         every = "pensions in payment, deferred rights and rights in service"
         text = values if rule.kind == "none" else f"{values}, the same for {every}"
@@ -94,8 +96,8 @@ def _mortality(case: PensionCase) -> str:
     last = law.first_age + law.ages - 1
     if law.kind == "table":
         end = law.first_age + law.table.index.shape[1] - 1
-        text = f"a table from {law.first_age} to {end}"
-        text += f", closed to {last}" if end < last else ""
+        text = f"a table of the ages {law.first_age} to {end}"
+        text += f", extrapolated to {last}" if end < last else ""
     else:
         text = "a Gompertz-Makeham formula"
     if law.improvement.used().any():

@@ -76,7 +76,7 @@ def examine(case: PensionCase) -> Examined:
 
 
 def lines(case: PensionCase) -> list[str]:
-    """Horizon, inputs and figures of a case as a human compares them: nothing is trained."""
+    """Horizon, inputs and figures of a case as lines of text; nothing is trained."""
     inputs = pension_inputs(case)
     result = examine(case)
     return [
@@ -100,7 +100,7 @@ def lines(case: PensionCase) -> list[str]:
 
 
 def _human(case: PensionCase, result: Human) -> list[str]:
-    """The figures that a human recognises, a line for each kind."""
+    """The figures by which a user recognises the fund, a line for each kind."""
     size = [
         f"assets {readable(result.assets, case.currency)}",
         f"liability {readable(result.liability, case.currency)}",
@@ -114,7 +114,7 @@ def _human(case: PensionCase, result: Human) -> list[str]:
     if result.hedge_ratio is not None:
         lengths.append(f"hedge ratio {result.hedge_ratio:.0%}")
     if result.inflation_hedge_ratio is not None:
-        lengths.append(f"of inflation {result.inflation_hedge_ratio:.0%}")
+        lengths.append(f"inflation hedge ratio {result.inflation_hedge_ratio:.0%}")
     annual = {tenor: float(np.expm1(item)) for tenor, item in result.rate.items()}
     summary = [", ".join(size), f"duration: {', '.join(lengths)}"]
     summary += [
@@ -162,7 +162,8 @@ def _group(group: StatusGroup, money: Callable[[float], str]) -> str:
 
 
 def _leverage(case: PensionCase) -> list[str]:
-    """What is sold short or borrowed today, and may be; nothing if weights are not negative."""
+    """The short positions and the borrowed cash, of today and at most; nothing if no weight may be
+    negative."""
     assets = case.assets
     if not assets.short:
         return []
@@ -237,13 +238,13 @@ def _line(case: PensionCase, line: ReconciledFigure) -> str:
     if line.given is None:
         return f"{line.name}: {text(line.own)}"
     error = line.error if abs(line.error or 0.0) > ROUNDING else 0.0
-    return f"{line.name}: {text(line.own)}, given {text(line.given)} ({error:+.1e})"
+    return f"{line.name}: {text(line.own)}, reference {text(line.given)} ({error:+.1e})"
 
 
 def reconciled(
     case: PensionCase, available: LiabilityFigures | None = None
 ) -> list[ReconciledFigure]:
-    """The lines of the reconciliation; `available`: the figures, if they are known already.
+    """The lines of the reconciliation; `available`: the figures, if they were computed before.
 
     **Raises:** `CaseError` if a figure differs from the actuary's by more than its tolerance.
     """
@@ -252,7 +253,7 @@ def reconciled(
         if not line.ok and line.given is not None and case.reconcile is not None:
             tolerance = case.reconcile.tolerance
             message = (
-                f"the figure of this model is {line.own:.8g}, which differs by "
+                f"the figure of this model is {line.own:.8g}, with a relative difference of "
                 f"{line.error:.3g}; the tolerance is {tolerance:g}"
             )
             raise CaseError(str(case.file), f"reconcile.{line.name}", line.given, message)

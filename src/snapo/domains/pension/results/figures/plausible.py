@@ -27,7 +27,8 @@ MARKETS = {"curve", "volatility", "premium", "model", "assets", "credit"}
 
 
 def remarks(case: PensionCase, human: Human) -> list[str]:
-    """A sentence for each figure outside its range, and for a deficit that nothing will close."""
+    """A sentence for each figure outside its range, and for a deficit that contributions never
+    close."""
     slips = {entry.group for entry in every_given(case) if entry.name in case.slips}
     size = () if slips & PROMISED else _size(case, human)
     market = () if slips & MARKETS else _market(case, human)
@@ -42,8 +43,8 @@ def _size(case: PensionCase, human: Human) -> Iterator[str]:
     if human.funding is not None and _outside(human.funding, FUNDING):
         yield (
             f"the funding ratio is {human.funding:.4g}, assets of {human.assets:,.6g} against a "
-            f"liability of {human.liability:,.6g} {case.currency}: is fund.assets in the unit of "
-            "the members' pensions?"
+            f"liability of {human.liability:,.6g} {case.currency}: is fund.assets in the same unit "
+            "as the members' pensions?"
         )
     if human.liability and _outside(human.duration, DURATION):
         years = f"below {DURATION[0]:g} or above {DURATION[1]:g}"
@@ -53,7 +54,7 @@ def _size(case: PensionCase, human: Human) -> Iterator[str]:
     if human.hedge_ratio is not None and _outside(human.hedge_ratio, HEDGE):
         yield (
             f"assets and swaps move {human.hedge_ratio:.3g} times as far with rates as the "
-            "liability: are the notionals of the swaps in the unit of fund.assets?"
+            "liability: are the notionals of the swaps in the same unit as fund.assets?"
         )
 
 
@@ -65,14 +66,13 @@ def _market(case: PensionCase, human: Human) -> Iterator[str]:
             yield (
                 f"the volatility of the {tenor}-year rate is {volatility:.2%} a year, which is "
                 f"rarely below {low:.1%} or above {RATE_VOLATILITY[1]:.1%}: see rates.volatility "
-                "(0.008 is "
-                "0.8 % a year) and mean_reversion"
+                "(0.008 is 0.8 % a year) and mean_reversion"
             )
     for name, mean in human.returns.items():
         if _outside(mean, RETURN):
             yield (
-                f"{name} grows by {mean:.1%} a year without shocks, which is unusual (not "
-                f"{_percent(RETURN)}): see its mean, return_kind and prices of risk"
+                f"{name} grows by {mean:.1%} a year without shocks, which is rarely "
+                f"{_percent(RETURN)}: see its mean, return_kind and prices of risk"
             )
 
 
@@ -104,7 +104,7 @@ def _unpaid(case: PensionCase, human: Human) -> Iterator[str]:
 
 
 def _rolling(case: PensionCase, human: Human) -> Iterator[str]:
-    """A gap of which less is paid in every step than its interest."""
+    """A gap of which every step pays less than the interest."""
     paid = case.plan.contribution
     if paid.kind != "target" or paid.level_steps is not None or human.funding is None:
         return

@@ -1,4 +1,5 @@
-"""The actuary's figures from the model's cash flows and curve, before any simulation."""
+"""The figures of a valuation report, from the model's cash flows and curve, before any
+simulation."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,8 +42,8 @@ class LiabilityFigures(NamedTuple):
 
 @dataclass(frozen=True)
 class ReconciledFigure:
-    """One check: the model's `own` figure, the one `given` (None: nothing to meet), the
-    relative `error` and whether that is within the tolerance."""
+    """One check: the model's `own` figure, the reference `given` (None if there is none), the
+    relative `error`, and whether the error is within the tolerance (`ok`)."""
 
     name: str
     own: float
@@ -83,8 +84,8 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> LiabilityFigures:
 def check(
     case: PensionCase, inputs: dict[str, Any], available: LiabilityFigures | None = None
 ) -> list[ReconciledFigure]:
-    """The actuary's liability and duration against the model's, then the model against itself;
-    `available`: the figures, if they are known already."""
+    """The model's liability and duration against the actuary's, then against a second computation
+    by the model; `available`: the figures, if they were computed before."""
     result = available or figures(case, inputs)
     request = case.reconcile
     lines = [
@@ -126,7 +127,8 @@ def _with_curves(case: PensionCase, inputs: dict[str, Any]) -> dict[str, Any]:
 
 
 def _shifts_as_one(curve: MarketCurve) -> bool:
-    """Whether the same rise of all nodes raises all rates: not where they end in a fixed one."""
+    """Whether an equal rise of all nodes raises all rates equally: not if they converge to a fixed
+    rate."""
     return curve.extrapolation == "flat-forward"
 
 

@@ -28,8 +28,8 @@ STATUSES = {
 
 
 class StatusGroup(NamedTuple):
-    """The members of one status: their number; pensions earned and salaries, money per year; their
-    liability, that to their spouses included."""
+    """The members of one status: their number; the pensions that they have earned and their
+    salaries, in money per year; and the liability to them and their spouses, in money."""
 
     name: str
     members: float
@@ -98,7 +98,7 @@ def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
 
 
 def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
-    """The payments of today; `liability`: that of the case."""
+    """The payments of today; `liability` is that of the case."""
     case = replace(case, scenarios=None)
     numbers = with_numpy(_pace)(case, inputs, liability)
     return Pace(*map(float, numbers))
