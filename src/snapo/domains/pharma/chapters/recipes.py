@@ -1,4 +1,4 @@
-"""The alternatives to a policy: the best of several fixed recipes, and rules about it."""
+"""The alternatives to a policy: the best of several fixed recipes, and rules around a recipe."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +20,7 @@ from ..shared import closed_loop
 
 @dataclass(frozen=True, eq=False)
 class RecipeLogits:
-    """Logits of the recipe with which training starts, and of the best one, [T, size]."""
+    """Logits of the recipe with which training starts, and of the best recipe, [T, size]."""
 
     first: Floats
     best: Floats
@@ -40,7 +40,7 @@ def tune(run: StudyRun) -> RecipeLogits:
 
 
 def recipe(run: StudyRun, name: str) -> Feedback:
-    """A recipe, as saved by its part of the run."""
+    """A recipe as saved by its part of the run."""
     logits = RECIPES.of(run)
     assert logits is not None
     return logits.policy(closed_loop(run), name)
