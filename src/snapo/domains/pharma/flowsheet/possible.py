@@ -37,7 +37,7 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
             return f"{name} is {metadata}, which is impossible{hint}"
         if name.endswith(".at_largest") and value > AT_LARGEST:
             return (
-                f"{name} is {value:.3g}: the grid of sizes ends too early, and at most "
+                f"{name} is {value:.3g}: the grid of sizes ends too early; at most a share of "
                 f"{AT_LARGEST:g} of the crystals' volume may be in its last cell; increase "
                 "`largest`"
             )

@@ -333,7 +333,7 @@ def _status(times: dict[str, Any]) -> str:
         if rough < duration:
             return (
                 f"{name}: the time steps are too long from {rough:.6g} s on; "
-                'take [numerics] method = "adaptive", or more steps'
+                'use [numerics] method = "adaptive", or more steps'
             )
         if not reached >= duration:
             estimate = "" if error is None else f" (estimated error of one step: {error:.2g})"

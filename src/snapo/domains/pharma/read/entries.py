@@ -1,4 +1,4 @@
-"""Numbers of the case by the texts that speak of them: "reactor.temperature[0]"."""
+"""The numbers of a case by their names in the file, such as "reactor.temperature[0]"."""
 
 import math
 import re
@@ -31,7 +31,7 @@ class EntryNumbers(NamedTuple):
         return unit.replace("K^k", f"K^{entry}").replace("m^k/m3", f"m^{entry}/m^3")
 
     def all(self, section: Location, key: str, text: str) -> list[Entry]:
-        """The entries that "name", "name[1]" or "name[label]" means."""
+        """The entries that a text such as "name", "name[1]" or "name[label]" means."""
         result = ENTRY.fullmatch(text)
         name = result[1] if result else text
         if result is None or name not in self.givens:

@@ -53,7 +53,7 @@ class ProfileTable(CaseTable):
     )
     kind: Literal["linear", "constant"] = doc("values between the nodes", "linear")
     ramp: Any = doc(
-        "fastest change, by default any", None, 'a quantity in quotation marks, such as "0.5 K/min"'
+        "fastest change, if limited", None, 'a quantity in quotation marks, such as "0.5 K/min"'
     )
 
 
@@ -290,5 +290,5 @@ def check_name(section: TableContext, key: str, name: Any) -> str:
     if not isinstance(name, str) or NAME.fullmatch(name) is None or name in RESERVED:
         message = "a name has letters, digits, - and _, and begins with a letter"
         reserved = " and ".join(f'"{item}"' for item in RESERVED)
-        raise section.error(key, name, f"{message}; {reserved} are taken")
+        raise section.error(key, name, f"{message}; {reserved} are reserved")
     return name

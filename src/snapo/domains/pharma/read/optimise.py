@@ -50,16 +50,16 @@ class OptimiseTable(CaseTable):
     per: list[dict] = doc("terms by whose sum the goal is divided", [], "tables [[optimise.per]]")
     decisions: list[dict] = tables("numbers that are decided", "[[optimise.decisions]]")
     reserve: float = within(
-        "margins by which the recipe stays away from every limit",
+        "number of margins by which the recipe stays away from every limit",
         Range(0.0, noun="a number of margins"),
         0.0,
     )
     deviations: float = within(
-        "standard deviations by which it stays away from every limit",
+        "number of standard deviations by which it stays away from every limit",
         Range(0.0, noun="a number of standard deviations"),
         0.0,
     )
-    starts: int = whole("points from which the search begins", 1, 1000, default=1)
+    starts: int = whole("number of points from which the search begins", 1, 1000, default=1)
 
 
 def read_optimise(

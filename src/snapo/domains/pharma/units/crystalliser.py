@@ -102,7 +102,7 @@ class Crystalliser(Timed):
         ("c", "concentration"),
         ("c*", "solubility"),
         ("S", "supersaturation"),
-        ("L", "size and n its density by number"),
+        ("L", "size, and n the density by number over it"),
         ("μₖ", "moments of the size"),
         ("kᵥ", "shape"),
     )

@@ -56,7 +56,7 @@ class Dissolution(Instant):
     def equations(self):
         return [
             "dissolved share 1 − (1 − D Cₛ t/(ρₛ h r))³, 1 once dissolved, summed over the "
-            "sizes 2 r that are counted; else r = d₃₂/2"
+            "sizes 2 r if they are counted, otherwise with r = d₃₂/2"
         ]
 
     def deliver(self, network, inlets, inputs):

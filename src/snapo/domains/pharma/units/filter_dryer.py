@@ -121,10 +121,10 @@ class FilterDryer(TrayDryer):
     def equations(self):
         wash = self.nutsche.equations()
         if self.nutsche.washes is not None:
-            wash[-1] = "of a solute (s/(s + W))ⁿ stays after n reslurry washes of W void volumes"
+            wash[-1] = "share (s/(s + W))ⁿ of a solute stays after n washes of W void volumes"
         return [
             *wash,
-            "wash liquid flows at the rate of filtration at its end",
+            "wash liquid flows at the rate of the filtrate at the end of filtration",
             *super().equations(),
         ]
 

@@ -54,7 +54,7 @@ class Seed(TableRecord):
             raise read.section.error("moments", table.moments, message)
         if table.moments is None:
             if table.size is None:
-                raise read.section.error("size", None, "a loading needs this key")
+                raise read.section.error("size", None, "a seed with a loading needs this key")
             return super().read(read)
         for key in ("size", "spread"):
             if getattr(table, key) is not None:

@@ -138,7 +138,7 @@ class Mixture(TableRecord):
         ),
         "solvent_masses": (
             Any,
-            doc("masses of the solvents", None, 'their molar masses, such as ["46.07 g/mol"]'),
+            doc("molar masses of the solvents", None, 'quantities, such as ["46.07 g/mol"]'),
         ),
         "composition": (
             Any,
@@ -165,7 +165,7 @@ class Mixture(TableRecord):
             if getattr(table, key) is not None:
                 return getattr(table, key)
             if table.solute is None:
-                message = "this key is required unless a solute is named"
+                message = "this key is required if there is no `solute`"
                 raise read.section.error(key, None, message)
             value = np.array([constant(read, "solute", table.solute, which)])
             quantity = quantity_of(cls.table.model_fields[key])
@@ -218,7 +218,7 @@ def _read_liquid(read: Reader, count: int) -> tuple[np.ndarray, list[float]]:
     else:
         masses = listed(read.section, "solvent_masses", table.solvent_masses, "kg/kmol", POSITIVE)
     if len(masses) != count - 1:
-        raise read.section.error("solvent_masses", table.solvent_masses, "one of each solvent")
+        raise read.section.error("solvent_masses", table.solvent_masses, "one for each solvent")
     return liquid, masses
 
 

@@ -69,7 +69,7 @@ class Granulation(Timed):
     saturation_power: CaseInput = POWER("power of the saturation in the rate of coalescence", 0.0)
     consolidation: CaseInput = RATE("rate at which porosity falls", example="0.005 1/s")
     porosity: CaseInput = PART("porosity of the first granules")
-    least_porosity: CaseInput = PART("least porosity of granules")
+    least_porosity: CaseInput = PART("smallest porosity of granules")
     reference_speed: CaseInput = SPEED(
         "speed to which both rates refer", range=POSITIVE, example="8 m/s"
     )
@@ -82,8 +82,8 @@ class Granulation(Timed):
     reacts = False
     symbols = (
         ("N", "number of granules"),
-        ("V", "volume of their solids"),
-        ("M₂", "sum of its squares"),
+        ("V", "volume of the solids of all granules"),
+        ("M₂", "sum of the squares of the solids' volumes"),
         ("ε", "porosity of a granule"),
         ("s", "saturation of its pores"),
         ("w", "granulation liquid per solids"),
