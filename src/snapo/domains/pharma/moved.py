@@ -1,6 +1,7 @@
-"""A process without a policy, calculated at other inputs for the live page.
+"""A process without a policy, computed at other inputs for the live page.
 
-Every number is bit for bit that of a run of the moved case: the same functions on the same draws.
+Every number is bit for bit that of a run of the changed case, because the same functions use the
+same draws.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

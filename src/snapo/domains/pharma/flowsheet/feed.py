@@ -17,7 +17,7 @@ class Feed(TableRecord):
     """Material that enters: amounts of one batch, or of `duration` seconds of a continuous run.
 
     - `concentration`: kmol/m3, index [S], labels are the species.
-    - `duration`: over which a continuous unit takes it in; None for a batch.
+    - `duration`: the time over which a continuous unit takes it in; None for a batch.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Feed(TableRecord):
 
 
 def feed(record: Feed, inputs: dict[str, Any]) -> Stream:
-    """The material of a feed."""
+    """The stream of a feed."""
     volume = use(inputs, record.volume)
     species = use(inputs, record.concentration) * volume
     solvent = use(inputs, record.solvent) * volume

@@ -1,4 +1,4 @@
-"""Impossible values of a measure, which equations give if their assumptions fail."""
+"""Impossible values of a measure, which result if the assumptions of an equation fail."""
 
 import math
 
@@ -21,7 +21,7 @@ def smallest(measure: str) -> float:
 
 
 def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
-    """The first measure with a value that cannot be, as text; "" if there is none."""
+    """A sentence on the first measure with an impossible value; "" if there is none."""
     units = {
         f"{unit.name}.{name}": measured
         for unit in case.units
