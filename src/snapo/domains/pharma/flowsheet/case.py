@@ -42,7 +42,8 @@ class Connection:
 class Flowsheet:
     """The flowsheet, and the integration over time.
 
-    - `units`: in the order in which material flows. `measures`: the names of the requested ones.
+    - `units`: in the order in which material flows. `measures`: the names of the requested
+      measures.
     """
 
     network: FlowNetwork

@@ -1,6 +1,4 @@
-"""A unit over its time as the integrator sees it: an initial value problem, and how it is
-integrated.
-"""
+"""A unit over its time as an initial value problem, and how it is integrated."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -22,9 +20,9 @@ class Numerics:
 
     - `method`: "mesh", fixed steps between the breaks at events and profile nodes, or "adaptive",
       error-controlled to `tolerance` (relative; the absolute tolerance is for scaled states).
-    - `steps`: fixed steps for each unit and interval between breaks; `open`: whether more steps are
-      taken if the nominal batch needs them. `refine`: whether the run repeats value and gradient
-      with twice as many steps and reports the difference.
+    - `steps`: fixed steps for each unit and interval between breaks; `open`: whether the number of
+      steps is increased if the nominal batch needs more. `refine`: whether the run repeats value
+      and gradient with twice as many steps and reports the difference.
     - `max_steps`: the maximum of the adaptive solver, after which the unit's status contains the
       time reached.
     - `along`: whether derivatives on the mesh are computed step by step, which is better for many
