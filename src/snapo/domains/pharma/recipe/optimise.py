@@ -97,8 +97,8 @@ def optimise(process: PharmaProcess, seed: int = 0) -> Optimum:
 def goal_and_room(
     process: PharmaProcess, limits: tuple[AttributeLimit, ...], steep: tuple[Ramp, ...]
 ):
-    """The function from decisions [n] to the goal, the distance to every limit, and the two of
-    every ramp."""
+    """The function from decisions [n] to the goal, the distance to every limit, and two distances
+    for every ramp."""
     case, nominal = process.case, process.nominal_inputs()
     ask = case.optimise
     assert ask is not None

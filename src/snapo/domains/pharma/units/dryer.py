@@ -1,4 +1,4 @@
-"""Falling-rate drying of the cake, in closed form along the temperature profile."""
+"""Drying of the cake at a falling rate, in closed form along the temperature profile."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal

@@ -2,8 +2,8 @@
 
 Filtration at constant pressure is Ruth's equation, dt/dV = Kp V + B. A wash through the cake runs
 at the rate at which filtration ended; a reslurry wash mixes the cake with fresh solvent, which
-dilutes the dissolved species, and filters again. Drying is as on a heated shelf under vacuum, with
-a cake that agitation keeps uniform: at a constant rate, then at a falling one.
+dilutes the dissolved species, and filters again. Drying is as on a heated shelf under vacuum, first
+at a constant rate, then at a falling one; agitation keeps the cake uniform.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Seed: crystals that a crystalliser starts from."""
+"""Seed: the crystals with which a crystalliser starts."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -21,9 +21,9 @@ ROUNDED = 0.01  # moments of crystals of one size, each rounded to three digits,
 
 @dataclass(frozen=True, eq=False)
 class Seed(TableRecord):
-    """Crystals at the start: `loading` with `size`, or `moments`, index [6], in m^k/m3 for k =
-    0..5; the other is None. `size` is the mean by number of a lognormal distribution, and `spread`
-    its standard deviation as a share of the mean; None if all crystals have one size.
+    """Crystals at the start: `loading` with `size`, or `moments`, index [6], in m^k/m3 for k = 0 to
+    5; the other is None. `size` is the mean by number of a lognormal distribution, and `spread` its
+    standard deviation as a share of the mean; None if all crystals have one size.
     """
 
     loading: CaseInput | None = CONCENTRATION("seed per volume", None, example="0.02 kg/m^3")

@@ -1,6 +1,7 @@
-"""Solubility by temperature and anti-solvent, or of a pure crystal in a solvent by NRTL.
+"""Solubility as a function of temperature and anti-solvent, or of a pure crystal in a solvent by
+NRTL.
 
-By NRTL (Renon and Prausnitz 1968) solid and liquid are in equilibrium where ln(x gamma) =
+In the NRTL model (Renon and Prausnitz 1968) solid and liquid are in equilibrium where ln(x gamma) =
 -dH_m / R (1/T - 1/T_m) + dcp / R (T_m / T - 1 - ln(T_m / T)), x being the solute's share by mole.
 With solvents 1 and 2 and the solute 0,
 
@@ -240,7 +241,7 @@ def constant(read: Reader, key: str, name: str, which: str) -> float:
 
 
 def _apart(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns off the diagonal, row by row."""
+    """The row and column numbers of all entries off the diagonal, row by row."""
     rows, columns = np.nonzero(~np.eye(count, dtype=bool))
     return rows, columns
 
@@ -275,7 +276,7 @@ class Solubility(TableRecord):
     - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K minus `zero`
       (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
     - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)).
-    - "nrtl": that of a `mixture` in equilibrium with the pure crystal.
+    - "nrtl": the solubility in a `mixture` in equilibrium with the pure crystal.
     - `antisolvent`: (b1, b2), index [2] or [0]: b1 w + b2 w^2 is added to ln c*, where w is the
       mass fraction of anti-solvent in the liquid without solute.
     """
