@@ -36,7 +36,7 @@ def every_entry(inputs: Mapping[str, Any]) -> tuple[Entry, ...]:
 
 
 def use(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> Array:
-    """The numbers as they are used: those of the input, or the fixed ones, at `given.index`."""
+    """The numbers for the computation: those of the input, or the fixed ones, at `given.index`."""
     if values.name in inputs:
         value = inputs[values.name]
     elif _held(values).size:
