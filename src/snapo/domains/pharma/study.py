@@ -137,7 +137,7 @@ def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
 
 
 def kept_limits(measured: PathTotals) -> Sequence[LiveTable]:
-    """Every attribute with its limits, and how often batches keep them under the policy."""
+    """Every attribute with its limits, and how often batches meet these under the policy."""
     case: PharmaCase = measured.setup.case
     names = [f"attribute.{x.name}" for x in case.attributes]
     values = np.stack([np.asarray(measured.totals[name], np.float64) for name in names], -1)

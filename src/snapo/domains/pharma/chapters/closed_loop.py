@@ -305,7 +305,7 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
     ]
     head = [("", ""), ("All limits met", "%"), ("", ""), ("Policy minus rule", "%"), ("", ""),
             ("Recipe minus rule", "%"), ("", "")]  # fmt: skip
-    local = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
+    local = ("Rule", "Measured", "Gain, units of the computation", "Integral time, min")
     return [
         Table(head, shares, "Rules on the same batches, paired differences"),
         Table([(name, "") for name in local], settings, "Settings of the rules", 2),

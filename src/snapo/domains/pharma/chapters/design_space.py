@@ -271,7 +271,7 @@ def _contours(
 
 
 def _labels(axes: "Axes", drawn: Any) -> None:
-    """The level of each contour where the other labels are farthest away, off the edges."""
+    """Labels with the level of each contour, far from the other labels and from the edges."""
     x, y = (np.array(endpoints) for endpoints in (axes.get_xlim(), axes.get_ylim()))
     corner, size = np.array([x[0], y[0]]), np.array([np.ptp(x), np.ptp(y)])
     taken: list[np.ndarray] = []

@@ -64,7 +64,7 @@ class Validation:
 def validate(
     process: "PharmaProcess", estimation: Estimation, fit: ParameterFit
 ) -> Validation | None:
-    """The batches that were held out; None if there are none."""
+    """The test of the fit on the batches that were held out of it; None if there are none."""
     if not estimation.held_out:
         return None
     model = model_of(process, estimation, estimation.held_out)
@@ -105,8 +105,9 @@ def validate(
 class Estimates(ParameterFit):
     """A fit with the further entries of its report.
 
-    - `measured_own`, `fitted_own`: in the case's units, of `state`s in `state_unit`s at `time` of
-      an `experiment`. `start`: the case's numbers; `units`, `scales`: of the fitted numbers.
+    - `measured_own`, `fitted_own`: measured and fitted values of a `state` at a `time` of an
+      `experiment`, in the case's unit `state_unit`. `start`: the case's numbers; `units`, `scales`:
+      the units of the fitted numbers and their conversion.
     - `level`: the level of the intervals; `errors`: whether the errors of the measurements are
       "known" or "relative".
     """
@@ -156,7 +157,7 @@ def estimates(process: PharmaProcess) -> Estimates:
 
 
 def not_handed_on(result: ParameterFit) -> list[str]:
-    """The reason why the numbers of a fit are not handed on with their covariance, in sentences."""
+    """Sentences on why the numbers of a fit cannot be used in other runs with their covariance."""
     reasons = [] if result.converged else [f"The fit did not converge: {result.message}."]
     reasons += [f"{text[:1].upper()}{text[1:]}." for text in result.unidentified]
     for name, bound in zip(result.names, result.at_bound):
@@ -170,7 +171,8 @@ def not_handed_on(result: ParameterFit) -> list[str]:
         listed = ", ".join(f"{name} {x:.6g}" for name, x in zip(result.names, numbers))
         reasons.append(
             f"Other numbers, far from the fitted ones, fit as well (chi² {size:.4g}): {listed}, in "
-            "the units of the domain. Narrower bounds, or further data, would exclude one of them."
+            "the units of the computation. Narrower bounds, or further data, would exclude one of "
+            "them."
         )
     return reasons
 

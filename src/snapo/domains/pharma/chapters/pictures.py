@@ -89,7 +89,8 @@ def curves(
 
 
 def minutes_below(*panels: "Axes") -> None:
-    """The time under every panel: those that share an axis show it only under the last."""
+    """Labels for the time under every panel; panels that share an axis would show it only under the
+    last."""
 
     for axes in panels:
         axes.tick_params(axis="x", labelbottom=True)

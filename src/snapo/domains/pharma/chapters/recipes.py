@@ -63,8 +63,8 @@ TRAINED = Part(TRAINING.name, train_policy, (RECIPES.name,))
 class TunedRule:
     """PI controllers; `gains_own` in the units of the domain, `times` in s.
 
-    - `table`, `setpoints`, `gains`, `wires`: of the policy. `sensors`, `of`: the state that
-      each measures, and the input that it moves.
+    - `table`, `setpoints`, `gains`, `wires`: of the policy. `sensors`, `of`: the state that each
+      controller measures, and the input that it moves.
     """
 
     name: str
@@ -86,7 +86,8 @@ class TunedRule:
 
 
 def tune_rules(run: StudyRun) -> tuple[TunedRule, ...]:
-    """Every rule of the case with its first settings, and trained for as long as the policy."""
+    """Every rule of the case twice: with its first settings, and trained for as long as the
+    policy."""
     loop, rows = closed_loop(run), []
     control, plan = loop.case.control, loop.training
     assert control is not None

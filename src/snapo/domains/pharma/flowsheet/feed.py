@@ -25,9 +25,9 @@ class Feed(TableRecord):
     temperature: CaseInput = ABSOLUTE("temperature of the feed")
     concentration: CaseInput
     solvent: CaseInput = UnitQuantity("kg/m3", LIQUID, example="887.6 kg/m^3")(
-        "solvent per volume fed"
+        "mass of solvent per volume fed"
     )
-    duration: float | None = TIME.number("time in which it is fed", None, example="2 h")
+    duration: float | None = TIME.number("time over which it is fed", None, example="2 h")
 
     heading = "`[feeds.NAME]`"
     more_keys: ClassVar = {

@@ -73,7 +73,8 @@ def flow(
 def problem_of(
     sheet: Flowsheet, unit: Timed, inputs: dict[str, Any], endpoints: Mapping[str, Array]
 ) -> Dynamics:
-    """A unit's initial value problem, once the timed units before it have come to their ends."""
+    """A unit's initial value problem, after the timed units before it were integrated to their
+    ends."""
     before = sheet.units[: [item.name for item in sheet.units].index(unit.name)]
     streams = _through(sheet, before, inputs, False, endpoints).streams
     values = tuple(streams[name] for name in sources(sheet)[unit.name])

@@ -1,9 +1,9 @@
-"""The time loops of many batches on the native engine: lanes are batches, steps those of the mesh.
+"""The time loops of many batches on the native engine: a lane is a batch, a step one of the mesh.
 
 Everything between the units is algebra, which XLA computes for many batches in parallel. The
-expensive part, a unit's steps, is one kernel: one step at a time, and the schedule of all.
-Derivatives are propagated forward with the values; a unit computes only those with respect to
-numbers that affect it.
+expensive part, the steps of a unit, is one kernel, which has the program of a step and the schedule
+of all steps. Derivatives are propagated forward with the values; a unit computes only those with
+respect to numbers that affect it.
 """
 
 from collections.abc import Callable, Sequence

@@ -123,8 +123,8 @@ def in_case_unit(item: Parameter, value):
 
 @dataclass(frozen=True, eq=False)
 class LargestBox:
-    """A box inside the design space, in the case's units, [axes] each; `volume`: share of the
-    map."""
+    """A box inside the design space, from `low` to `high` [axes] in the case's units; `volume`: its
+    share of the map."""
 
     low: Floats
     high: Floats

@@ -108,9 +108,8 @@ RangePoints = list[tuple[Parameter, float]]  # [n] (parameter, value in the doma
 def proven_ranges(
     process: "PharmaProcess", required: float, samples: int, seed: int
 ) -> list[ProvenRange]:
-    """Both ranges of every parameter.
-
-    A parameter with a distribution varies about each point of its probable range.
+    """Both proven ranges of every parameter. A parameter with a distribution varies about each
+    point of its probable range.
     """
     case: PharmaCase = process.case
     nominally, probably = goods(process, required, samples, seed)

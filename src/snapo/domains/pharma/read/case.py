@@ -145,8 +145,8 @@ def read_case(path: str | Path) -> PharmaCase:
 
 
 def without_checks(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables of a case whose numbers are moved: with normal ranges as wide as what was studied,
-    and without measured batches. No value depends on either."""
+    """The tables of a case whose numbers are moved: with normal ranges as wide as the studied
+    ranges, and without measured batches. No value depends on either."""
     data = {key: table for key, table in data.items() if key != "estimation"}
     parameters = data.get("parameters")
     if isinstance(parameters, list):

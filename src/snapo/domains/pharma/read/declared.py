@@ -40,7 +40,7 @@ from .reader import Reader, TextKey
 
 @dataclass(frozen=True)
 class UnitQuantity(Quantity):
-    """A number with its unit, "30 min": called with a meaning it makes a field of a record.
+    """A number with its unit, such as "30 min"; a call with a meaning makes a field of a record.
 
     - `example`: a value as text. `alias`: the key, if it differs from the name of the field.
     - `form` of the field: an input, a profile over time, or a constant number.

@@ -22,7 +22,8 @@ class EntryNumbers(NamedTuple):
     network: FlowNetwork
 
     def unit(self, name: str, entry: int) -> str:
-        """The domain's unit of one entry: powers and rate constants have units of their own."""
+        """The domain's unit of one entry; the entries of powers and rate constants may have
+        different units."""
         unit = self.givens[name].unit
         if unit == "(m3/kmol)^(order-1)/s":
             return prefactor_unit(self.network.order[entry].sum())

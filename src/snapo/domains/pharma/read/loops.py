@@ -40,7 +40,7 @@ class LoopTable(CaseTable):
         "state that the loop controls", allowed="the state of one of [[control.measurements]]"
     )
     setpoint: Any = doc(
-        "setpoint over the time",
+        "setpoint over the unit's time",
         None,
         'quantities, evenly spaced over the time, such as ["20 g/L", "9 g/L"]',
     )

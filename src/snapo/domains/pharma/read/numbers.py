@@ -1,5 +1,5 @@
-"""From the raw value of a key to numbers in the domain's units: quantities, lists, profiles; and
-names that a user gives: of species, feeds, units and ports.
+"""Raw values of keys become numbers in the domain's units: quantities, lists and profiles. Also
+checks the names of species, feeds, units and ports.
 """
 
 import math

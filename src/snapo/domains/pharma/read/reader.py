@@ -28,12 +28,12 @@ def quantity(meaning: str, subject: str, default: Any = ...) -> Any:
 def whole(
     meaning: str, low: int, high: float = math.inf, default: Any = ..., note: str = ""
 ) -> Any:
-    """A field for a whole number of a range."""
+    """A field for a whole number in a range."""
     return within(meaning, Range(low, high, note=note, noun="a whole number"), default)
 
 
 def within(meaning: str, bounds: Range, default: Any = ...) -> Any:
-    """A field for a number of a range, which its type does not repeat."""
+    """A field for a number in a range; the type of the field does not repeat the range."""
     low, high = bounds.endpoints
     limits = {
         "gt" if low == "(" else "ge": bounds.low,

@@ -1,7 +1,7 @@
 """The tables of a pharma case of the TOML file, each key with its meaning.
 
-A quantity is any value here: whether its number and unit are right is decided by `numbers`. Tables
-of units are those of the unit operations.
+Here a quantity may have any value; `numbers` checks its number and its unit. Tables of units are
+those of the unit operations.
 """
 
 from typing import Annotated, Any, Literal

@@ -53,7 +53,7 @@ class Numerics:
     held: Mapping[str, np.ndarray] = field(default_factory=dict, hash=False)
 
     def finer(self) -> "Numerics":
-        """Twice as many steps on the mesh; with error control, a tenth of the tolerance."""
+        """The method with twice as many steps on the mesh, or with a tenth of the tolerance."""
         if self.method == "adaptive":
             return replace(self, tolerance=self.tolerance / 10, max_steps=2 * self.max_steps)
         held = {

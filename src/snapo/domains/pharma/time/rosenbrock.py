@@ -24,7 +24,7 @@ WRITTEN_OUT = 24  # unknowns above which LAPACK factorises, which the native eng
 
 
 class LUFactors(NamedTuple):
-    """A matrix [m, m], ready to be solved with: its inverse, or LAPACK's factors and pivots."""
+    """A matrix [m, m] in a form for solving: its inverse, or LAPACK's factors and pivots."""
 
     table: Float[Array, "m m"]
     pivots: Array | None

@@ -195,8 +195,8 @@ NEGATIVE = 0.05  # of the largest density: so far below zero a time step was uns
 def by_finite_volumes(
     edges: np.ndarray, seed: Float[Array, " N"], fed: Float[Array, " N"] | None = None
 ) -> Population:
-    """The state: crystals in each cell, NUMBER per m3. `edges`: [N + 1] m; `seed`, `fed`: initial
-    ones."""
+    """The population by finite volumes. The state: crystals in each cell, NUMBER per m3. `edges`:
+    [N + 1] m; `seed`, `fed`: the crystals of seed and feed at the start."""
     edges = edges / SIZE
     powers = fixed(cell_powers(edges))
     width = fixed(np.diff(edges))

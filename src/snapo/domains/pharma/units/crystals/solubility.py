@@ -114,7 +114,7 @@ class Mixture(TableRecord):
         "0 J/mol/K",
         alias="heat_capacity_change",
     )
-    density: CaseInput = CONCENTRATION("solvent per volume of solution", example="789 kg/m^3")
+    density: CaseInput = CONCENTRATION("mass of solvent per volume of solution", example="789 kg/m^3")
     a: CaseInput
     b: CaseInput
     alpha: CaseInput
