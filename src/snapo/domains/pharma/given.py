@@ -1,8 +1,8 @@
 """The numbers of a case where they are used, and the form of records without these numbers.
 
-A formed record has no numbers of inputs, so that traced code can read one only as an argument: two
-records of equal forms are the same program. Every other number is part of the form (a grid, an
-order, a limit, and inputs that a case holds fixed): it is compiled in.
+A formed record has no numbers of inputs, so traced code can read them only as arguments: two
+records of equal form are the same program. Every other number (a grid, an order, a limit, and
+inputs that a case holds fixed) is part of the form and is compiled into the program.
 """
 
 from collections.abc import Collection, Hashable, Mapping
@@ -20,7 +20,7 @@ Formed = TypeVar("Formed")
 
 @dataclass(frozen=True, eq=False)
 class InputUse:
-    """Where the numbers of a `CaseInput` are used; `values`: the numbers if not an input."""
+    """How the numbers of a `CaseInput` are used; `values`: the numbers if they are not an input."""
 
     name: str
     index: np.ndarray

@@ -1,1 +1,2 @@
-"""The questions to a process: the measure, its record, and its section of the report."""
+"""One module for each question about a process: its computation, record and section of the
+report."""

@@ -170,7 +170,7 @@ class UnitEffect:
 
 @dataclass(frozen=True)
 class Attributions:
-    """Every sensitivity by path; `closure`: how far the paths are from adding up to the matrix."""
+    """Every sensitivity by path; `closure`: the gap between the sums of paths and the matrix."""
 
     closure: Number
     paths: tuple[PathShare, ...]
@@ -242,7 +242,7 @@ class ProfileSlopes:
 
 
 def profile_slopes(case: PharmaCase) -> tuple[ProfileSlopes, ...]:
-    """One adjoint for each attribute.
+    """One adjoint pass for each attribute.
 
     The profile is computed with many nodes; the derivative with respect to a node is divided by the
     time that the node represents.

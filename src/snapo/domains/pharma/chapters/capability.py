@@ -33,7 +33,7 @@ class StatisticsMesh:
 
 
 def choose_mesh(run: StudyRun) -> StatisticsMesh:
-    """The mesh, and the process on it for the parts to come."""
+    """The mesh for statistics, and the process on this mesh for the following parts."""
     loop = open_loop(run)
     loop.coarse, entries = sampler(loop.process)
     return StatisticsMesh(**entries)

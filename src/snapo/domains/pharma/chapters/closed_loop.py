@@ -35,7 +35,7 @@ SIGNIFICANT = 2.0  # standard errors from which one of two counts as better
 
 @dataclass(frozen=True)
 class KeptShares:
-    """Shares of batches that keep all limits, with standard errors, on the same batches.
+    """Shares of batches that meet all limits, with standard errors, on the same batches.
 
     - `value`: the share under the policy; `baseline`: the share under the best fixed recipe;
       `gain`: their difference; `given`: the share under the recipe of the case. `better`: "policy",
@@ -162,7 +162,8 @@ def _mean(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
 
 
 def better(gain: float, error: float) -> str:
-    """The one that meets all limits more often on the same batches: "policy", "recipe", or ""."""
+    """Which of the two meets all limits more often on the same batches: "policy", "recipe", or
+    ""."""
     if abs(gain) <= SIGNIFICANT * error:
         return ""
     return "policy" if gain > 0 else "recipe"

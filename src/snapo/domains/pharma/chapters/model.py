@@ -50,7 +50,7 @@ class AttributeStatement:
 
     @property
     def limited(self) -> bool:
-        """Whether it has a limit."""
+        """Whether the attribute has a limit."""
         return self.low is not None or self.high is not None
 
     @property
@@ -60,7 +60,7 @@ class AttributeStatement:
 
     @property
     def limits(self) -> str:
-        """ "70 to 100 um", "at most 720 ppm"."""
+        """The limits as text, such as "70 to 100 um" or "at most 720 ppm"."""
         unit = "" if self.unit == "1" else self.unit
         if self.low is not None and self.high is not None:
             return f"{quantity(self.low, '')} to {quantity(self.high, unit)}"
@@ -139,7 +139,7 @@ class NumberStatement:
 
 @dataclass(frozen=True)
 class NumericsStatement:
-    """The method in time, its steps per piece, and its tolerance."""
+    """The method of integration over time, its steps per piece, and its tolerance."""
 
     method: str
     steps: int

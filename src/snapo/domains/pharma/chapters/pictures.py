@@ -24,7 +24,8 @@ def heat(
     columns,
     full: np.ndarray,
 ) -> None:
-    """Cells coloured by sign and size, each with its number; `full` is each row's deepest size."""
+    """Cells coloured by sign and size, each with its number; `full` is the size with the deepest
+    colour in each row."""
     from matplotlib.patches import Rectangle
 
     for q in range(len(rows)):

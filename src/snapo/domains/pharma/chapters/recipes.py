@@ -31,7 +31,7 @@ class RecipeLogits:
 
 
 def tune(run: StudyRun) -> RecipeLogits:
-    """Recipes from several starts."""
+    """Trains recipes from several starting points."""
     loop = closed_loop(run)
     recipes = best_recipe(
         loop.problem, loop.loop.baseline, loop.training, loop.engines, run.progress
@@ -47,7 +47,7 @@ def recipe(run: StudyRun, name: str) -> Feedback:
 
 
 def train_policy(run: StudyRun) -> dict[str, Any]:
-    """The policy starts from the first recipe."""
+    """Trains the policy, which starts from the first recipe."""
     closed_loop(run).first = recipe(run, "first")
     return train(run)
 

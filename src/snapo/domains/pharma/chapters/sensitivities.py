@@ -34,7 +34,7 @@ SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a sepa
 class SensitivityMatrix:
     """Q attributes by P parameters in three forms, as `MatrixForms`, and the parameters by rank.
 
-    - `mode`, `reason`, `passes`: how it was differentiated; `values` [Q]: the values of the
+    - `mode`, `reason`, `passes`: how the derivatives were computed; `values` [Q]: the values of the
       attributes.
     - `varied` [Q, V]: with respect to all numbers that differ from batch to batch, per unit of the
       computation.
@@ -89,7 +89,7 @@ class CriticalityTable:
     """[Q, P]: half the `change` of an attribute as a parameter goes from the lower to the upper end
     of its normal range, by the nominal model, in the attribute's unit.
 
-    - `low`, `high`: 5 % and 95 % of it over the variation that the case states.
+    - `low`, `high`: its 5 % and 95 % quantiles over the variation that the case states.
     - `share`, `share_low`, `share_high`: the size of the change, as a share of the distance to the
       nearest limit at the set point; NaN without a limit, infinite on or beyond it.
     - `draws`: the draws of the variation.

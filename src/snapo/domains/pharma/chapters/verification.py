@@ -35,16 +35,16 @@ CLOSED = 1e-10  # relative gap of a balance
 
 @dataclass(frozen=True)
 class Balance:
-    """`relative`: (inflow + made - outflow - accumulation) divided by the largest of these; 0 if
-    all are 0.
+    """One balance of one batch.
 
-    Material that has not entered a unit counts as accumulation. It cannot be negative, so the
-    balance of a unit that takes more than its feed does not close.
-
-    The balances of one batch. "mass" is in kg, a species in kmol: `inflow` includes seed, and
-    `made` is by reactions, negative if they use it (for mass, the error of rounded molar masses).
-    "solvent" is in kg, with anti-solvent and wash liquid. "energy" is in J, the sensible heat above
-    0 K plus the latent heat of vapour; `inflow` includes the heat of reaction.
+    - `quantity`: "mass" in kg, or a species in kmol: `inflow` includes seed, and `made` is by
+      reactions, negative if they use it (for mass, the error of rounded molar masses). "solvent" is
+      in kg, with anti-solvent and wash liquid. "energy" is in J, the sensible heat above 0 K plus
+      the latent heat of vapour; `inflow` includes the heat of reaction.
+    - `accumulation`: includes material that has not entered the unit. This cannot be negative, so
+      the balance of a unit that takes more than its feed does not close.
+    - `relative`: (inflow + made - outflow - accumulation) divided by the largest of these; 0 if all
+      are 0.
     """
 
     unit: str

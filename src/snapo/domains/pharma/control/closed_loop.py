@@ -92,7 +92,7 @@ def stages_of(case: PharmaCase) -> list[Stage]:
 
 @dataclass(frozen=True)
 class NextStage:
-    """From the end of one stage to the beginning of the next."""
+    """The transition from the end of one stage to the beginning of the next."""
 
     before: Stage
     after: Stage
@@ -134,7 +134,7 @@ STARTS, SPREAD = 3, 0.3  # recipes that tuning starts from: the case's own, and 
 
 
 def objective(case: PharmaCase) -> Objective:
-    """The objective of `[goal]`, of the totals "success", "violation" and "attribute.NAME"."""
+    """The objective of `[goal]`, made of the totals "success", "violation" and "attribute.NAME"."""
     goal: Goal = case.goal
     if goal.kind == "probability":
         return Mean("success") - SHORTFALL * Mean("violation")
@@ -221,7 +221,7 @@ class ClosedLoop:
         return {}
 
     def setup(self) -> Setup:
-        """The policy starts from the first recipe, once that exists."""
+        """The setup for training; the policy starts from the first recipe, after that was tuned."""
         available = self.first is not None
         if available not in self._setups:
             policy = (self.first or self.loop.baseline).closed()

@@ -82,7 +82,7 @@ class Control:
 
     - `steps`: decisions per unit, by name; other units run in open loop with the numbers of the
       case. `substeps`: fixed integration steps within one decision, at most 64.
-    - `solubility_margin`: maximum relative supersaturation, as a path constraint; or None.
+    - `solubility_margin`: the maximum relative supersaturation as a path constraint, or None.
     - `rules`: controllers to compare with the policy, on the same batches.
     """
 

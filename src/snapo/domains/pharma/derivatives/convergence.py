@@ -43,7 +43,7 @@ def finer_cells(process: PharmaProcess) -> PharmaProcess | None:
 
 
 def on_finer_cells(process: PharmaProcess, inputs=None) -> tuple[Cells, ...]:
-    """Every attribute; () if no unit has cells."""
+    """The test of every attribute; () if no unit has cells."""
     finer = finer_cells(process)
     if finer is None:
         return ()
@@ -58,7 +58,7 @@ def on_finer_cells(process: PharmaProcess, inputs=None) -> tuple[Cells, ...]:
 
 
 def allowed(attribute: Attribute, value: float) -> float:
-    """The allowed change of an attribute with the cells."""
+    """The change of an attribute with the number of cells that is allowed."""
     limited = attribute.low is not None or attribute.high is not None
     return attribute.margin if limited or value == 0 else SMALL * abs(value)
 

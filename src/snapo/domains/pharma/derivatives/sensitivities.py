@@ -138,7 +138,8 @@ def spread(case: PharmaCase, jacobian: np.ndarray) -> Spread:
 
 
 def source_names(case: PharmaCase) -> tuple[str, ...]:
-    """[V] `all_entries(case)` as text: a parameter by its name, a number with its label."""
+    """[V] The names of `all_entries(case)`: the name of a parameter, or of a number with its
+    label."""
     names = {(parameter.input, parameter.entry): parameter.name for parameter in case.parameters}
     return tuple(names.get(entry) or entry_name(case, *entry) for entry in all_entries(case))
 

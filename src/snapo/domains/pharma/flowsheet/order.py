@@ -26,7 +26,8 @@ class Group(NamedTuple):
 
 
 def ancestors(units: Sequence[Unit], connections: Sequence[Connection]) -> dict[str, set[str]]:
-    """{unit: every unit that material passes on its way to it, itself included}."""
+    """{unit: every unit that material passes before it leaves this unit, including the unit
+    itself}."""
     table = {unit.name: {unit.name} for unit in units}
     moved = True
     while moved:

@@ -39,7 +39,8 @@ class ProcessRun(NamedTuple):
     - `status`: "ok"; or "unit: did not converge at t s", with the error estimate of a held step
       that it refuses; "unit: the steps are too long …"; or the measure whose value is impossible.
     - `errors`: {unit on held steps: the largest error estimate of a step, relative}.
-    - `loops`: {units of a loop, as text: (relative change in one more turn, rounds of Newton)}.
+    - `loops`: {units of a loop, as text: (relative change in one more iteration, rounds of Newton's
+      method)}.
     - `ledgers`: {unit: the terms of its balance other than its streams}.
     """
 
@@ -54,7 +55,8 @@ class ProcessRun(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Many batches: `values` [N, Q], `jacobian` [N, Q, E] or None, `ok` [N] whether all finite."""
+    """Many batches: `values` [N, Q], `jacobian` [N, Q, E] or None, `ok` [N] whether all numbers are
+    finite."""
 
     values: np.ndarray
     jacobian: np.ndarray | None

@@ -131,7 +131,7 @@ def blank(species: int, sizes: Sizes) -> Stream:
 
 
 def flat(stream: Stream) -> Float[Array, " K"]:
-    """The stream as one vector, fields in order; `unflat` undoes it."""
+    """The stream as one vector with the fields in order; `unflat` reverses this."""
     return jax.flatten_util.ravel_pytree(stream)[0]
 
 
@@ -165,7 +165,7 @@ def ledger(species: int, **entries: Any) -> Ledger:
 
 
 class LedgerFinish(NamedTuple):
-    """The delivery of a unit: its outlets in order, its measures and ledger."""
+    """The results of a unit: its outlets in order, its measures and its ledger."""
 
     outlets: tuple[Stream, ...]
     measures: dict[str, Array]

@@ -1,7 +1,7 @@
 """The boundary of the design space, with an interval, along the lines of its map.
 
 Every point of the map uses the same draws. Between two points the distance of each draw from each
-limit is interpolated linearly, so that the share of the draws that keep all limits is known at any
+limit is interpolated linearly, so that the share of the draws that meet all limits is known at any
 position on a line, to second order in the map's spacing. The boundary is where that share falls
 below the required probability. A position belongs to the boundary's 95 % interval if Wilson's
 interval of the share there contains the required probability; this inverts a test of the share
@@ -49,7 +49,7 @@ FAR = 1e6  # margins: of a draw without a finite result, and of an attribute wit
 
 @dataclass(frozen=True)
 class Boundary:
-    """One place at which the design space ends.
+    """One position at which the design space ends.
 
     - `axis`: number of the axis along which the line runs; `at`: number of the grid point on every
       axis, -1 on the axis of the line; `side`: -1 if the space ends towards low values, +1 towards

@@ -25,8 +25,9 @@ ROUND_OFF = 1e-12  # of the mean: a smaller deviation counts as zero
 class Capability:
     """Statistics of n fresh batches at the set point; every array is [Q].
 
-    - `cpk`: min(high - mean, mean - low) / (3 deviation), which assumes a normal attribute;
-      NaN without a limit. `sigmas`: the distance to the edge of failure in deviations, 3 Cpk.
+    - `cpk`: min(high - mean, mean - low) / (3 deviation), which assumes a normal attribute; NaN
+      without a limit. `sigmas`: the distance to the nearest limit in standard deviations, which is
+      3 Cpk.
     - `outside`: share of batches beyond the limits, with its standard error `error`.
     - `quantiles`: [Q, 3] 1 %, 50 %, 99 %.
     - `joint`: share of batches beyond any limit, and `joint_error`.

@@ -79,7 +79,7 @@ class Uncertainty:
     - `inputs`: [U] names of `CaseInput`s; `entries`: [U] positions; `distributions`: [U].
     - `correlation`: [U, U] of the underlying standard normals.
     - `between`: [U] True for a number that differs between batches (a feed), False for one unknown
-      number (a rate constant); () if only changes within batches differ.
+      number (a rate constant); () if numbers vary only within batches.
     - `when`: [U] "batch" for one draw per batch (kinetics, feed); "step" for a new draw in every
       decision step (a temperature that is not held exactly).
     """
@@ -135,12 +135,12 @@ class Experiment:
 class Estimation:
     """The numbers that are fitted, and the experiments to which they are fitted.
 
-    - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
+    - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] whether the logarithm is fitted.
     - `low`, `high`: [P] bounds in the domain's unit.
     - `level`: the level of the confidence intervals. `units`, `scales`: [P] units of the case and
       their conversion, see `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
-    - `errors`: "known" as standard deviations, or "relative", up to a common factor.
+    - `errors`: "known" if they are standard deviations, or "relative", up to a common factor.
     - `starts`: points from which the search begins, the case's first.
     """
 

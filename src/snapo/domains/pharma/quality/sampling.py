@@ -13,7 +13,7 @@ COARSER, ENOUGH = 4, 0.01  # times larger steps, where attributes move by less t
 
 
 def on_steps(process: PharmaProcess, steps: int) -> PharmaProcess:
-    """The same process with as many steps per piece."""
+    """The same process with this number of steps per piece."""
     case = process.case
     if steps == case.numerics.steps:
         return process

@@ -1,5 +1,5 @@
-"""Reads species, reactions, feeds and connections. A reaction must conserve mass; every inlet is
-fed once, no outlet used twice, and the order is known.
+"""Reads species, reactions, feeds and connections. A reaction must conserve mass; every inlet must
+be fed once, and no outlet used twice. Units are put in the order of the flow.
 """
 
 import re
@@ -203,7 +203,7 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
 def read_connections(
     file, raw: list[dict], feeds: Sequence[Feed], units: Sequence[Unit]
 ) -> tuple[Connection, ...]:
-    """`[[connections]]`, each checked against the ports that there are."""
+    """`[[connections]]`, checked against the existing ports."""
     by_name = {unit.name: unit for unit in units}
     for feed in feeds:
         if feed.name in by_name:

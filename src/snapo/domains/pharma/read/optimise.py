@@ -148,7 +148,7 @@ def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[
 
 
 def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
-    """`[goal]`: the probability of keeping all limits, or the mean or tail of an attribute."""
+    """`[goal]`: the probability of meeting all limits, or the mean or the tail of an attribute."""
     table = parse(GoalTable, raw, str(file), "goal")
     section = TableContext(file, "goal", [])
     names = [attribute.name for attribute in attributes]
@@ -168,7 +168,7 @@ def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
 def read_design_space(
     file, raw: dict | None, parameters: Sequence[Parameter], attributes: Sequence[Attribute]
 ) -> DesignSpace | None:
-    """`[design_space]`: its parameters, its points, and the probability it must keep."""
+    """`[design_space]`: its parameters, its points, and the required probability."""
     if raw is None:
         return None
     section = TableContext(file, "design_space", [])

@@ -1,6 +1,6 @@
-"""Quantities with units: a user's text, "40 degC", becomes a number in the domain's unit.
+"""Quantities with units: a text such as "40 degC" becomes a number in the domain's unit.
 
-A text is taken apart here and only the name of its unit goes to pint, so nothing in a case is ever
+A text is split here, and only the name of its unit is passed to pint, so nothing in a case is ever
 evaluated. The domain's units are written as in `records`: "kmol/m3", "1/s", "1".
 """
 
@@ -66,7 +66,7 @@ EXACT = 1e-9  # exponents of dimensions that differ only by round-off are the sa
 
 
 class UnitError(ValueError):
-    """A unit that does not exist, or of another dimension; the message is a clause."""
+    """A unit that does not exist, or has another dimension; the message is a clause."""
 
 
 class Conversion(NamedTuple):
@@ -104,7 +104,7 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
 
 
 def by_pint(unit: str, target: str, difference: bool = False) -> Conversion:
-    """`conversion` of any unit, by a library that takes as long to load as all the rest."""
+    """`conversion` of any unit by pint, which takes as long to load as everything else together."""
     domain = _parse(target)
     local = _exact(_parse(unit), domain)
     if _gaps(local, domain):

@@ -70,7 +70,7 @@ class Reader(NamedTuple):
         return name
 
     def ports(self, key: str) -> tuple[str, ...]:
-        """Names of ports, each once."""
+        """Names of ports, without repetition."""
         names = getattr(self.table, key)
         for i, name in enumerate(names):
             check_name(self.section, key, name)
@@ -86,7 +86,8 @@ class Reader(NamedTuple):
         return Reader(section, f"{self.name}.{key}", result, self.raw[key])
 
     def only(self, kinds: tuple[str, ...], keys: tuple[str, ...], needed: bool = False) -> None:
-        """Refuses `keys` unless `kind` is one of `kinds`; if it is, they may be `needed`."""
+        """Refuses `keys` unless `kind` is one of `kinds`; for these kinds the keys may be
+        `needed`."""
         kind = self.table.kind
         for key in keys:
             values = getattr(self.table, key)

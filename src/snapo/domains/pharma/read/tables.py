@@ -1,4 +1,4 @@
-"""The tables of a pharma case of the TOML file, each key with its meaning.
+"""The tables in the TOML file of a pharma case; every key has its meaning.
 
 Here a quantity may have any value; `numbers` checks its number and its unit. Tables of units are
 those of the unit operations.
@@ -252,7 +252,7 @@ class NumericsTable(CaseTable):
 
 
 class PharmaReportTable(ReportTable):
-    """`[report]`: the parts of a run that are wanted, and texts of its page."""
+    """`[report]`: the requested parts of a run, and texts of its page."""
 
     parts: PartNames = names_of_parts("capability")
 

@@ -1,4 +1,5 @@
-"""The best recipe of the nominal model: `[optimise]` of a case, solved with its conditions."""
+"""The best recipe of the nominal model: `[optimise]` of a case, solved with a test of the
+optimality conditions."""
 
 import time
 from typing import NamedTuple

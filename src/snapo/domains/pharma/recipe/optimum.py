@@ -88,7 +88,7 @@ class TracedRecipe:
     """A traceable function of x [n] (and of further arguments) to [K] numbers, compiled once.
 
     A call returns the numbers and their derivative [K, n] with respect to x. The result of the last
-    call is remembered, since optimisers request values and derivatives one after the other.
+    call is stored, since optimisers request values and derivatives one after the other.
     `compiling`: seconds.
     """
 

@@ -1,8 +1,8 @@
 """A stiff unit on held steps, which error control chooses once and which are the same in every run.
 
 With the steps held as shares of the duration, the final state is a fixed composition of smooth maps
-of the inputs, and its derivatives, in any mode and order, are exactly those of the numbers
-computed. The error estimate of every step is computed again in every run, which shows whether the
+of the inputs, and its derivatives, in any mode and order, are exactly those of the computed
+numbers. The error estimate of every step is computed again in every run, which shows whether the
 steps are too long for this run.
 """
 

@@ -130,7 +130,8 @@ class Crystalliser(Timed):
 
     @property
     def error_controlled(self):
-        """The concentration changes while nothing grows, or cells set how long a step may be."""
+        """True if the concentration changes while nothing grows, or if cells limit the length of a
+        step."""
         dissolves = bool(self.kinetics.dissolution.values.any())
         return dissolves or self.dosing is not None or self.edges is not None
 

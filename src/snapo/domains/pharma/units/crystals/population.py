@@ -1,10 +1,10 @@
 """The crystals in a crystalliser: by moments, or by finite volumes over their size.
 
 The moments 0 to 5 are exact where growth does not depend on size: mu_0' = B, and mu_k' = k G
-mu_(k-1) + B L0^k, per m3 of slurry. Crystals that dissolve shrink, but none disappears: this needs
-finite volumes. All crystals grow and shrink by the same length l(t), so a crystal of size L at a
-time s has the size L + l(t) - l(s) at a later time t. If this is below 0, the crystal has
-dissolved; in the moments it remains with a negative size, and grows again with the others.
+mu_(k-1) + B L0^k, per m3 of slurry. Crystals that dissolve shrink, but none disappears; only finite
+volumes can describe that. All crystals grow and shrink by the same length l(t), so a crystal of
+size L at a time s has the size L + l(t) - l(s) at a later time t. If this is below 0, the crystal
+has dissolved; in the moments it remains with a negative size, and grows again with the others.
 
 Finite volumes solve the population balance n_t + (G n)_L = 0 with births B at the smallest size and
 n(L, t) crystals per m3 and m. The state is the number of crystals in each cell of a fixed grid;

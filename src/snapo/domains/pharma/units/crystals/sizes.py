@@ -1,4 +1,4 @@
-"""The cells over size by which crystals are counted, as a case defines them."""
+"""The cells over size in which crystals are counted, as a case defines them."""
 
 import math
 from dataclasses import replace

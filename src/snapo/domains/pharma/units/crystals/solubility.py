@@ -2,8 +2,8 @@
 NRTL.
 
 In the NRTL model (Renon and Prausnitz 1968) solid and liquid are in equilibrium where ln(x gamma) =
--dH_m / R (1/T - 1/T_m) + dcp / R (T_m / T - 1 - ln(T_m / T)), x being the solute's share by mole.
-With solvents 1 and 2 and the solute 0,
+-dH_m / R (1/T - 1/T_m) + dcp / R (T_m / T - 1 - ln(T_m / T)), where x is the solute's share by
+mole. With solvents 1 and 2 and the solute 0,
 
     ln gamma_0 = sum_j tau_j0 G_j0 x_j / S_0
         + sum_j x_j G_0j / S_j (tau_0j - sum_m x_m tau_mj G_mj / S_j),
@@ -114,7 +114,7 @@ class Mixture(TableRecord):
         "0 J/mol/K",
         alias="heat_capacity_change",
     )
-    density: CaseInput = CONCENTRATION("mass of solvent per volume of solution", example="789 kg/m^3")
+    density: CaseInput = CONCENTRATION("mass of solvent per volume", example="789 kg/m^3")
     a: CaseInput
     b: CaseInput
     alpha: CaseInput
