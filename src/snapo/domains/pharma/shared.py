@@ -1,4 +1,4 @@
-"""Shared by the parts of a run: the process of the recipe, and the closed loop."""
+"""Objects that the parts of a run share: the process of the recipe, and the closed loop."""
 
 from dataclasses import dataclass, field
 from functools import cached_property

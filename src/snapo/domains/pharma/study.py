@@ -108,7 +108,8 @@ def about(case: PharmaCase) -> dict[str, Any]:
 
 
 def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
-    """The value is that of the policy, or of the recipe."""
+    """The result of a run; its value is that of the policy, or of the recipe if no policy is
+    trained."""
     batches, loop, best = CAPABILITY.of(run), CLOSED_LOOP.of(run), OPTIMUM.of(run)
     state = status(run)
     entries: dict[str, Any] = {

@@ -23,8 +23,8 @@ class Numerics:
     - `steps`: fixed steps for each unit and interval between breaks; `open`: whether the number of
       steps is increased if the nominal batch needs more. `refine`: whether the run repeats value
       and gradient with twice as many steps and reports the difference.
-    - `max_steps`: the maximum of the adaptive solver, after which the unit's status contains the
-      time reached.
+    - `max_steps`: the maximum number of steps of the adaptive solver; if it is reached, the unit's
+      status contains the time reached.
     - `along`: whether derivatives on the mesh are computed step by step, which is better for many
       batches in parallel, instead of for all steps at once, which is faster for one batch.
     - `own_steps`: whether a run whose held steps are refused gets separate steps in the same trace,

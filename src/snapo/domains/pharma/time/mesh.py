@@ -2,8 +2,8 @@
 
 A fixed mesh converges to the derivatives of the solution only if no step straddles a kink. So the
 mesh is broken at every profile node, and at the event (supersaturation crosses zero), which moves
-with the parameters and is differentiated with them. After the event, growth rises like a fractional
-power of the time since then, so steps shrink towards it on both sides.
+with the parameters; derivatives include this movement. After the event, growth rises like a
+fractional power of the time since then, so steps shrink towards it on both sides.
 """
 
 from math import ceil

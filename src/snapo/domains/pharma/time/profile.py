@@ -35,7 +35,7 @@ def values_in(
     profile: Profile, value: Float[Array, " N"], piece: Int[Array, "..."], share
 ) -> Float[Array, "..."]:
     """The profile at shares of the duration, each in the piece with the number in `piece`. The
-    piece is an argument and is not searched for: at a jump both sides can be requested, and the
+    piece is an argument and is not searched for, so both sides of a jump can be requested, and the
     adjoint with respect to the nodes is a gather.
     """
     if profile.kind == "constant":

@@ -63,7 +63,7 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unit(ABC):
-    """The interface of a unit operation to reading, flowsheet, balances and report.
+    """The interface of a unit operation for reading, flowsheet, balances and report.
 
     - `type`: the value of `type` in the file; `variant`: its `kind`, if the kind selects a class of
       the type, else "". `title`: its name in the report.
