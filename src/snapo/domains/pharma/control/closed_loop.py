@@ -41,8 +41,8 @@ class ControlLoop(NamedTuple):
 
     - `inputs`: {name: Input}. `baseline`: the recipe of the case, as a policy without observations;
       trained, it is the best fixed recipe. `policy`: the same recipe with feedback.
-    - `stages`: in order. `outputs`: names of the attributes' totals. Two further totals: "success"
-      is 1 if all limits are met, and "violation" is the sum of the violations in margins.
+    - `stages`: the stages in order. `outputs`: names of the attributes' totals. Two further totals:
+      "success" is 1 if all limits are met, and "violation" is the sum of the violations in margins.
     """
 
     simulator: Simulator
@@ -182,7 +182,7 @@ def best_recipe(
     ]
     first = max(results, key=lambda item: item[0])[1]
     repeated = replace(training, seed=training.seed + 1)
-    return first, tuned(first, repeated, "best recipe, trained on")[1]
+    return first, tuned(first, repeated, "best recipe, trained further")[1]
 
 
 TOO_LONG = "a step of a process is larger than the native engine supports"

@@ -27,7 +27,8 @@ class LoopConnection(NamedTuple):
     """The connection of one PI controller. An outer loop comes before its inner loop.
 
     - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: indices of the
-      features with its reading and with the applied value of `position`, the number in the action.
+      features that have its reading and the applied value of its control; `position`: the index of
+      this control in the action.
     - `inner`: number of the loop whose setpoint it moves, from `low` to `high` in the reading of
       that loop; -1: it moves the control itself, from 0 to 1.
     """

@@ -165,7 +165,7 @@ class Stage(Simulator):
         return self.delivered(self.unit, problem.finish(state["y"], *endpoints), state)
 
     def delivered(self, unit: Unit, finish: LedgerFinish, state: StageState) -> StageState:
-        """The state with the delivery of a timed unit."""
+        """The state with the outlets and measures of a timed unit."""
         requested = self.flowsheet.measures
         streams = {
             f"{unit.name}.{port}": flat(stream)

@@ -1,7 +1,7 @@
 """The sensitivity matrix in its reported forms: raw, over the normal range, as a share of the
 margin.
 
-Also the criticality of parameters, and the linear share of the variance.
+Also the criticality of parameters, and the shares of sources in the variance, to first order.
 """
 
 from dataclasses import dataclass

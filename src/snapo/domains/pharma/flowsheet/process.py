@@ -64,7 +64,7 @@ class Batch(NamedTuple):
 
 
 class PharmaProcess:
-    """A case with its compiled functions: made once, called often without compiling again.
+    """A case with its compiled functions, which are compiled once and can be called many times.
 
     - `case`: the case, with the steps that it needs. `form`: the form of its flowsheet,
       which is all that the functions are compiled for.

@@ -85,7 +85,7 @@ def quantity(
     basis: str | None = None,
 ) -> float:
     """The number under `key` in the domain's `unit`; see `conversion` for a `difference`. `basis`:
-    the basis of a share, by default that of the key's name."""
+    the basis of a share, by default the basis that belongs to the name of the key."""
     number, name = _split(section, key, raw, unit)
     try:
         if unit in PURE:

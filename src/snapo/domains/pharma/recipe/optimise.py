@@ -65,8 +65,8 @@ class Optimum(NamedTuple):
 def optimise(process: PharmaProcess, seed: int = 0) -> Optimum:
     """Chooses the decisions of the case's `[optimise]`; all limits are constraints.
 
-    With several starts the result is the best of those that meet the conditions, else the best of
-    all.
+    With several starts the result is the best of those that meet the conditions, or the best of all
+    if none does.
     """
     case = process.case
     ask = case.optimise

@@ -121,7 +121,7 @@ Rate = Callable[[Array, Array], Array]
 
 
 class Push(NamedTuple):
-    """The driving inputs over one step: `at` [6, D] at its `NODES`, `bend` [D] its slope at the
+    """The driving inputs over one step: `at` [6, D] at its `NODES`, `bend` [D] their slope at the
     start, per length of the step."""
 
     at: Float[Array, "6 D"]

@@ -185,7 +185,7 @@ class Crystalliser(Timed):
         )
 
     def population(self, feed: Stream, inputs: dict[str, Any]) -> Population:
-        """Seed, and crystals of the feed, at the start."""
+        """The population at the start, with the seed and the crystals of the feed."""
         shape, density = use(inputs, self.shape), use(inputs, self.density)
         if self.edges is not None:
             seed = seed_numbers(self.seed, inputs, shape, density, self.edges / SIZE)

@@ -18,7 +18,7 @@ class Dissolution(Instant):
     """Dissolution test of the product: shrinking spheres of the counted sizes, or of the size d32.
 
     Dissolved share at `test_time`: 1 - (1 - D Cs t / (rho_s h r))^3, 1 once a sphere is gone; the
-    crystals' density comes with the stream.
+    stream supplies the density of the crystals.
     """
 
     diffusivity: CaseInput = DIFFUSIVITY("diffusivity in the film")

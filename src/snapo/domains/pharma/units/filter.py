@@ -172,7 +172,8 @@ def displacement(ratio, peclet) -> Float[Array, ""]:
 
 
 def scaled_erfc(x) -> Array:
-    """exp(x^2) erfc(x) for x >= 0: directly below 4, by Laplace's continued fraction beyond."""
+    """exp(x^2) erfc(x) for x >= 0, computed directly if x is below 4, otherwise by Laplace's
+    continued fraction."""
     near = jnp.minimum(x, 4.0)
     far = jnp.maximum(x, 4.0)
     fraction = far

@@ -237,7 +237,8 @@ class Msmpr(Instant):
         return jnp.stack(moments)
 
     def counted(self, result: Steady, moments, residence, fed, grid: Sizes) -> Float[Array, " N"]:
-        """Crystals in each cell per m3, with the third moment of all of them.
+        """The number of crystals in each cell per m3, consistent with the third moment of all
+        crystals.
 
         The number of nuclei decreases as exp(-L / (G tau)). Crystals `fed`, per m3 on their `grid`,
         are spread evenly over the sizes of their cell; a share exp(-x) of them remains over an
