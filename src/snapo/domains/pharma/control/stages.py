@@ -335,7 +335,8 @@ class Stage(Simulator):
         return jax.lax.scan(advance, first, (drive, endpoints))[0]
 
     def terminal(self, constants, state: StageState, smooth):
-        """Runs the other units: every attribute, whether all limits are met, and their violation.
+        """Runs the other units, and returns every attribute, whether all limits are met, and by how
+        much they are violated.
 
         Only the last stage has these results; the results of earlier stages are empty.
         """

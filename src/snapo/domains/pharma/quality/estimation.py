@@ -190,7 +190,7 @@ def model_of(process: "PharmaProcess", estimation: Estimation, experiments: Sequ
 
 
 def _observed(process: "PharmaProcess", inputs, experiment):
-    """[n] states at their times, unit by unit, back in the order of the data."""
+    """[n] states at their times, computed unit by unit and returned in the order of the data."""
     units = [state.partition(".")[0] for state in experiment.state]
     result = jnp.zeros(len(units))
     for unit in dict.fromkeys(units):

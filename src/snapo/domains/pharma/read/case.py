@@ -214,7 +214,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
 
 
 def _highest(case: PharmaCase) -> list[tuple[str, str, float]]:
-    """Where a number is studied, decided or uncertain, its name, and its highest value."""
+    """Rows (key where a number is studied, decided or uncertain; its name; its highest value)."""
     results = [
         (f"parameters.{parameter.name}", parameter.input, parameter.high)
         for parameter in case.parameters

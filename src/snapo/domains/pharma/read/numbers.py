@@ -137,7 +137,8 @@ def case_input(
     index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: Range = ANY,
     positions: tuple[FilePosition, ...] = (),
 ) -> CaseInput:  # fmt: skip
-    """Numbers of a case with their metadata; used in order unless there is an `index`.
+    """Numbers of a case with their metadata; they are used in their order unless there is an
+    `index`.
 
     `local`: the case's unit. Temperatures are moved by a kelvin, and all other numbers by a share
     of their value.

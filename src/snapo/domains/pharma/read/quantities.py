@@ -205,20 +205,19 @@ def _parse(unit: str) -> "pint.Unit":
 
 
 def _gaps(unit: "pint.Unit", domain: "pint.Unit") -> dict[str, float]:
-    """By which exponent of each dimension two units differ; without those that agree."""
+    """The difference of the exponents of each dimension in two units, without those that agree."""
     one, other = _powers(unit.dimensionality), _powers(domain.dimensionality)
     table = {name: other.get(name, 0.0) - one.get(name, 0.0) for name in {*one, *other}}
     return {name: gap for name, gap in table.items() if abs(gap) > EXACT}
 
 
 def _powers(result: Any) -> dict[str, float]:
-    """The exponents of units or dimensions, which pint holds as any kind of number."""
+    """The exponents of units or dimensions as floats; pint stores them as numbers of any kind."""
     return {str(name): float(power) for name, power in result.items()}
 
 
 def _exact(unit: "pint.Unit", domain: "pint.Unit") -> "pint.Unit":
-    """`unit` with the exponents that `domain` asks for, where those are the same to three
-    digits."""
+    """`unit` with the exponents of `domain` if they are the same to three digits."""
     gaps = _gaps(unit, domain)
     parts = _powers(unit._units)
     if not gaps or not parts:

@@ -121,8 +121,8 @@ Rate = Callable[[Array, Array], Array]
 
 
 class Push(NamedTuple):
-    """The driving inputs over one step: `at` [6, D] at its `NODES`, `bend` [D] their slope at the
-    start, per length of the step."""
+    """The driving inputs over one step: `at` [6, D], their values at the `NODES` of the step;
+    `bend` [D], their slope at its start, per length of the step."""
 
     at: Float[Array, "6 D"]
     bend: Float[Array, " D"]

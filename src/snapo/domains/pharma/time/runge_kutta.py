@@ -5,9 +5,9 @@ A step is y_(t+1) = y_t + h/6 (k1 + 2 k2 + 2 k3 + k4), k_i = f(Y_i, u_i). To fir
     d y_(t+1) = A_t dy_t + sum_i M_i,t g_i,t + c_t dh_t,
 
 where g is the derivative of f at the point Y_i with respect to everything except Y_i. Once the
-points are known, A, M and c of all steps follow side by side, and d y_n = sum_t P_t (sum_i M_i,t
-g_i,t + c_t dh_t) + P dy_0 with the products P_t = A_(n-1) ... A_(t+1). The linear part has no loop,
-so its transpose, the adjoint, has none either.
+points are known, A, M and c follow for all steps at once, and d y_n = sum_t P_t (sum_i M_i,t g_i,t
++ c_t dh_t) + P dy_0 with the products P_t = A_(n-1) ... A_(t+1). The linear part has no loop, so
+its transpose, the adjoint, has none either.
 """
 
 from collections.abc import Callable

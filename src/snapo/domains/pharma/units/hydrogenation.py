@@ -1,4 +1,4 @@
-"""Reactor under a gas, such as hydrogen: it dissolves, and reacts in the liquid.
+"""Reactor under a gas, such as hydrogen, which dissolves and reacts in the liquid.
 
 The gas is one of the species: kL a (c* - c) of it enters a m3 of liquid each second, c* = p / He by
 Henry's law. Either its concentration is a state, or it follows at every moment from the balance of

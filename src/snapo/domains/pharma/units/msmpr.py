@@ -193,7 +193,8 @@ class Msmpr(Instant):
         return LedgerFinish((slurry,), measures, ledger(len(network.species)))
 
     def steady(self, entering, saturated, residence, fed, inputs: dict[str, Any]) -> Steady:
-        """`entering`, dissolved, and `saturated` kg/m3, `residence` s, moments `fed` per m3."""
+        """The steady state: `entering` dissolved solute and `saturated` in kg/m3, `residence` in s,
+        moments `fed` per m3."""
         excess, weight = entering - saturated, use(inputs, self.density) * use(inputs, self.shape)
         above, solution = excess > 0, self.basis == "solution"
         room = 1 - use(inputs, self.shape) * fed[3] if solution else 1.0

@@ -225,8 +225,9 @@ def _drive(network: FlowNetwork, inputs, jacketed: bool):
 
 
 def _filled(unit: Reactor, network: FlowNetwork, inlets, inputs) -> Dynamics:
-    """Batch and semi-batch. y: extents [R], volume dosed per first volume, then with a jacket
-    heat held per first volume and heat capacity (K), and heat from the jacket (K)."""
+    """Batch and semi-batch. y: extents [R] and the dosed volume per initial volume; with a jacket
+    also the heat content (K) and the heat from the jacket (K), both per initial volume and heat
+    capacity."""
     feed, dose = inlets[0], inlets[1] if len(inlets) > 1 else None
     count, heat = len(network.reactions), _heat(unit.jacket, network, inputs)
     duration, controls = use(inputs, unit.duration), _controls(unit, inputs)
@@ -239,7 +240,7 @@ def _filled(unit: Reactor, network: FlowNetwork, inlets, inputs) -> Dynamics:
     first = use(inputs, unit.temperature.value)[0]
 
     def composition(y):
-        """kmol/m3 of each species, and the volume per first volume."""
+        """kmol/m3 of each species, and the volume per initial volume."""
         if not dosed:
             return extended(network, charge, y), 1.0
         size = 1 + y[count]

@@ -6,7 +6,7 @@ the cake. If the surface is wet, f = 1: the rate is constant once the cake is so
 shelf's heat, U A (T_shelf - T), equals the heat of evaporation. Below the critical moisture X_c the
 surface dries out and f = X / X_c; in between f = r (1 + r^8)^(-1/8), r = X / X_c, which is within
 0.1 % of either branch outside 0.6 < r < 1.7. In the end the moisture X_c p / p_v remains, which is
-in equilibrium.
+in equilibrium with the pressure p.
 
 Heat: (cp_s + X cp_l) m T' = U A (T_shelf - T) - m w lambda. The heat in the cake, from the shelf
 and into the vapour are integrated, so the energy balance closes to rounding.

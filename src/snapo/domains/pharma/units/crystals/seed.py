@@ -27,7 +27,7 @@ class Seed(TableRecord):
     """
 
     loading: CaseInput | None = CONCENTRATION("seed per volume", None, example="0.02 kg/m^3")
-    size: CaseInput | None = LENGTH("mean size of the seed by number", None)
+    size: CaseInput | None = LENGTH("mean size of the seed, by number", None)
     moments: CaseInput | None = None
     spread: CaseInput | None = UnitQuantity(range=POSITIVE, example="0.3")(
         "standard deviation of the size of the seed, as a share of its mean", None

@@ -62,8 +62,8 @@ class Along(NamedTuple):
 
 
 def radau(points: int) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s s"]]:
-    """The points of Radau IIA in 0 to 1, of which the last is 1; and the integrals, from 0 to each
-    point, of the polynomials that are 1 at one point and 0 at the others. The last row has the
+    """The points of Radau IIA between 0 and 1, of which the last is 1; and the integrals, from 0 to
+    each point, of the polynomials that are 1 at one point and 0 at the others. The last row has the
     weights of the points."""
     legendre = np.zeros(points + 1)
     legendre[-2:] = -1.0, 1.0
