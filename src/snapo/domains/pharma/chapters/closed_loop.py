@@ -88,7 +88,8 @@ class ControlCourse:
 
 @dataclass(frozen=True, eq=False)
 class RuleShares:
-    """A rule on the same batches, its settings, and the surplus of policy and recipe over it."""
+    """A rule on the same batches, its settings, and by how much the policy and the recipe exceed
+    its share."""
 
     name: str
     value: Number

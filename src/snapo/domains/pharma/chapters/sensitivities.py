@@ -105,7 +105,8 @@ class CriticalityTable:
 
 
 def criticality(process: PharmaProcess, seed: int, draws: int = DRAWS) -> CriticalityTable:
-    """The nominal batch, and the same drawn batches, at both ends of every normal range."""
+    """The criticality from the nominal batch, and from the same drawn batches, at both ends of
+    every normal range."""
     case = process.case
     entries = batches.varied(case)
     here = batches.nominally(process, {})

@@ -73,8 +73,8 @@ class ConvergenceRow:
     `mesh`: by the case's method; `finer`: with twice its steps or a tenth of its tolerance;
     `adaptive`: error-controlled (equal to `finer` if the case is error-controlled). The gap of a
     value is relative to this value, and the gap of a derivative to the largest derivative of the
-    attribute. The scale is at least the attribute's margin, for a derivative per half the normal
-    range.
+    attribute. The scale is at least the attribute's margin or, for a derivative, the margin per
+    half of the normal range.
     """
 
     attribute: str

@@ -97,7 +97,7 @@ class Stream(TreeRecord):
         return self.density * self.shape * self.moments[3]
 
     def replace(self, **fields: Any) -> "Stream":
-        """The stream with other `fields`."""
+        """The stream with these `fields` replaced."""
         return replace(self, **fields)
 
 

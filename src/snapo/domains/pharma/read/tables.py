@@ -177,7 +177,7 @@ class DesignSpaceTable(CaseTable):
         min_length=2,
         max_length=3,
     )
-    points: int = whole("points of an axis", 3, 201, default=17, note=", of points along each axis")
+    points: int = whole("points per axis", 3, 201, default=17, note=", of points along each axis")
     samples: int = whole(
         "draws of the uncertain numbers at every point",
         16,

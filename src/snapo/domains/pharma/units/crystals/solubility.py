@@ -318,7 +318,7 @@ class Solubility(TableRecord):
 
     @classmethod
     def read(cls, read):
-        """Coefficients for kg/m3, from those of the case's unit."""
+        """The solubility with coefficients for kg/m3, from coefficients in the case's unit."""
         table = read.table
         read.only(("polynomial", "exponential"), ("coefficients",), needed=True)
         read.only(("van-t-hoff",), ("value", "enthalpy", "reference"), needed=True)
