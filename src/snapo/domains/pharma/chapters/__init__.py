@@ -1,2 +1,1 @@
-"""One module for each question about a process: its computation, record and section of the
-report."""
+"""One module per question about a process: its computation, record and section of the report."""
