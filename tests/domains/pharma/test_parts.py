@@ -131,14 +131,15 @@ HOLD = "✓ all 2 numerical checks hold"
         (balance(1.0), "a check fails: balances (A)",
          ["✗ 1 of 2 numerical checks fail: balances"]),
         (balance(0.0), "the fit did not converge: cap", ["✗ the fit did not converge: cap"]),
-        (proven(False), "ok", [HOLD, "✗ normal ranges not inside the proven ones: T"]),
+        (proven(False), "ok", [HOLD, "✗ normal ranges not inside the proven ranges: T"]),
         (proven(True), "ok",
-         [HOLD, "✗ normal ranges inside the proven ones, but not with 95 % confidence: T"]),
+         [HOLD, "✗ normal ranges inside the proven ranges, but not with 95 % confidence: T"]),
         ((ONE_BATCH, filled(BatchResult, status="ok", holds=(False,))), "ok",
          [HOLD, "✗ at the set point a limit is broken: size"]),
         ((OPTIMUM, WORSE), "ok",
          [HOLD,
-          "✗ the optimised recipe meets all limits less often, 9.0 % for 85.0 %: use a reserve"]),
+          "✗ the optimised recipe meets all limits less often, 9.0 % instead of 85.0 %: "
+          "use a reserve"]),
     ],
 )  # fmt: skip
 def test_nothing_good_stands_alone_above_what_fails(entry, status, expected):

@@ -1,4 +1,4 @@
-"""Times of a batch, its derivatives and many batches, on the template."""
+"""Computing times of a batch, of its derivatives and of many batches, for the template case."""
 
 import time
 import tomllib
@@ -19,7 +19,7 @@ BATCHES, REPEATS = 4096, 5
 
 
 def bench(engine: str, progress: ProgressCallback) -> str:
-    """A table of best times, without compiling."""
+    """A table of the first times, which include compilation, and of the best later times."""
     if engine not in ("auto", "xla", "native"):
         raise CaseError("--engine", "", engine, 'it must be "auto", "xla" or "native"')
     file = files("snapo.domains.pharma") / "template" / "case.toml"
@@ -31,10 +31,10 @@ def bench(engine: str, progress: ProgressCallback) -> str:
     requested: Any = engine
     works: dict[str, Callable[[], Any]] = {
         "one batch, values": process.values,
-        f"{len(process.names)} attributes by {len(process.parameters)} parameters": (
+        f"matrix, {len(process.names)} attributes by {len(process.parameters)} parameters": (
             lambda: matrix(process)
         ),
-        "one attribute by every number, adjoint": lambda: gradient(process, name),
+        "derivatives of one attribute, adjoint": lambda: gradient(process, name),
         f"{BATCHES} batches, values": (
             lambda: process.batch(all_entries(case), draws, engine=requested)
         ),
@@ -48,7 +48,7 @@ def bench(engine: str, progress: ProgressCallback) -> str:
 
 
 def _times(work: Callable[[], Any]) -> tuple[float, float]:
-    """Seconds of the first call, which compiles, and the best of some more."""
+    """Seconds of the first call, which compiles, and of the fastest further call."""
     seconds = []
     for _ in range(1 + REPEATS):
         started = time.perf_counter()

@@ -1,8 +1,8 @@
-"""The numbers of a user where they are used, and the form of records without them.
+"""The numbers of a case where they are used, and the form of records without these numbers.
 
-A formed record has no numbers of inputs, so that traced code can read one only as an argument: two
-records of equal forms are the same program. Every other number is part of the form (a grid, an
-order, a limit, and inputs that a case holds fixed): it is compiled in.
+A formed record has no numbers of inputs, so traced code can read them only as arguments: two
+records of equal form are the same program. Every other number (a grid, an order, a limit, and
+inputs that a case holds fixed) is part of the form and is compiled into the program.
 """
 
 from collections.abc import Collection, Hashable, Mapping
@@ -20,7 +20,7 @@ Formed = TypeVar("Formed")
 
 @dataclass(frozen=True, eq=False)
 class InputUse:
-    """Where the numbers of a `CaseInput` are used; `values`: the numbers if not an input."""
+    """How the numbers of a `CaseInput` are used; `values`: the numbers if they are not an input."""
 
     name: str
     index: np.ndarray
@@ -36,7 +36,7 @@ def every_entry(inputs: Mapping[str, Any]) -> tuple[Entry, ...]:
 
 
 def use(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> Array:
-    """The numbers where they are used: input or number held fixed, at `given.index`."""
+    """The numbers for the computation: those of the input, or the fixed ones, at `given.index`."""
     if values.name in inputs:
         value = inputs[values.name]
     elif _held(values).size:
@@ -54,16 +54,17 @@ def absent(inputs: Mapping[str, Any], values: CaseInput | InputUse) -> bool:
 
 
 def _held(values: CaseInput | InputUse) -> np.ndarray:
-    """The numbers of what is no input."""
+    """The numbers of an entry that is not an input."""
     if values.values is None:
         raise KeyError(f"{values.name} is an input, but its numbers are not in this record.")
     return values.values
 
 
 def fixed(array: np.ndarray) -> Array:
-    """A table as an array of JAX in the precision of the trace at hand, or as one of NumPy.
+    """A table as an array of JAX in the precision of the current trace, or as an array of NumPy.
 
-    From a copy: JAX keeps one constant for each NumPy array, in the precision of its first use.
+    It is made from a copy, because JAX stores one constant for each NumPy array, in the precision
+    of its first use.
     """
     if in_use():
         return np.array(array, float)  # pyright: ignore[reportReturnType]
@@ -72,7 +73,7 @@ def fixed(array: np.ndarray) -> Array:
 
 @dataclass(frozen=True)
 class Form(Generic[Formed]):
-    """A formed `record`, compared by all that is in it."""
+    """A formed `record`; two of them are equal if their entire contents are."""
 
     record: Formed = field(compare=False, repr=False)
     parts: Hashable = field(repr=False)

@@ -1,6 +1,7 @@
-"""A process without a policy, calculated at other inputs for the live page.
+"""A process without a policy, computed at other inputs for the live page.
 
-Every number is bit for bit that of a run of the moved case: the same functions on the same draws.
+Every number is bit for bit that of a run of the changed case, because the same functions use the
+same draws.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,8 +50,8 @@ _compiled: dict[Form, PharmaProcess] = {}
 
 
 def process_of(case: PharmaCase) -> PharmaProcess:
-    """The process of a case, with the functions that were compiled for an earlier one of its
-    form, if any: the results are equal bit for bit."""
+    """The process of a case, with the functions that were compiled for an earlier process of the
+    same form, if there is one; the results are equal bit for bit."""
     case = with_steps(case)
     form = _form(case)
     if form not in _compiled:
@@ -144,7 +145,7 @@ def limits(low: float | None, high: float | None, unit: str) -> str:
 
 
 def attributes(case: PharmaCase, capability: Capability, at: np.ndarray) -> LiveTable:
-    """Every attribute with its limits, and how often batches meet them."""
+    """Every attribute with its limits, and how often batches meet these."""
     rows: list[Sequence[Any]] = [
         (
             attribute.name, limits(attribute.low, attribute.high, attribute.unit),

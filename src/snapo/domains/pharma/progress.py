@@ -11,7 +11,7 @@ _listeners: list[list] = []  # [callback, start of the part, time of the last re
 
 @contextmanager
 def reporting(progress: Callable[[str], None]) -> Iterator[None]:
-    """Within it, `say` reaches `progress`."""
+    """Within this context, `say` passes its lines to `progress`."""
     now = time.perf_counter()
     _listeners.append([progress, now, now])
     try:
@@ -21,7 +21,7 @@ def reporting(progress: Callable[[str], None]) -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """A line of progress, if the last one is long enough ago and anyone listens."""
+    """Reports a line of progress, if the last one was long enough ago and there is a receiver."""
     if not _listeners:
         return
     progress, began, last = _listeners[-1]

@@ -15,7 +15,7 @@ HEADER = ("unit", "setpoint", "kind", "time_s", "value", "value_unit")
 def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) -> Iterable[tuple]:
     """One row for each node of a profile, and for each other number that may be chosen.
 
-    `changed`: numbers instead of the case's own, in the domain's units. `kind` "linear": the
+    `changed`: numbers that replace those of the case, in the domain's units. `kind` "linear": the
     setpoint changes linearly to the next one; "constant": it stays until the next one; "once": it
     does not change.
     """
@@ -45,7 +45,7 @@ def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) ->
 
 
 def _flow(case: PharmaCase, unit: Unit, profile: Profile, values, seconds, changed) -> list[float]:
-    """The values of a dose that a feed brings, as the flow that adds up to the feed's volume."""
+    """The values of a dosed flow, scaled so that it adds up to the volume of its feed."""
     inlet = next((item.name for item in unit.inlets if item.dosed is profile), None)
     source = [c.source for c in case.connections if (c.target, c.inlet) == (unit.name, inlet)]
     feed = next((entry for entry in case.feeds if entry.name in source), None)
@@ -57,7 +57,8 @@ def _flow(case: PharmaCase, unit: Unit, profile: Profile, values, seconds, chang
 
 
 def _once(record, available: set[str], selected: set[Entry], changed) -> Iterable[tuple]:
-    """The chosen numbers of a unit or a feed but those that are `available`."""
+    """The numbers of a unit or a feed that may be chosen, except those that are `available`
+    already."""
     for values in numbers_in(record):
         for i, value in enumerate(values.values.tolist()):
             if values.name not in available and (values.name, i) in selected:

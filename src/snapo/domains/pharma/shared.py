@@ -1,4 +1,4 @@
-"""Shared by the parts of a run: the process of the recipe, and the closed loop."""
+"""Objects that the parts of a run share: the process of the recipe, and the closed loop."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,7 +14,8 @@ BATCH, SOUND, MESH = "one batch", "integration", "mesh of statistics"  # names o
 
 
 class OpenLoop:
-    """The recipe of the case: a process that is compiled once, and its mesh for statistics."""
+    """The recipe of the case: a process that is compiled once, and its coarser mesh for
+    statistics."""
 
     def __init__(self, case: PharmaCase):
         self.case, self.seed = case, case.training.seed
@@ -46,7 +47,7 @@ def closed_loop(run: StudyRun) -> ClosedLoop:
 
 
 def process(run: StudyRun) -> PharmaProcess:
-    """The process on its own mesh."""
+    """The process on the mesh of the case."""
     return open_loop(run).process
 
 

@@ -42,7 +42,7 @@ COLUMNS = (
 
 
 def study(case: PharmaCase, options: Options) -> Study:
-    """The recipe of the case, then, if there is something to decide, the closed loop."""
+    """The parts of the case's recipe and, if the case has a [control], those of the closed loop."""
     if options.reference:
         allowed = "a process has no exact reference to compute; its certificate is part of every "
         raise CaseError("--reference", "", None, allowed + "run")
@@ -84,7 +84,7 @@ def open_parts(case: PharmaCase) -> list[Part]:
 
 
 def sound(run: StudyRun) -> dict[str, Any]:
-    """A batch that could not be integrated has no other results."""
+    """The batch that all other results need; an error if it could not be integrated."""
     batch = ONE_BATCH.of(run)
     if batch is None or batch.status != "ok":
         raise ArithmeticError(batch.status if batch else "there is no batch")
@@ -92,7 +92,7 @@ def sound(run: StudyRun) -> dict[str, Any]:
 
 
 def _telling(part: Part) -> Part:
-    """The part, with lines of progress while it lasts."""
+    """The part, which reports progress while it runs."""
 
     def work(run: StudyRun) -> Mapping[str, Any]:
         with reporting(run.progress):
@@ -102,13 +102,14 @@ def _telling(part: Part) -> Part:
 
 
 def about(case: PharmaCase) -> dict[str, Any]:
-    """Everything that is known before a number is computed."""
+    """Everything that is available before a number is computed."""
     made = {name: x for name, x in asdict(Making.of(case)).items() if x is not None}
     return {"title": case.title} | asdict(statement(case)) | made
 
 
 def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
-    """The value is that of the policy, or of the recipe."""
+    """The result of a run; its value is that of the policy, or of the recipe if no policy is
+    trained."""
     batches, loop, best = CAPABILITY.of(run), CLOSED_LOOP.of(run), OPTIMUM.of(run)
     state = status(run)
     entries: dict[str, Any] = {
@@ -137,7 +138,7 @@ def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
 
 
 def kept_limits(measured: PathTotals) -> Sequence[LiveTable]:
-    """Every attribute with its limits, and how often batches keep them under the policy."""
+    """Every attribute with its limits, and how often batches meet these under the policy."""
     case: PharmaCase = measured.setup.case
     names = [f"attribute.{x.name}" for x in case.attributes]
     values = np.stack([np.asarray(measured.totals[name], np.float64) for name in names], -1)

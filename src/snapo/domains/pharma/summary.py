@@ -8,7 +8,7 @@ from .flowsheet.inputs import pharma_inputs
 
 
 def lines(case: PharmaCase) -> list[str]:
-    """A case in a few lines, one for each side of it, for its user to compare."""
+    """A case in a few lines, one for each aspect of it, for the user to check."""
     inputs = pharma_inputs(case)
     rows = [
         f"{case.title}: {' -> '.join(unit.name for unit in case.units)}",
@@ -16,7 +16,7 @@ def lines(case: PharmaCase) -> list[str]:
         "species; each reaction conserves mass",
         inputs_line([entry.value.size for entry in inputs.values()]),
         f"{len(case.parameters)} process parameters, {len(case.attributes)} quality attributes",
-        f"time by the {case.numerics.method} method",
+        f"integration over time by the method {case.numerics.method}",
     ]
     if case.optimise is not None:
         rows.append(f"{len(case.optimise.decisions)} numbers are chosen for the best recipe")

@@ -50,5 +50,5 @@ def test_a_ranking_has_its_words_outside_the_columns_of_numbers():
     table = _ranking(tuple(ranks))
     assert isinstance(table, Table)
     assert [row[2] for row in table.rows] == [f"50.0{SPACE}%", "–"]
-    assert [row[4] for row in table.rows] == ["", "its variation uses all of the margin"]
+    assert [row[4] for row in table.rows] == ["", "variation uses all of the margin"]
     assert [table.right(i) for i in range(5)] == [False, False, True, True, False]

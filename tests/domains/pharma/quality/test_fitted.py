@@ -88,7 +88,7 @@ def test_a_number_is_not_uncertain_twice(tmp_path):
     table = '[[uncertainty]]\nof = "kinetics.prefactor"\n'
     table += 'distribution = { kind = "lognormal", spread = 0.1 }\n'
     file.write_text(file.read_text() + table)
-    with pytest.raises(CaseError, match="is part of its fit, from the file `fitted`"):
+    with pytest.raises(CaseError, match="the file `fitted` has the uncertainty"):
         read_case(folder)
 
 

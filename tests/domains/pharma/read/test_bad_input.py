@@ -108,8 +108,8 @@ MISTAKES = {
     ),
     "unconnected port": (
         LAST, "",
-        "connections: the inlet tablet.product is not fed; free are filter.filtrate, "
-        "filter.washings, dryer.product, dryer.vapour.",
+        "connections: the inlet tablet.product is not fed; unused outlets are "
+        "filter.filtrate, filter.washings, dryer.product, dryer.vapour.",
     ),
     "port fed twice": (
         LAST, LAST + '[[connections]]\nfrom = "filter.washings"\nto = "tablet.product"\n',
@@ -206,7 +206,7 @@ MISTAKES = {
         '["kinetics.prefactor[0]", "crystalliser.kinetics.growth"]\nvalue = 0.9\n'
         '[[correlations]]\nbetween = ["kinetics.prefactor[1]", "crystalliser.kinetics.growth"]\n'
         "value = -0.9\n# Where the probability",
-        "correlations: the correlations together are not positive definite.",
+        "correlations: the matrix of all correlations is not positive definite.",
     ),
     "spread in percent of a temperature": (
         '{ kind = "normal", spread = "0.5 K" }', '{ kind = "normal", spread = 0.5 }',
@@ -247,7 +247,7 @@ MISTAKES = {
     "name that is taken": (
         "[units.tablet]", "[units.process]",
         "units.process: got 'process'; a name has letters, digits, - and _, and begins with a "
-        'letter; "process" and "kinetics" are taken.',
+        'letter; "process" and "kinetics" are reserved.',
     ),
     "held parameter": (
         '# held = ["charge.temperature"]', 'held = ["dryer.temperature"]',
@@ -266,8 +266,8 @@ MISTAKES = {
 # Mistakes of which the message need only name these words.
 NAMED = {
     "filter without crystals": ["connections[2].from", "charge2", "no such port"],
-    "two parameters of one number": ["parameters[5].of", "parameter W has the same number"],
-    "varied twice": ["dryer.temperature[0]", "[[parameters]] as well"],
+    "two parameters of one number": ["parameters[5].of", "parameter W has this number too"],
+    "varied twice": ["dryer.temperature[0]", "[[parameters]] as well; keep"],
     "unknown type": ["units.dryer.type", "'drier'", "the nearest known type is dryer"],
     "goal without its attribute": ["goal.attribute", "no such attribute"],
 }

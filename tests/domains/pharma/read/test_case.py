@@ -65,7 +65,7 @@ def test_a_steep_profile_is_remarked():
     steep = {"nodes": ["313.15 K", "278.15 K"], "at": [0, 1], "ramp": "0.1 K/min"}
     units = {**_units(), "crystalliser": {**_units()["crystalliser"], "temperature": steep}}
     case = template(units=units, parameters=_parameters("filter.wash_ratio"), design_space=None)
-    assert "0.292 K/min at most, and its ramp allows 0.1 K/min" in case.notes[0]
+    assert "by up to 0.292 K/min, but its ramp allows only 0.1 K/min" in case.notes[0]
 
 
 def test_what_moves_before_the_event_is_integrated_adaptively():

@@ -36,7 +36,8 @@ REFUSED = {
         "units.crystalliser.seed: the seed takes 166.7 % of the volume; it must be less than 50 %"),
     "negative solubility": (
         "coefficients = [226.9, -1.88, 3.89e-3]", "coefficients = [216.9, -1.88, 3.89e-3]",
-        "units.crystalliser.solubility: at 278.15 K, which crystalliser reaches, it is -5."),
+        "units.crystalliser.solubility: at 278.15 K, which crystalliser reaches, the solubility "
+        "is -5."),
     "density of another unit": (
         'density = "1200 kg/m^3"', 'density = "1.2 kg/m^3"', "from 300 to 10,000 kg/m3"),
     "solvent in kilograms a litre": (

@@ -164,11 +164,11 @@ def test_a_continuous_reactor_ends_with_its_feed(kind):
 REFUSED = {
     "longer than its feed": (
         STIRRED, ('duration = "2 h"', 'duration = "3 h"'),
-        "units.reactor.duration: got '10800 s'; reactor runs 10800 s, and its inlet feed flows for "
+        "units.reactor.duration: got '10800 s'; reactor runs 10800 s, but its inlet feed flows for "
         "7200 s; use at most 7200 s, or a feed that lasts longer."),
     "studied longer than its feed": (
         STIRRED + parameter_text("t", "reactor.duration", ["1 h", "3 h"], ["1.5 h", "2.5 h"]), (),
-        "parameters.t: got '10800 s'; reactor may run 10800 s, and its inlet feed flows for 7200 s"),
+        "parameters.t: got '10800 s'; reactor may run 10800 s, but its inlet feed flows for 7200 s"),
     "a flow that is a shape": (
         DOSED + parameter_text("q", "reactor.dosing", ["0.4 L/h", "0.6 L/h"],
                                ["0.45 L/h", "0.55 L/h"]), (),
@@ -188,7 +188,7 @@ def test_a_flow_through_two_reactors_ends_with_the_shorter():
     second = '[units.next]\ntype = "reactor"\nkind = "stirred"\nvolume = "1 L"\nduration = "2 h"\n'
     second += 'temperature = "313.15 K"\n' + lines(("reactor.product", "next.feed"))
     read(STIRRED + second)
-    with pytest.raises(CaseError, match="next runs 7200 s, and its inlet feed flows for 3600 s"):
+    with pytest.raises(CaseError, match="next runs 7200 s, but its inlet feed flows for 3600 s"):
         read(STIRRED + second, ('duration = "2 h"', 'duration = "1 h"'))
 
 

@@ -263,4 +263,4 @@ def test_mistakes():
     data["attributes"] = [{"name": "d", "measure": "mill.d43", "unit": "um"}]
     with pytest.raises(CaseError) as found:
         resolve(TEMPLATE, data)
-    assert "units.mill: crystals reach this unit whose sizes are not counted" in str(found.value)
+    assert "units.mill: the crystals that reach this unit are not counted" in str(found.value)

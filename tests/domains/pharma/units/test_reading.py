@@ -137,8 +137,8 @@ MISTAKES = {
     ),
     "a seed outside its grid": (
         lambda: with_crystalliser(sizes={**SIZES, "largest": "30 um"}),
-        f"{HERE}.sizes.largest: got '30 um'; 25.9 % of the seed's volume lies outside smallest "
-        "to largest.",
+        f"{HERE}.sizes.largest: got '30 um'; 25.9 % of the seed's volume lies outside "
+        "`smallest` to `largest`.",
     ),
     "a key of the other dryer": (
         lambda: with_dryer(rate="1e-3 1/s"),

@@ -1,1 +1,1 @@
-"""The questions to a process: the measure, its record, and its section of the report."""
+"""One module per question about a process: its computation, record and section of the report."""

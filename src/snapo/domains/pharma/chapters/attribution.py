@@ -1,7 +1,8 @@
 """Further derivatives: by path through the flowsheet, over time, of second order.
 
-By the chain rule a derivative is the sum over all paths of the product of the units' own
-derivatives along it; that the paths add up to the adjoint's number checks both.
+By the chain rule a derivative is a sum over all paths through the flowsheet; the term of a path is
+the product of the derivatives of its units. The sum must equal the result of the adjoint, which
+checks both.
 """
 
 from collections.abc import Iterator
@@ -43,7 +44,7 @@ class Path(NamedTuple):
 class Split(NamedTuple):
     """`paths`: {(attribute, parameter): paths}; without an entry the two are not connected.
 
-    `closure`: [Q, P] |sum of paths - matrix| over the largest of the matrix's row.
+    `closure`: [Q, P] |sum of paths - matrix| divided by the largest entry of the matrix's row.
     """
 
     paths: dict[tuple[str, str], tuple[Path, ...]]
@@ -51,7 +52,7 @@ class Split(NamedTuple):
 
 
 def split(case: PharmaCase, blocks: Local, raw: np.ndarray) -> Split:
-    """Every entry of `raw` [Q, P], the case's units, as a sum over paths."""
+    """Every entry of `raw` [Q, P], in the case's units, as a sum over paths."""
     table: dict[tuple[str, str], tuple[Path, ...]] = {}
     total = np.zeros(raw.shape)
     for q, attribute in enumerate(case.attributes):
@@ -106,8 +107,8 @@ def _onward(
 
 
 def by_unit(case: PharmaCase, result: Split) -> dict[tuple[str, str], float]:
-    """{(unit where parameters act, attribute): root of the summed squares over half the normal
-    range}: the importance of units for attributes, over all their parameters."""
+    """The importance of every unit for every attribute: {(unit where parameters act, attribute):
+    root of the sum of squares of the effects of these parameters over half their normal ranges}."""
     half = {item.name: (item.normal_high - item.normal_low) / 2 / item.scale
             for item in case.parameters}  # fmt: skip
     squares: dict[tuple[str, str], float] = {}
@@ -169,7 +170,7 @@ class UnitEffect:
 
 @dataclass(frozen=True)
 class Attributions:
-    """Every sensitivity by path; `closure`: how far the paths are from adding up to the matrix."""
+    """Every sensitivity by path; `closure`: the gap between the sums of paths and the matrix."""
 
     closure: Number
     paths: tuple[PathShare, ...]
@@ -199,7 +200,8 @@ def show(run: RunFiles, result: Attributions) -> list[Block]:
         return [Missing("The attribution was not computed in this run.")]
     rows = [(x.attribute, x.parameter, " → ".join(x.units), number(x.value)) for x in result.paths]
     head = [("Attribute", ""), ("Parameter", ""), ("Path", ""), ("Contribution", "per unit")]
-    paths = Table(head, rows, "Contributions add up to the matrix", 3, folded="Every path")
+    caption = "The contributions of all paths add up to the entry of the sensitivity matrix"
+    paths = Table(head, rows, caption, 3, folded="Every path")
     return [_by_unit(run, result), paths]
 
 
@@ -214,8 +216,8 @@ def _by_unit(run: RunFiles, result: Attributions) -> Table:
         for x in stated(run).attributes
     ]
     caption = (
-        "Which unit's parameters move which attribute: root of the summed squares over half their "
-        "normal ranges"
+        "Effect of the parameters of every unit on every attribute: root of the sum of squares of "
+        "the changes over half their normal ranges"
     )
     return Table([("Attribute", ""), *((unit, "") for unit in units)], rows, caption)
 
@@ -230,7 +232,7 @@ ATTRIBUTION = Chapter(
 class ProfileSlopes:
     """Derivatives with respect to the temperature of a unit over time, per K for ten minutes.
 
-    `time` in s; `slope`: {attribute that it moves: values}.
+    `time` in s; `slope`: {attribute that the temperature affects: values}.
     """
 
     unit: str
@@ -240,10 +242,10 @@ class ProfileSlopes:
 
 
 def profile_slopes(case: PharmaCase) -> tuple[ProfileSlopes, ...]:
-    """One adjoint for each attribute.
+    """One adjoint pass for each attribute.
 
-    The profile gets many nodes; the derivative with respect to one is spread over the time that it
-    represents.
+    The profile is computed with many nodes; the derivative with respect to a node is divided by the
+    time that the node represents.
     """
     rows = []
     for unit in case.units:
@@ -271,7 +273,7 @@ def profile_slopes(case: PharmaCase) -> tuple[ProfileSlopes, ...]:
 def _profiles(run: RunFiles, result: tuple[ProfileSlopes, ...]) -> list[Block]:
     """Temperature over time, and the effect of one kelvin for ten minutes on each attribute."""
     if not result:
-        text = "No unit has a temperature profile of several nodes, or it was not differentiated."
+        text = "No unit has a temperature profile of several nodes, or this part was not computed."
         return [Missing(text)]
     return [_profile(run, slopes) for slopes in result]
 
@@ -307,8 +309,8 @@ PROFILES = Chapter(
 
 
 def second_derivatives(run: StudyRun) -> dict[str, Any]:
-    """The second derivatives of every attribute, for the pairs of parameters named in the case, in
-    the case's units."""
+    """The second derivatives of every attribute for the pairs of parameters in the case's `pairs`,
+    in the case's units."""
     complete, case = process(run), process(run).case
     pairs = [
         (design_space.parameter(case, a), design_space.parameter(case, b)) for a, b in case.pairs

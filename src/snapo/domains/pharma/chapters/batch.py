@@ -30,7 +30,8 @@ PROFILE, SETPOINTS = "profile.csv", "setpoints.csv"
 
 @dataclass(frozen=True)
 class TornLoop:
-    """A recycle: the relative `change` of its tear streams in one more round, after `rounds`."""
+    """A recycle: the relative `change` of its tear streams in iteration `rounds` + 1 of the
+    loop."""
 
     loop: str
     change: float | None
@@ -42,8 +43,8 @@ class BatchResult:
     """One batch; `status`: "ok", or why there is no batch.
 
     - `attributes`: values by name; `holds`, `distance` [Q]: whether each is within its limits, and
-      its distance to them, NaN without limits. `errors`: the errors of a step of the units with
-      stiff steps.
+      its distance to them, NaN without limits. `errors`: the largest error of a step in every unit
+      with stiff steps.
     - `trajectories`: {unit: {"time" or a state: values}}; `solubility`: the solubility of every
       crystalliser.
     """
@@ -136,7 +137,7 @@ def units(run: RunFiles, result: BatchResult) -> list[Block]:
     if not rows or not result.measures:
         return [Missing("No batch was computed, so the units have no measures.")]
     head = [("Unit", ""), ("Measure", ""), ("In", ""), ("Value", "")]
-    caption = "At the end of each unit, in the units of the computation"
+    caption = "Measures at the end of each unit, in the units of the computation"
     blocks: list[Block] = [Table(head, rows, caption, 3)]
     for unit in case.units:
         table = result.trajectories.get(unit.name)
@@ -147,7 +148,7 @@ def units(run: RunFiles, result: BatchResult) -> list[Block]:
 
 
 def _value(value: float | None, unit: str) -> str:
-    """Four digits, of a large number too, "2.097 × 10⁸"; five of a temperature."""
+    """Four significant digits, as in "2.097 × 10⁸" for a large number; five for a temperature."""
     if unit == "K":
         return location(value)
     return power(value, 3) if abs(finite(value) or 0.0) >= LARGE else number(value)
@@ -231,8 +232,8 @@ def _crystals(unit: str, trajectory: Course, curve: Course | None) -> list[Chart
     caption = f"{unit}: the batch starts at the right and is cooled to the left."
     alt = "Supersaturation and size over time."
     below = draw(f"time-{unit}", alt, paint_below, 340, (1.0, 1.0))
-    text = f"{unit}: supersaturation (c − c*)/c* and sizes of all crystals"
-    text += "; d10, d50 and d90 by volume." if "d50" in trajectory else "."
+    text = f"{unit}: supersaturation (c − c*)/c*, and mean sizes of all crystals"
+    text += " with the quantiles d10, d50 and d90 by volume." if "d50" in trajectory else "."
     return [Chart(svg, caption), Chart(below, text)]
 
 
@@ -252,7 +253,7 @@ def _drying(unit: str, trajectory: Course, curve: Course | None) -> list[Chart]:
 
     alt = "Moisture and temperature of the cake over time."
     svg = draw(f"drying-{unit}", alt, paint, 340, (1.0, 1.0))
-    text = f"{unit}: solvent per crystals, by mass, and the temperature of the cake."
+    text = f"{unit}: mass of solvent per mass of crystals, and the temperature of the cake."
     return [Chart(svg, text)]
 
 

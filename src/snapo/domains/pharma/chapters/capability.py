@@ -20,19 +20,20 @@ from .sensitivities import MATRIX
 
 BATCHES = 4096  # at most
 UNKNOWN = "Sources of variation were not computed."
-NOTHING = "Nothing differs from batch to batch, so that there is no spread."
+NOTHING = "Nothing differs from batch to batch, so there is no spread."
 
 
 @dataclass(frozen=True)
 class StatisticsMesh:
-    """`steps` per piece for statistics; they move attributes by at most `gap` of their margins."""
+    """`steps` per piece of a profile for statistics; they change no attribute by more than `gap`
+    margins."""
 
     steps: int
     gap: Number
 
 
 def choose_mesh(run: StudyRun) -> StatisticsMesh:
-    """The mesh, and the process on it for the parts to come."""
+    """The mesh for statistics, and the process on this mesh for the following parts."""
     loop = open_loop(run)
     loop.coarse, entries = sampler(loop.process)
     return StatisticsMesh(**entries)
@@ -74,16 +75,17 @@ def show(run: RunFiles, result: Capability) -> list[Block]:
         for q, attribute in enumerate(attributes)
     ]  # fmt: skip
     names = ("Attribute", "Mean", "Deviation", "to first order", "Cpk, batch to batch",
-             "over uncertain numbers", "Cpk, all together", "Sigmas to the edge", "Out of limits",
+             "over uncertain numbers", "Cpk, all together", "Sigmas to the limit", "Out of limits",
              "", "1–99 %")  # fmt: skip
     caption = (
-        f"Over {number(result.batches, 0)} simulated batches at the set point; together "
-        f"{percent(result.joint)} {plus_minus(100 * result.joint_error, 1)} break a limit. “Batch "
-        "to batch” varies only the numbers that differ between batches, with the model's numbers "
-        "at their nominal values; the next column is its 5 to 95 % range over the uncertain "
-        "numbers; “all together” counts both as variation. Cpk assumes a normal attribute; the "
-        "share out of limits is counted. If the standard deviation to first order "
-        "differs from the simulated one, the process is not linear over its variation."
+        f"Of {number(result.batches, 0)} simulated batches at the set point, "
+        f"{percent(result.joint)} {plus_minus(100 * result.joint_error, 1)} break a limit. “Cpk, "
+        "batch to batch” is the capability if only the numbers that differ between batches vary "
+        "and the model's numbers have their nominal values; the next column is its 5 to 95 % "
+        "range over the uncertain numbers. “Cpk, all together” includes both kinds of variation. "
+        "Cpk assumes normally distributed attributes; the share out of limits is counted. If the "
+        "standard deviation to first order differs from the simulated one, the process is not "
+        "linear over its variation."
     )
     blocks: list[Block] = [Table([(name, "") for name in names], rows, caption)]
     if result.failed > 0:
@@ -94,7 +96,8 @@ def show(run: RunFiles, result: Capability) -> list[Block]:
 
 
 def _cpk(*endpoints: float | None) -> str:
-    """Two decimals; none if the index, or an end of its interval, is 100 or more."""
+    """The index with two decimals, or without decimals if it or an end of its interval is 100 or
+    more."""
     digits = 2 if all(abs(finite(x) or 0.0) < 100 for x in endpoints) else 0
     return " – ".join(number(x, digits) for x in endpoints)
 
@@ -108,7 +111,7 @@ def _sources(run: RunFiles, result: Spread) -> Table:
         for v, source in enumerate(result.sources)
     ]
     head = [("Source", ""), *((name, "") for name in stated(run).attribute_names)]
-    return Table(head, rows, "Share of each attribute's variance, to first order, source by source")
+    return Table(head, rows, "Share of each source in the variance of an attribute, to first order")
 
 
 CAPABILITY = Chapter(

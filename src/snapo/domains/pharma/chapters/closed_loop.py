@@ -35,7 +35,7 @@ SIGNIFICANT = 2.0  # standard errors from which one of two counts as better
 
 @dataclass(frozen=True)
 class KeptShares:
-    """Shares of batches that keep all limits, with standard errors, on the same batches.
+    """Shares of batches that meet all limits, with standard errors, on the same batches.
 
     - `value`: the share under the policy; `baseline`: the share under the best fixed recipe;
       `gain`: their difference; `given`: the share under the recipe of the case. `better`: "policy",
@@ -54,7 +54,7 @@ class KeptShares:
 
     @property
     def verdict(self) -> str:
-        """A sentence on which of the two to use."""
+        """A sentence on whether to use the policy or the best fixed recipe."""
         both = f"{100 * self.value:.1f} % under the policy, {100 * self.baseline:.1f} % under "
         both += "the best fixed recipe, on the same batches"
         match self.better:
@@ -88,7 +88,8 @@ class ControlCourse:
 
 @dataclass(frozen=True, eq=False)
 class RuleShares:
-    """A rule on the same batches, its settings, and the surplus of policy and recipe over it."""
+    """A rule on the same batches, its settings, and by how much the policy and the recipe exceed
+    its share."""
 
     name: str
     value: Number
@@ -142,11 +143,11 @@ def measure(run: StudyRun) -> ClosedLoopResult:
 def rates(
     ours: np.ndarray, theirs: np.ndarray, values: np.ndarray, groups: np.ndarray
 ) -> KeptShares:
-    """Shares of batches [N] that meet all limits, by policy, best and initial recipe, with errors.
+    """Shares of batches that meet all limits under the policy, the best and the initial recipe.
 
-    `groups` [N]: batches of one group are not independent. Both batches of an antithetic pair often
-    meet or violate a two-sided limit together, so that counting them as two would halve the
-    variance.
+    The arguments have one entry for each of N batches; the shares have standard errors. `groups`
+    [N]: batches of one group are not independent. Both batches of an antithetic pair often meet or
+    violate a two-sided limit together, so counting them as two would halve the variance.
     """
     numbers = [
         number
@@ -162,7 +163,8 @@ def _mean(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
 
 
 def better(gain: float, error: float) -> str:
-    """The one that meets all limits more often on the same batches: "policy", "recipe", or ""."""
+    """Which of the two meets all limits more often on the same batches: "policy", "recipe", or
+    ""."""
     if abs(gain) <= SIGNIFICANT * error:
         return ""
     return "policy" if gain > 0 else "recipe"
@@ -253,7 +255,7 @@ def show(run: RunFiles, result: ClosedLoopResult) -> list[Block]:
     ]
     head = [("", ""), ("Probability of all limits", "%"), ("", "")]
     batches = number(result.paths.get("evaluate"), 0)
-    caption = f"On the same {batches} fresh batches, with exact limits"
+    caption = f"Shares of the same {batches} fresh batches, with exact limits"
     clear = Mark(certain, "yes" if certain else "no")
     blocks: list[Block] = [
         Text(run.result.verdict),
@@ -303,15 +305,15 @@ def _rules(rules: Sequence[RuleShares]) -> list[Block]:
         for x in rules
         for sensor, gain, time in zip(x.sensors, x.gains_own, x.times)
     ]
-    head = [("", ""), ("All limits", "%"), ("", ""), ("Policy minus rule", "%"), ("", ""),
+    head = [("", ""), ("All limits met", "%"), ("", ""), ("Policy minus rule", "%"), ("", ""),
             ("Recipe minus rule", "%"), ("", "")]  # fmt: skip
-    local = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
+    local = ("Rule", "Measured", "Gain, units of the computation", "Integral time, min")
     return [
-        Table(head, shares, "Rules on the same batches, paired"),
+        Table(head, shares, "Rules on the same batches, paired differences"),
         Table([(name, "") for name in local], settings, "Settings of the rules", 2),
         Text("“First settings” are those of the case or of a tuning formula. The rule without "
-            "this label was trained from these settings together with its recipe, in as many "
-            "steps as the policy."),
+            "this label was trained: from these settings, together with its recipe, and in as "
+            "many steps as the policy."),
     ]  # fmt: skip
 
 
@@ -333,12 +335,12 @@ def _course(result: ControlCourse) -> Chart:
     svg = draw(f"course-{result.input}", "A control over time: the policy's median and its band "
                "over batches, the best fixed recipe, and the original recipe.", paint,
                220)  # fmt: skip
-    text = "The band contains the middle four fifths of the policy's decisions over batches."
+    text = "The band contains the policy's decisions in 80 % of the batches (10 to 90 % quantile)."
     return Chart(svg, f"{result.input}: {text}")
 
 
 def _once(rows: Sequence[ControlCourse]) -> Table:
-    """What is decided once in a batch."""
+    """The numbers that are decided once in a batch."""
     cells = [
         (
             with_unit(x.input, x.unit), *(number(y[0]) for y in (x.policy, x.values, x.given)),
@@ -346,8 +348,8 @@ def _once(rows: Sequence[ControlCourse]) -> Table:
         )
         for x in rows
     ]  # fmt: skip
-    names = ("Decided once", "Policy, median", "Best fixed recipe", "As given", "Policy, 10–90 %")
-    return Table([(name, "") for name in names], cells, "Decisions that are single numbers")
+    names = ("Number", "Policy, median", "Best fixed recipe", "Original recipe", "Policy, 10–90 %")
+    return Table([(name, "") for name in names], cells, "Numbers that are decided once in a batch")
 
 
 CLOSED_LOOP = Chapter(

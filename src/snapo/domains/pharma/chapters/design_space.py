@@ -31,11 +31,13 @@ MAP, ENDS = "design_space.csv", "design_space_boundary.csv"
 class SpaceMap:
     """The map over two or three parameters, in the case's units.
 
-    - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
-    - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
-    - `levels`: the levels of contours; `required`: probability. `box`: the largest box inside the
-      space, None if the set point itself is outside. `ends`: the boundary of the space along the
-      lines of the map.
+    - `axes`, `units`, `grid`: name, unit and grid points of each axis; `nominal`: its set point;
+      `normal`: its normal range.
+    - The fields of `quality.design_space.Point` at every point of the map; `samples`: the draws at
+      a point.
+    - `levels`: the probabilities of the contours; `required`: the required probability. `box`: the
+      largest box inside the space, None if the set point itself is outside. `ends`: the boundary of
+      the space along the lines of the map.
     """
 
     axes: tuple[str, ...]
@@ -104,7 +106,7 @@ def map_rows(
 
 
 def _rounded(digits) -> np.ndarray:
-    """Places on the axes of the map to ten significant digits, which leaves out round-off."""
+    """Positions on the axes of the map to ten significant digits, which removes round-off."""
     return np.array([float(f"{x:.10g}") for x in digits])
 
 
@@ -131,7 +133,7 @@ def show(run: RunFiles, result: SpaceMap) -> list[Block]:
 
 
 def _slices(result: SpaceMap) -> list[tuple[Any, str]]:
-    """A third axis is shown at its ends and in the middle."""
+    """The slices of a map with a third axis: at both ends and in the middle of this axis."""
     if result.probability.ndim == 2:
         return [(slice(None), "")]
     grid, name, unit = result.grid[2], result.axes[2], result.units[2]
@@ -146,10 +148,10 @@ def _in_words(result: SpaceMap) -> Text:
     widest = plus_minus(100 * result.error.max(), 1)
     text = (
         f"At {percent(share, 0)} of the points of the map all limits hold with a probability of "
-        f"{number(result.required)} or more; {number(result.samples, 0)} batches per point, the "
-        f"same draws at every point. The probability is uncertain by at most {widest} (95 %). At "
-        f"{percent(certain, 0)} of the points this is so even at the lower end of the 95 % "
-        "interval, within the dotted line of the map."
+        f"{number(result.required)} or more. Every point has {number(result.samples, 0)} batches, "
+        f"with the same draws at every point. The probability is uncertain by at most {widest} "
+        f"(95 %). At {percent(certain, 0)} of the points, within the dotted line of the map, even "
+        "the lower end of its 95 % interval is as high as required."
     )
     few = [level for level in result.levels if result.samples < draws_for(level)]
     if few:
@@ -157,8 +159,8 @@ def _in_words(result: SpaceMap) -> Text:
             f"{number(draws_for(level), 0)} draws for the contour at {level:g}" for level in few
         )
         text += (
-            f" With so few draws not every contour can be certain: that needs at least {needed} "
-            "at every point, all of them within the limits."
+            f" With so few draws not every contour can be certain: at least {needed} "
+            "are needed at every point, all of them within the limits."
         )
     if result.box is None:
         return Text(text + " No box around the set point has the required probability.")
@@ -207,12 +209,12 @@ def boundary(result: SpaceMap, names: list[str]) -> list[Block]:
             f"{required}: the space contains all or none of the studied ranges there."
         )
         return [Text(text + f" {ENDS} has the other lines." * bool(result.ends))]
-    head = ("Along", "At", "Ends", "Limit beyond it", "Boundary", "95 % interval")
+    head = ("Along", "At", "Ends", "Limit broken beyond", "Boundary", "95 % interval")
     text = (
-        f"Where the probability falls below {required} along the lines of the map next to the set "
-        f"point, with the 95 % interval of that position for the {number(result.samples, 0)} "
-        "batches per point (Wilson's interval of the share, inverted); “beyond” if the batches "
-        f"do not determine an end, or the line ends. {ENDS} has all lines."
+        f"A boundary is the position at which the probability falls below {required} along a line "
+        f"of the map next to the set point. Its 95 % interval is for {number(result.samples, 0)} "
+        "batches per point (Wilson's interval of the share, inverted); “beyond” means that the "
+        f"batches do not determine this end, or that the line ends first. {ENDS} has all lines."
     )
     table = Table([(name, "") for name in head], rows, "Where the design space ends", 4)
     return [table, Text(text, True)]
@@ -269,7 +271,7 @@ def _contours(
 
 
 def _labels(axes: "Axes", drawn: Any) -> None:
-    """The level of each contour where the other labels are farthest away, off the edges."""
+    """Labels with the level of each contour, far from the other labels and from the edges."""
     x, y = (np.array(endpoints) for endpoints in (axes.get_xlim(), axes.get_ylim()))
     corner, size = np.array([x[0], y[0]]), np.array([np.ptp(x), np.ptp(y)])
     taken: list[np.ndarray] = []

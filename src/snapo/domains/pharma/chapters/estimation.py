@@ -32,8 +32,8 @@ DOUBT = 0.01  # tail below which a batch is not as the model expects
 
 @dataclass(frozen=True)
 class Agreement:
-    """One batch: `points` measured, of which `inside` lie in their intervals; `chi2` of all of them
-    together, and `tail`, the probability of more than that."""
+    """One batch: the number of `points`, of which `inside` lie in their intervals; `chi2` of all of
+    them together, and `tail`, the probability of a larger chi2."""
 
     experiment: str
     points: int
@@ -64,7 +64,7 @@ class Validation:
 def validate(
     process: "PharmaProcess", estimation: Estimation, fit: ParameterFit
 ) -> Validation | None:
-    """The batches that were held out; None if there are none."""
+    """The test of the fit on the batches that were held out of it; None if there are none."""
     if not estimation.held_out:
         return None
     model = model_of(process, estimation, estimation.held_out)
@@ -105,9 +105,11 @@ def validate(
 class Estimates(ParameterFit):
     """A fit with the further entries of its report.
 
-    - `measured_own`, `fitted_own`: in the case's units, of `state`s in `state_unit`s at `time` of
-      an `experiment`. `start`: the case's numbers; `units`, `scales`: of the fitted numbers.
-    - `level`: the level of the intervals; `errors`: how those of the measurements are known.
+    - `measured_own`, `fitted_own`: measured and fitted values of a `state` at a `time` of an
+      `experiment`, in the case's unit `state_unit`. `start`: the case's numbers; `units`, `scales`:
+      the units of the fitted numbers and their conversion.
+    - `level`: the level of the intervals; `errors`: whether the errors of the measurements are
+      "known" or "relative".
     """
 
     measured_own: Floats
@@ -155,27 +157,28 @@ def estimates(process: PharmaProcess) -> Estimates:
 
 
 def not_handed_on(result: ParameterFit) -> list[str]:
-    """The reason why the numbers of a fit are not handed on with their covariance, in sentences."""
+    """Sentences on why the numbers of a fit cannot be used in other runs with their covariance."""
     reasons = [] if result.converged else [f"The fit did not converge: {result.message}."]
     reasons += [f"{text[:1].upper()}{text[1:]}." for text in result.unidentified]
     for name, bound in zip(result.names, result.at_bound):
         if bound:
             end = "lower" if bound == "low" else "upper"
             reasons.append(
-                f"{name} is at its {end} bound, and chi² would decrease outside; its interval is "
-                "one-sided, and those of the others assume this bound."
+                f"{name} is at its {end} bound, and chi² would decrease beyond it. The interval of "
+                "this number is one-sided, and the intervals of the others hold it at this bound."
             )
     for numbers, size in zip(result.minima, result.minima_chi2):
         listed = ", ".join(f"{name} {x:.6g}" for name, x in zip(result.names, numbers))
         reasons.append(
             f"Other numbers, far from the fitted ones, fit as well (chi² {size:.4g}): {listed}, in "
-            "the units of the domain; narrower bounds, or further data, would exclude one of them."
+            "the units of the computation. Narrower bounds, or further data, would exclude one of "
+            "them."
         )
     return reasons
 
 
 def fitted_rows(case: PharmaCase, result: ParameterFit) -> list[tuple]:
-    """Rows of `fitted.csv`, which a case may name under `fitted`; none if the fit is not one."""
+    """Rows of `fitted.csv`, which a case may use under `fitted`; none if the fit is not usable."""
     request = case.estimation
     if request is None or not_handed_on(result):
         return []
@@ -206,7 +209,7 @@ def show(run: RunFiles, result: Estimates) -> list[Block]:
         Text(
             f"Weighted least squares, {'converged' if result.converged else result.message}: "
             f"chi² {number(result.chi2)} at {number(result.freedom, 0)} degrees of freedom, "
-            f"condition {power(result.condition)}; the best of {number(result.starts, 0)} "
+            f"condition number {power(result.condition)}; the best of {number(result.starts, 0)} "
             f"starts. {_weighed(result)}"
         ),
         Table([(name, "") for name in head], rows, "Fitted numbers", 2),
@@ -223,7 +226,7 @@ def show(run: RunFiles, result: Estimates) -> list[Block]:
 
 
 def _agreement(result: Estimates) -> Chart:
-    """Fitted over measured, one panel for each unit of measure."""
+    """Fitted against measured values, with one panel for each unit of measure."""
     rows = np.asarray(result.state_unit)
     units = list(dict.fromkeys(result.state_unit))
 
@@ -234,7 +237,7 @@ def _agreement(result: Estimates) -> Chart:
             measured, resolved = result.measured_own[rows == unit], result.fitted_own[rows == unit]
             pictures.agreement(axes, measured, resolved, f"{label}{with_unit('', unit)}")
 
-    svg = draw("agreement", "Fitted over measured values.", paint, 60 + 220 * len(units),
+    svg = draw("agreement", "Fitted against measured values.", paint, 60 + 220 * len(units),
                [1.0] * len(units))  # fmt: skip
     worst = float(np.abs(result.residuals).max())
     caption = f"The largest residual is {number(worst, 1)} standard deviations of its measurement."
@@ -246,27 +249,27 @@ def _weighed(result: ParameterFit) -> str:
     scale = number(result.scale)
     if finite(result.tail) is None:
         return (
-            "Errors are known only up to a factor, so the covariance is chi² per degree of "
-            f"freedom, {scale}, times that of the stated errors."
+            "Errors are known only up to a factor, so the covariance for the stated errors is "
+            f"multiplied by chi² per degree of freedom, {scale}."
         )
     text = f"A correct model exceeds this chi² with probability {percent(result.tail)}"
     if result.scale == 1:
         return f"{text}; the covariance is that of the stated errors."
     return (
-        f"{text}: the model does not describe the data, or their errors are too small. The "
+        f"{text}: the model does not describe the data, or the stated errors are too small. The "
         f"covariance was multiplied by chi² per degree of freedom, {scale}."
     )
 
 
 def _use(reasons: Sequence[str]) -> str:
-    """A sentence on the use of the fit from here on."""
+    """A sentence on how the fit can be used."""
     if reasons:
-        return "Since not all numbers are identified, no fitted.csv is written."
+        return "For the reasons above, no fitted.csv is written."
     return (
         "The other parts of this run use the numbers of the case. The fitted numbers and their "
-        "covariance are in the file fitted.csv of this run. To use them, copy it to the folder of "
-        'the case and write fitted = "fitted.csv" there: it replaces these numbers and their '
-        "[[uncertainty]]."
+        "covariance are in the file fitted.csv of this run. To use them, copy this file to the "
+        'folder of the case, add fitted = "fitted.csv" to the case, and remove the '
+        "[[uncertainty]] of these numbers."
     )
 
 
@@ -285,7 +288,7 @@ def validation(run: RunFiles) -> Section:
         return Section("validation", title, short, [reason])
     if result.validation is None:
         text = (
-            "No batch was held out from a fit: set `held_out = true` for an experiment "
+            "No batch was held out of the fit: set `held_out = true` for an experiment "
             "under `[[estimation.experiments]]`."
         )
         return Section("validation", title, short, [Missing(text)])
@@ -293,11 +296,11 @@ def validation(run: RunFiles) -> Section:
     low, high = percent(tests.low, 0), percent(tests.high, 0)
     blocks: list[Block] = [
         Text(
-            f"Of {len(tests.measured)} measurements of batches held out from the fit "
-            f"{percent(tests.coverage)} lie within their {level} prediction intervals ({low} to "
-            f"{high} for independent points). An interval combines the measurement error and the "
-            "uncertainty of the fit; the errors of points of one batch are correlated, which the "
-            "chi² of the batch takes into account."
+            f"Of {len(tests.measured)} measurements of batches held out of the fit, "
+            f"{percent(tests.coverage)} lie within their {level} prediction intervals (95 % "
+            f"interval of this share: {low} to {high} for independent points). An interval "
+            "combines the measurement error and the uncertainty of the fit. The errors of the "
+            "points of one batch are correlated, which the chi² of the batch takes into account."
         ),
         _batches(tests.batches),
         _points(tests),
@@ -321,11 +324,11 @@ def _batches(batches: Sequence[Agreement]) -> Table:
         for x in batches
     ]  # fmt: skip
     head = [("Batch held out", ""), ("Inside", ""), ("Chi²", ""), ("p-value", ""), ("", "")]
-    return Table(head, rows, "All points of each batch together", 1)
+    return Table(head, rows, "Chi² of all points of a batch together", 1)
 
 
 def _points(tests: Validation) -> Chart:
-    """Measured minus predicted over the half width of the interval: inside is -1 to 1."""
+    """Measured minus predicted, divided by the half width of the interval; inside are -1 to 1."""
     share = (tests.measured - tests.predicted) / tests.half
     svg = draw("validation", "Prediction errors of the batches that were held out.",
                lambda axes: pictures.residuals(axes, share), 200)  # fmt: skip
@@ -333,6 +336,6 @@ def _points(tests: Validation) -> Chart:
     caption = (
         "Measured minus predicted, divided by the half-width of the interval, in the order of "
         "the data: "
-        f"inside from −1 to 1; the largest is {worst}."
+        f"values from −1 to 1 are inside the interval; the largest size is {worst}."
     )
     return Chart(svg, caption)

@@ -1,4 +1,4 @@
-"""The first screen, and the last: the state of a run with its checks, and how it was made."""
+"""The first and the last section: the state of a run with its checks, and how it was made."""
 
 import math
 from collections.abc import Iterable
@@ -45,7 +45,7 @@ LOST = 1e-3  # share of batches without a finite result from which a run is not 
 
 
 def checks(run: StudyRun | RunFiles) -> list[tuple[str, bool, str]]:
-    """(name of the check, whether it passed, position of the largest error in brackets)."""
+    """Rows (name of the check, whether it passed, where its error is largest, in brackets)."""
     rows = []
     if balances := BALANCES.of(run):
         off = [x for x in balances if not closed(x)]
@@ -68,7 +68,7 @@ def checks(run: StudyRun | RunFiles) -> list[tuple[str, bool, str]]:
 
 
 def _size(value: float) -> float:
-    """One that is not a number is largest."""
+    """The value for a comparison: NaN counts as infinite."""
     return math.inf if math.isnan(value) else value
 
 
@@ -78,7 +78,7 @@ def _where(*names: Iterable[str]) -> str:
 
 
 def status(run: StudyRun | RunFiles) -> str:
-    """The first thing that is not in order, in a sentence, or "ok"."""
+    """The first problem of the run in a sentence, or "ok"."""
     batch, fit, recipe = ONE_BATCH.of(run), ESTIMATION.of(run), OPTIMUM.of(run)
     if batch is not None and batch.status != "ok":
         return batch.status
@@ -155,7 +155,7 @@ def marks(run: RunFiles) -> list[Mark]:
 
 
 def _against(run: RunFiles) -> list[str]:
-    """All that speaks against the process, however good the numbers are."""
+    """All results that speak against the process, even if the numbers are accurate."""
     rows, batch, recipe = RANGES.of(run) or (), ONE_BATCH.of(run), OPTIMUM.of(run)
     contains = batch.holds if batch else ()
     broken = [name for name, valid in zip(stated(run).attribute_names, contains) if not valid]
@@ -165,15 +165,15 @@ def _against(run: RunFiles) -> list[str]:
         f"{text}: {', '.join(names)}"
         for text, names in (
             ("at the set point a limit is broken", broken),
-            ("normal ranges not inside the proven ones", outside),
-            ("normal ranges inside the proven ones, but not with 95 % confidence", unsure),
+            ("normal ranges not inside the proven ranges", outside),
+            ("normal ranges inside the proven ranges, but not with 95 % confidence", unsure),
         )
         if names
     ]
     if recipe is not None:
         before, after = recipe.chance
         if after.probability < before.probability - 3 * after.error:
-            pair = f"{percent(after.probability)} for {percent(before.probability)}"
+            pair = f"{percent(after.probability)} instead of {percent(before.probability)}"
             text = f"the optimised recipe meets all limits less often, {pair}: use a reserve"
             verdicts.append(text)
     return verdicts
@@ -218,14 +218,15 @@ def _table(case: Statement, batch: BatchResult) -> Table:
                 quantity(room, unit) if attribute.limited else "–",
             )
         )  # fmt: skip
-    names = ("Attribute", "Limit", "Position", "", "Value", "Margin to the limit")
+    names = ("Attribute", "Limit", "Source", "", "Value", "Margin to the limit")
     caption = "Quality attributes of one batch at the set point"
     return Table([(name, "") for name in names], rows, caption, 4)
 
 
 @dataclass(frozen=True)
 class Making:
-    """The origin of a run's numbers, in addition to its statement: remarks, versions and hashes."""
+    """How a run's numbers were computed, in addition to its statement: remarks, versions,
+    hashes."""
 
     notes: tuple[str, ...] = ()
     libraries: dict[str, str] | None = None
@@ -235,7 +236,8 @@ class Making:
 
     @classmethod
     def of(cls, case: PharmaCase) -> "Making":
-        """The information before the run; a training records its versions and seed itself."""
+        """The information that is available before the run; a training records versions and seed
+        itself."""
         files = {file.name: file.read_bytes() for file in case_files(case.file.parent)}
         alone = case.control is None
         return cls(
@@ -271,7 +273,7 @@ def show(run: RunFiles, result: Making) -> list[Block]:
 
 
 def _remarks(run: RunFiles, case: Statement) -> list[str]:
-    """Remarks that the run itself makes: parts that failed, and a coarser mesh."""
+    """Remarks from the run itself: parts that failed, and a coarser mesh."""
     texts = [f"{name} failed: {x.note}" for name, x in run.parts.items() if x.note]
     mesh, steps = STATISTICS_MESH.of(run), _steps(run, case)
     if mesh is not None and mesh.steps != steps:
@@ -283,7 +285,7 @@ def _remarks(run: RunFiles, case: Statement) -> list[str]:
 
 
 def _steps(run: RunFiles, case: Statement) -> int | None:
-    """The steps of a batch, else those of the case."""
+    """The steps per piece of the computed batch, or those of the case without a batch."""
     batch = ONE_BATCH.of(run)
     if batch is not None:
         return batch.steps

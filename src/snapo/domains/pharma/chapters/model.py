@@ -1,6 +1,6 @@
 """The statement of a case: purpose, flowsheet, equations, parameters with their sources, numbers.
 
-It is available before a number is computed, so that it is a part of `about` of a study.
+It is available before any number is computed, so it is a part of a study's `about`.
 """
 
 import re
@@ -50,7 +50,7 @@ class AttributeStatement:
 
     @property
     def limited(self) -> bool:
-        """Whether it has a limit."""
+        """Whether the attribute has a limit."""
         return self.low is not None or self.high is not None
 
     @property
@@ -60,7 +60,7 @@ class AttributeStatement:
 
     @property
     def limits(self) -> str:
-        """ "70 to 100 um", "at most 720 ppm"."""
+        """The limits as text, such as "70 to 100 um" or "at most 720 ppm"."""
         unit = "" if self.unit == "1" else self.unit
         if self.low is not None and self.high is not None:
             return f"{quantity(self.low, '')} to {quantity(self.high, unit)}"
@@ -71,7 +71,7 @@ class AttributeStatement:
 
 @dataclass(frozen=True)
 class ParameterStatement:
-    """A process parameter in the case's unit; `of`: the number of the model that it is."""
+    """A process parameter in the case's unit; `of`: the name of its number in the model."""
 
     name: str
     of: str
@@ -105,7 +105,7 @@ class ReactionStatement:
 
 @dataclass(frozen=True)
 class UnitStatement:
-    """A unit of the flowsheet, the units of its measures and of the states that it records."""
+    """A unit of the flowsheet, with its measures, the states that it records, and their units."""
 
     name: str
     type: str
@@ -116,7 +116,8 @@ class UnitStatement:
 
 @dataclass(frozen=True)
 class UncertaintyStatement:
-    """An uncertain number; `when`: it is drawn again."""
+    """An uncertain number; `when`: the interval after which it is drawn again, "batch" or
+    "step"."""
 
     of: str
     nominal: float
@@ -138,7 +139,7 @@ class NumberStatement:
 
 @dataclass(frozen=True)
 class NumericsStatement:
-    """The method in time, its steps per piece, and its tolerance."""
+    """The method of integration over time, its steps per piece, and its tolerance."""
 
     method: str
     steps: int
@@ -147,7 +148,8 @@ class NumericsStatement:
 
 @dataclass(frozen=True)
 class Statement:
-    """The description before any number is computed; `connections`: "from" and "to"."""
+    """The description of a case before any number is computed; `connections`: rows with "from" and
+    "to"."""
 
     purpose: str = ""
     scope: str = ""
@@ -233,7 +235,7 @@ def _uncertainty(case: PharmaCase) -> tuple[UncertaintyStatement, ...]:
 
 
 def _in_words(kind: Distribution | None, scale: float, unit: str) -> str:
-    """ "normal, 0.3 K"; a pure number is a percentage."""
+    """The distribution as text, "normal, 0.3 K"; the spread of a lognormal one is in per cent."""
     if kind is None:
         return "held"
     if kind.kind == "lognormal":
@@ -360,12 +362,12 @@ def _tables(result: Statement) -> list[Block]:
     else:
         blocks.append(Text("Every number of the model counts as known exactly."))
     head = [("Input", ""), ("Entry", ""), ("Parameter", ""), ("Value", "")]
-    caption = "In the units of the computation"
+    caption = "Every number of the model, in the units of the computation"
     return [*blocks, Table(head, numbers, caption, 3, folded="Every number")]
 
 
 def _of_power(label: str, unit: str) -> tuple[str, str]:
-    """A coefficient's label and unit as written by hand: "t^2", "kg/m3/K^k" as "t²", "kg/m3/K2"."""
+    """A coefficient's label and unit in typeset form: "t^2", "kg/m3/K^k" as "t²", "kg/m3/K2"."""
     power = re.fullmatch(r"t\^(\d+)", label)
     if power is None:
         return label, unit

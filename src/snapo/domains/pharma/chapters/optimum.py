@@ -1,4 +1,5 @@
-"""The best recipe of the nominal model: decisions, limits, and the conditions that it meets."""
+"""The best recipe of the nominal model: its decisions, the limits, and the conditions of an
+optimum."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -64,7 +65,8 @@ class DecisionResult:
 
 @dataclass(frozen=True)
 class LimitResult:
-    """A limit of an attribute; `worth`: the gain of the goal per unit of additional room."""
+    """A limit of an attribute; `worth`: the gain of the goal per unit by which the limit is
+    relaxed."""
 
     attribute: str
     unit: str
@@ -78,7 +80,7 @@ class LimitResult:
 
 @dataclass(frozen=True)
 class RampResult:
-    """A piece of a profile: the share of its ramp that is used, and its multiplier."""
+    """A piece of a profile: the share of the ramp that is used, and the multiplier of the ramp."""
 
     piece: str
     most: Number
@@ -89,7 +91,7 @@ class RampResult:
 
 @dataclass(frozen=True)
 class KeptChance:
-    """The probability that a batch keeps all limits, and its standard error."""
+    """The probability that a batch meets all limits, and its standard error."""
 
     probability: Number
     error: Number
@@ -97,7 +99,8 @@ class KeptChance:
 
 @dataclass(frozen=True)
 class BestRecipe:
-    """The answer to `[optimise]`; `chance` before and after; `ends` of every start."""
+    """The answer to `[optimise]`; `chance`: before and after; `ends`: the goal reached from every
+    start."""
 
     sense: Literal["maximise", "minimise"]
     terms: tuple[GoalTerm, ...]
@@ -188,7 +191,7 @@ def best_recipe(run: StudyRun, optimum: Optimum, request: Optimise) -> BestRecip
 
 
 def _at(run: StudyRun, request: Optimise, x: np.ndarray) -> tuple[np.ndarray, KeptChance]:
-    """[Q] nominal attributes, and the probability to keep all limits with its standard error."""
+    """[Q] nominal attributes, and the probability of meeting all limits with its standard error."""
     process, seed = sampled(run), open_loop(run).seed + 2
     changes: dict[Entry, float] = {(d.input, d.entry): v for d, v in zip(request.decisions, x)}
     rows = batches.drawn(process, changes, BATCHES, seed)
@@ -231,7 +234,7 @@ def _terms(terms: Sequence[Term]) -> tuple[GoalTerm, ...]:
 
 
 def _unit(request: Optimise) -> str:
-    """The goal's unit where its terms share one, "kg/h"."""
+    """The goal's unit, such as "kg/h", if all terms have the same unit."""
     units = [{term.unit for term in terms} - {"1"} for terms in (request.terms, request.per)]
     if any(len(names) > 1 for names in units):
         return ""
@@ -279,14 +282,14 @@ def _facts(result: BestRecipe) -> Facts:
         ("Goal, original recipe", quantity(before, unit), ""),
         ("Goal, best recipe", quantity(value, unit), note),
     ]
-    for name, probability in zip(("as given", "best recipe"), result.chance):
+    for name, probability in zip(("original recipe", "best recipe"), result.chance):
         error = plus_minus(100 * probability.error, 1)
         facts.append((f"All limits met, {name}", percent(probability.probability), error))
     return Facts(facts)
 
 
 def _fine(value: float, unit: str = "") -> str:
-    """Five significant digits, so that 273.15 K keeps its digits."""
+    """A number with five significant digits, so that 273.15 K keeps its digits."""
     return quantity(value, "" if unit == "1" else unit, decimals([value]))
 
 
@@ -305,9 +308,9 @@ def _decisions(result: BestRecipe) -> Table:
                 _fine(x.start, x.unit), _fine(x.value, x.unit), _multiplier(value),
             )
         )  # fmt: skip
-    head = [("Decision", ""), ("Bounds", ""), ("Where", ""), ("As given", ""), ("Best", ""),
+    head = [("Decision", ""), ("Bounds", ""), ("Position", ""), ("Original", ""), ("Best", ""),
             ("Multiplier", f"{result.unit} per unit")]  # fmt: skip
-    caption = "The numbers chosen; a multiplier is the gain of the goal if its bound moves one unit"
+    caption = "Decisions; a multiplier is the gain of the goal if the bound is relaxed by one unit"
     return Table(head, rows, caption, 3)
 
 
@@ -315,14 +318,14 @@ def _limits(result: BestRecipe) -> Table | Missing:
     rows = [
         (
             x.attribute, f"{x.side} {quantity(x.limit, '' if x.unit == '1' else x.unit)}",
-            "holds it" if x.worth else "free", _fine(x.start, x.unit), _fine(x.value, x.unit),
+            "binding" if x.worth else "free", _fine(x.start, x.unit), _fine(x.value, x.unit),
             _multiplier(x.worth),
         )
         for x in result.limits
     ]  # fmt: skip
     if not rows:
-        return Missing("No attribute has a limit, so that only the bounds restrict the recipe.")
-    head = [("Attribute", ""), ("Limit", ""), ("", ""), ("As given", ""), ("Best", ""),
+        return Missing("No attribute has a limit, so only the bounds restrict the recipe.")
+    head = [("Attribute", ""), ("Limit", ""), ("", ""), ("Original", ""), ("Best", ""),
             ("Multiplier", f"{result.unit} per unit")]  # fmt: skip
     caption = "Limits; a multiplier is the gain of the goal if the limit is relaxed by one unit"
     return Table(head, rows, caption, 3)
@@ -334,7 +337,8 @@ def _ramps(result: BestRecipe) -> Table:
         for x in result.ramps
     ]
     head = [("Piece of a profile", ""), ("Ramp", ""), ("Used", ""), ("Multiplier", result.unit)]
-    return Table(head, rows, "Ramps; a multiplier is per additional ramp", 2)
+    caption = "Ramps; a multiplier is the gain of the goal per additional 100 % of the ramp"
+    return Table(head, rows, caption, 2)
 
 
 def _conditions(result: BestRecipe) -> Table:
@@ -350,12 +354,12 @@ def _conditions(result: BestRecipe) -> Table:
         starts += ", ".join(map(number, endpoints))
     rows = [
         ("Solver", Mark(result.converged, result.message)),
-        ("Gradient that no multiplier of the right sign explains", small(result.stationarity)),
+        ("Gradient not explained by multipliers of the right sign", small(result.stationarity)),
         ("Largest violation of a limit, a ramp or a bound", small(result.violation)),
         ("Work", f"{result.iterations} iterations, {result.evaluations} evaluations with all "
                  f"derivatives; {starts}"),
         ("Derivatives", result.mode),
-        ("Time", f"{seconds(result.solving)}, and {seconds(result.compiling)} to compile"),
+        ("Time", f"{seconds(result.solving)} to solve, {seconds(result.compiling)} to compile"),
     ]  # fmt: skip
     return Table([], rows, "First-order conditions (Karush, Kuhn and Tucker), relative to the goal "
                  "at the start and to the width of the bounds", 2)  # fmt: skip

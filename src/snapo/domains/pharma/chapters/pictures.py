@@ -24,7 +24,8 @@ def heat(
     columns,
     full: np.ndarray,
 ) -> None:
-    """Cells coloured by sign and size, each with its number; `full` is each row's deepest size."""
+    """Cells coloured by sign and size, each with its number; `full` is the size with the deepest
+    colour in each row."""
     from matplotlib.patches import Rectangle
 
     for q in range(len(rows)):
@@ -89,7 +90,8 @@ def curves(
 
 
 def minutes_below(*panels: "Axes") -> None:
-    """The time under every panel: those that share an axis show it only under the last."""
+    """Labels for the time under every panel; panels that share an axis would show it only under the
+    last."""
 
     for axes in panels:
         axes.tick_params(axis="x", labelbottom=True)

@@ -38,7 +38,7 @@ def measure_pairs(run: StudyRun) -> tuple[Pair, ...]:
 
 
 def _ends(parameter: Parameter, proven: AcceptableRange) -> tuple[float, float] | None:
-    """The ends of a range in the domain's unit; None if the set point itself fails."""
+    """The ends of a range in the domain's unit; None if even the set point fails."""
     if proven.low is None or proven.high is None:
         return None
     scale, offset = parameter.scale, parameter.offset
@@ -63,12 +63,12 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
              "Normal range", "Nominal model", f"Probability {required}", f"certain at 95{SPACE}%",
              f"possible at 95{SPACE}%")  # fmt: skip
     caption = (
-        "How far one parameter may move with all others at their set point: by the model at its "
+        "The range of one parameter with all others at their set point: for the model with its "
         "nominal numbers, and with the required probability under all variation "
-        f"({number(result[0].samples, 0)} batches per point). An edge names the attribute "
-        "that fails outside it; “studied range” if none does. A range is certain as far as the "
-        "lower end of the 95 % interval of the probability is above the required one, and "
-        "possible as far as the upper end is."
+        f"({number(result[0].samples, 0)} batches per point). The columns “Edge” have the "
+        "attribute that fails beyond the range, or “studied range” if none fails. A range is "
+        "certain while the lower end of the 95 % interval of the probability is at least the "
+        "required probability, and possible while the upper end is."
     )
     return [Table([(name, "") for name in names], rows, caption, 4)]
 
@@ -76,7 +76,7 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
 def _verdict(proven: AcceptableRange) -> Mark:
     if not proven.holds_normal:
         return Mark(False, "not inside")
-    return Mark(proven.sure_normal, "inside" if proven.sure_normal else "inside, not surely")
+    return Mark(proven.sure_normal, "inside" if proven.sure_normal else "inside, not certain")
 
 
 def _span(endpoints: tuple[float, ...] | None) -> str:
@@ -99,7 +99,7 @@ def _edges(proven: AcceptableRange) -> str:
 def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
     """Proven ranges of two parameters at once."""
     if not result:
-        return [Missing("There is only one parameter, so that there are no pairs.")]
+        return [Missing("There is only one parameter, so there are no pairs.")]
     order = sorted(result, key=lambda pair: (_least(pair), -(finite(pair.used) or 0.0)))
     names, case = stated(run).attribute_names, stated(run)
     rows = [
@@ -111,18 +111,19 @@ def show_pairs(run: RunFiles, result: tuple[Pair, ...]) -> list[Block]:
         )
         for pair in order[:SHOWN]
     ]  # fmt: skip
-    head = ("Parameters", "Share of both, nominal model", "First corner",
+    head = ("Parameters", "Share of both, nominal model", "Corner that fails first",
             "With the required probability", "certain – possible at 95 %",
             "Corners of normal ranges", "Interaction")  # fmt: skip
     caption = (
-        "A proven range holds with all other parameters at their set point. Here both move, "
-        "from the set point to each of the four corners of their proven ranges: up to this share "
-        "of both ranges no corner breaks a limit (100 %: the ranges may be used together). "
-        "Interaction, on the attribute whose margin it uses most: half of the difference between "
-        "the effects of one parameter at both ends of the other's normal range."
+        "A proven range holds with all other parameters at their set point. Here two parameters "
+        "move together, from the set point to each of the four corners of their proven ranges. "
+        "The share of both is the largest share of both ranges at which no corner breaks a limit "
+        "(100 %: the ranges may be used together). The interaction is half of the difference "
+        "between the effects of one parameter at both ends of the other's normal range, in the "
+        "attribute whose margin it uses most."
     )
     if len(result) > SHOWN:
-        caption += f" Of {len(result)} pairs the {SHOWN} with the smallest margin."
+        caption += f" Shown are the {SHOWN} of {len(result)} pairs with the smallest shares."
     return [Table([(name, "") for name in head], rows, caption, frozenset({0, 2, 5, 6}))]
 
 
@@ -141,7 +142,7 @@ def _sure(together: Together | None) -> str:
 
 
 def _corner(pair: Pair, names: list[str]) -> str:
-    """The corner of the nominal ranges that fails first, and by which attribute."""
+    """The corner of the nominal ranges that fails first, and the attribute that fails there."""
     together = pair.nominal
     if together is None or together.fails < 0:
         return "–"

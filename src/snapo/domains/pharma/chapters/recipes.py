@@ -1,4 +1,4 @@
-"""The alternatives to a policy: the best of several fixed recipes, and rules about it."""
+"""The alternatives to a policy: the best of several fixed recipes, and rules around a recipe."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +20,7 @@ from ..shared import closed_loop
 
 @dataclass(frozen=True, eq=False)
 class RecipeLogits:
-    """Logits of the recipe with which training starts, and of the best one, [T, size]."""
+    """Logits of the recipe with which training starts, and of the best recipe, [T, size]."""
 
     first: Floats
     best: Floats
@@ -31,7 +31,7 @@ class RecipeLogits:
 
 
 def tune(run: StudyRun) -> RecipeLogits:
-    """Recipes from several starts."""
+    """Trains recipes from several starting points."""
     loop = closed_loop(run)
     recipes = best_recipe(
         loop.problem, loop.loop.baseline, loop.training, loop.engines, run.progress
@@ -40,14 +40,14 @@ def tune(run: StudyRun) -> RecipeLogits:
 
 
 def recipe(run: StudyRun, name: str) -> Feedback:
-    """A recipe, as saved by its part of the run."""
+    """A recipe as saved by its part of the run."""
     logits = RECIPES.of(run)
     assert logits is not None
     return logits.policy(closed_loop(run), name)
 
 
 def train_policy(run: StudyRun) -> dict[str, Any]:
-    """The policy starts from the first recipe."""
+    """Trains the policy, which starts from the first recipe."""
     closed_loop(run).first = recipe(run, "first")
     return train(run)
 
@@ -63,8 +63,8 @@ TRAINED = Part(TRAINING.name, train_policy, (RECIPES.name,))
 class TunedRule:
     """PI controllers; `gains_own` in the units of the domain, `times` in s.
 
-    - `table`, `setpoints`, `gains`, `wires`: of the policy. `sensors`, `of`: the state that
-      each measures, and the input that it moves.
+    - `table`, `setpoints`, `gains`, `wires`: of the policy. `sensors`, `of`: the state that each
+      controller measures, and the input that it moves.
     """
 
     name: str
@@ -86,7 +86,8 @@ class TunedRule:
 
 
 def tune_rules(run: StudyRun) -> tuple[TunedRule, ...]:
-    """Every rule of the case with its first settings, and trained for as long as the policy."""
+    """Every rule of the case twice: with its first settings, and trained for as long as the
+    policy."""
     loop, rows = closed_loop(run), []
     control, plan = loop.case.control, loop.training
     assert control is not None

@@ -34,9 +34,10 @@ SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a sepa
 class SensitivityMatrix:
     """Q attributes by P parameters in three forms, as `MatrixForms`, and the parameters by rank.
 
-    - `mode`, `reason`, `passes`: how it was differentiated; `values` [Q]: the values of the
+    - `mode`, `reason`, `passes`: how the derivatives were computed; `values` [Q]: the values of the
       attributes.
-    - `varied` [Q, V]: by all that differs from batch to batch, per unit of the computation.
+    - `varied` [Q, V]: with respect to all numbers that differ from batch to batch, per unit of the
+      computation.
     """
 
     mode: str
@@ -52,7 +53,7 @@ class SensitivityMatrix:
 
 
 def measure(run: StudyRun) -> SensitivityMatrix:
-    """One pass serves the parameters and everything else that varies."""
+    """The matrix, by one pass for the parameters and for all other numbers that vary."""
     complete, case = process(run), process(run).case
     entries = batches.varied(case)
     result = matrix(complete, entries=entries)
@@ -67,7 +68,7 @@ def measure(run: StudyRun) -> SensitivityMatrix:
 
 
 def every_sensitivity(complete: PharmaProcess) -> Iterable[tuple]:
-    """attribute, input, label, value, unit: by all numbers of the case."""
+    """Rows (attribute, input, label, value, unit) with respect to all numbers of the case."""
     inputs = pharma_inputs(complete.case)
     entries = every_entry(complete.inputs)
     jacobian = matrix(complete, entries=entries, mode="adjoint").jacobian
@@ -88,7 +89,7 @@ class CriticalityTable:
     """[Q, P]: half the `change` of an attribute as a parameter goes from the lower to the upper end
     of its normal range, by the nominal model, in the attribute's unit.
 
-    - `low`, `high`: 5 % and 95 % of it over the variation that the case states.
+    - `low`, `high`: its 5 % and 95 % quantiles over the variation that the case states.
     - `share`, `share_low`, `share_high`: the size of the change, as a share of the distance to the
       nearest limit at the set point; NaN without a limit, infinite on or beyond it.
     - `draws`: the draws of the variation.
@@ -104,7 +105,8 @@ class CriticalityTable:
 
 
 def criticality(process: PharmaProcess, seed: int, draws: int = DRAWS) -> CriticalityTable:
-    """The nominal batch, and the same drawn batches, at both ends of every normal range."""
+    """The criticality from the nominal batch, and from the same drawn batches, at both ends of
+    every normal range."""
     case = process.case
     entries = batches.varied(case)
     here = batches.nominally(process, {})
@@ -163,8 +165,8 @@ def _heat(case: Statement, result: SensitivityMatrix) -> Chart:
                60 + 28 * len(rows))  # fmt: skip
     caption = (
         "Change of an attribute over half the normal range of a parameter, as a share of the "
-        "margin to its nearest limit. Orange raises the attribute, blue lowers it; 0 is exact: "
-        "nothing connects the two."
+        "margin to its nearest limit. Orange: a higher parameter raises the attribute; blue: it "
+        "lowers the attribute. A 0 is exact, because nothing connects the two."
     )
     return Chart(svg, caption)
 
@@ -190,7 +192,7 @@ def _forms(case: Statement, result: SensitivityMatrix) -> Table:
             rows.append((attribute.name, form, label, *cells))
     parameters = [(x.name, x.shown_unit) for x in case.parameters]
     head = [("Attribute", ""), ("Form", ""), ("Unit", ""), *parameters]
-    caption = "The matrix in three forms; a plain 0 is a structural zero"
+    caption = "The matrix in three forms; a 0 is exact, because nothing connects the two"
     return Table(head, rows, caption, 3, folded="The matrix in numbers")
 
 
@@ -202,30 +204,32 @@ def _ranking(ranks: tuple[Rank, ...]) -> Table | Missing:
             x.parameter, x.attribute or "–",
             "–" if x.outside or x.spent else percent(x.share, 1), percent(x.variance, 0),
             "attribute beyond its limit" if x.outside
-            else "its variation uses all of the margin" if x.spent else "",
+            else "variation uses all of the margin" if x.spent else "",
         )
         for x in ranks
     ]  # fmt: skip
-    names = ("Parameter", "Most critical for", "Share of the margin used", "Of its variance", "")
+    names = ("Parameter", "Most critical for", "Share of margin used", "Share of its variance", "")
     caption = (
-        "Criticality: the largest share of any limit's margin that half the normal range uses; "
-        "margin is the distance to the limit minus two standard deviations of the batches. The "
-        "last number is the share of that attribute's variance due to the parameter"
+        "Criticality of a parameter: the largest share of the margin of any limit that half of its "
+        "normal range uses. Here the margin is the distance to the limit minus two standard "
+        "deviations of the batches. The last number is the share of the attribute's variance that "
+        "is due to the parameter"
     )
     return Table([(name, "") for name in names], rows, caption, frozenset({0, 1, 4}))
 
 
 def _criticality(case: Statement, result: CriticalityTable) -> Table:
-    """Every parameter by every attribute: the share of its room, with an interval."""
+    """A row for every parameter, a column for every attribute: the share of the margin, with an
+    interval."""
     shares = np.stack([result.share, result.share_low, result.share_high], -1)
     rows = [
         (name, *(_interval(*shares[q, p]) for q in range(len(shares))))
         for p, name in enumerate(case.parameter_names)
     ]
     caption = (
-        "Which parameter moves which attribute: half the change as the parameter goes over its "
-        "normal range, as a share of the margin to the nearest limit; in brackets its 5 % and "
-        f"95 % quantiles over {number(result.draws, 0)} draws of the variation"
+        "Effect of every parameter on every attribute: half of the change as the parameter goes "
+        "over its normal range, as a share of the margin to the nearest limit; in brackets the 5 % "
+        f"and 95 % quantiles of this share over {number(result.draws, 0)} draws of the variation"
     )
     return Table([("Parameter", ""), *((name, "") for name in case.attribute_names)], rows, caption)
 
@@ -252,7 +256,7 @@ def _tornados(case: Statement, scaled: np.ndarray) -> Chart:
                "parameter.", paint, 24 + 110 * count, [1.0] * count)  # fmt: skip
     caption = (
         "Change of each attribute as one parameter moves over its normal range, to first order; "
-        "the dark mark is the upper end of the parameter's range."
+        "the dark mark is the change at the upper end of the range."
     )
     return Chart(svg, caption)
 

@@ -35,16 +35,16 @@ CLOSED = 1e-10  # relative gap of a balance
 
 @dataclass(frozen=True)
 class Balance:
-    """`relative`: (inflow + made - outflow - accumulation) divided by the largest of them; 0 if
-    all are 0.
+    """One balance of one batch.
 
-    Material that has not entered a unit counts as accumulation. It cannot be negative, so the
-    balance of a unit that takes more than its feed does not close.
-
-    The balances of one batch. "mass" is in kg, a species in kmol: `inflow` includes seed, and
-    `made` is by reactions, negative if they use it (for mass, the error of rounded molar masses).
-    "solvent" is in kg, with anti-solvent and wash liquid. "energy" is in J, the sensible heat above
-    0 K plus the latent heat of vapour; `inflow` includes the heat of reaction.
+    - `quantity`: "mass" in kg, or a species in kmol: `inflow` includes seed, and `made` is by
+      reactions, negative if they use it (for mass, the error of rounded molar masses). "solvent" is
+      in kg, with anti-solvent and wash liquid. "energy" is in J, the sensible heat above 0 K plus
+      the latent heat of vapour; `inflow` includes the heat of reaction.
+    - `accumulation`: includes material that has not entered the unit. This cannot be negative, so
+      the balance of a unit that takes more than its feed does not close.
+    - `relative`: (inflow + made - outflow - accumulation) divided by the largest of these; 0 if all
+      are 0.
     """
 
     unit: str
@@ -57,7 +57,8 @@ class Balance:
 
 
 def balances(process: PharmaProcess, inputs=None) -> list[Balance]:
-    """The balances of every unit but tests of the product, and of the whole as unit "process"."""
+    """The balances of every unit except tests of the product, and of the whole flowsheet as
+    "process"."""
     case, batch = process.case, process.run(inputs)
     streams, ledgers = batch.streams, batch.ledgers
     fed, results = sources(case.flowsheet), []
@@ -120,7 +121,7 @@ def _solvent(streams: Iterable[Stream]) -> float:
 
 @dataclass(frozen=True)
 class CheckedPoint:
-    """A point of operation: the largest gap of the adjoint, and its position.
+    """A point of operation: the largest gap of the adjoint, and the attribute and parameter of it.
 
     - `at`: values of the parameters. `kinks`: entries whose one-sided derivatives differ.
     """
@@ -135,7 +136,7 @@ class CheckedPoint:
 
 
 def closed(balance: Balance) -> bool:
-    """Whether a balance closes; NaN does not."""
+    """Whether a balance closes; a NaN does not close."""
     return balance.quantity == "energy" or abs(balance.relative) <= CLOSED
 
 
@@ -181,14 +182,15 @@ def _balances(run: RunFiles, result: tuple[Balance, ...]) -> list[Block]:
     ]  # fmt: skip
     names = ("Unit", "Balance of", "", "In", "Produced", "Out", "Left in unit", "Relative gap")
     caption = (
-        "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Produced: by "
-        "reactions, below 0 if they consume a species; for mass, the error of rounded molar masses"
+        "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. “Produced” "
+        "is by reactions, and below 0 if they consume a species; for mass it is the error of "
+        "rounded molar masses"
     )
     return [Table([(name, "") for name in names], rows, caption, 3)]
 
 
 def _made(balance: Balance) -> float:
-    """The amount made; round-off counts as zero."""
+    """The produced amount; round-off counts as zero."""
     through = max(abs(balance.inflow), abs(balance.outflow))
     return balance.made if abs(balance.made) > 1e-12 * through else 0.0
 
@@ -207,17 +209,17 @@ def _convergence(run: RunFiles, result: Convergence) -> list[Block]:
         for x in rows
     ]  # fmt: skip
     controlled = numerics is not None and numerics.method == "adaptive"
-    finer = "A tenth of the tolerance" if controlled else "Half the mesh"
-    names = ("Attribute", "By", "As in this run", finer, "Error-controlled", "Finer gap",
+    finer = "A tenth of the tolerance" if controlled else "Twice the steps"
+    names = ("Attribute", "Parameter", "As in this run", finer, "Error-controlled", "Finer gap",
              "Adaptive gap")  # fmt: skip
     text = (
-        f"{'With' if controlled else 'On'} {finer.lower()} no value or derivative moves by more "
-        f"than {power(worst)} (relative to each value, "
-        "derivatives to the largest in their row); the "
+        f"With {finer.lower()} no value or derivative changes by more "
+        f"than {power(worst)} (values relative to themselves, "
+        "derivatives to the largest of their attribute); the "
         f"error-controlled solution differs by at most {power(other)}."
     )
     head = [(name, "") for name in names]
-    caption = "Values and derivatives in three ways"
+    caption = "Values and derivatives, computed in three ways"
     table = Table(head, cells, caption, 2, folded="Every number")
     return [Text(text), table, *_cells(result.cells)]
 
@@ -227,7 +229,7 @@ def _cells(cells: tuple[Cells, ...]) -> list[Block]:
         return []
     rows = [
         (
-            x.attribute, Mark(x.passed, "within its margin" if x.passed else "moves"),
+            x.attribute, Mark(x.passed, "within its margin" if x.passed else "beyond it"),
             number(x.value), number(x.finer), number(x.margins),
         )
         for x in cells
@@ -241,14 +243,15 @@ def _certificate(run: RunFiles, result: tuple[CheckedPoint, ...]) -> list[Block]
     rows = [
         (
             x.point, Mark(x.passed, "agrees" if x.passed else "differs"),
-            f"{x.attribute} by {x.parameter}", number(x.kinks, 0), power(x.worst),
+            f"{x.attribute}, {x.parameter}", number(x.kinks, 0), power(x.worst),
         )
         for x in result
     ]  # fmt: skip
     names = ("Point", "", "Worst entry", "Kinks", "Gap")
     caption = (
-        "Adjoint against fourth-order central differences, for every attribute and parameter; "
-        "gap over the largest of the row; at a kink both one-sided derivatives differ"
+        "Adjoint against fourth-order central differences, for every attribute and parameter. The "
+        "gap is relative to the largest derivative of the attribute; at a kink the two one-sided "
+        "derivatives differ"
     )
     return [Table([(name, "") for name in names], rows, caption, 3)]
 
@@ -272,9 +275,9 @@ def verification(run: RunFiles) -> Section:
     batch, attribution = ONE_BATCH.of(run), ATTRIBUTION.of(run)
     loops = [
         Text(
-            f"The loop {x.loop} is at its steady state: one more iteration changes its tear "
-            f"streams by a relative {power(x.change)}, after {x.rounds} rounds of "
-            "Newton's method."
+            f"The loop {x.loop} is at its steady state: after {x.rounds} rounds of Newton's "
+            f"method, one more iteration changes its tear streams by {power(x.change)} of their "
+            "size."
         )
         for x in (batch.loops if batch else ())
         if x.change is not None
@@ -285,8 +288,8 @@ def verification(run: RunFiles) -> Section:
         blocks.append(
             Text(
                 "Sensitivities assembled from the derivatives of the units along every path agree "
-                f"with those of the whole to {power(attribution.closure)} of the largest in their "
-                "row."
+                "with those of the whole flowsheet to "
+                f"{power(attribution.closure)} of the largest of their attribute."
             )
         )
     return Section("verification", "Verification", "Verification", blocks)

@@ -1,5 +1,5 @@
-"""The process in closed loop: a policy decides on measurements while a batch runs.
+"""The process in closed loop: a policy decides from measurements while a batch runs.
 
-`loop.closed_loop` puts it together from `stages`; `closed_loop` is its problem, and `rules` has the
+`closed_loop` puts the loop together from `stages` and defines its problem; `rules` has the
 controllers with which the trained policy is compared.
 """

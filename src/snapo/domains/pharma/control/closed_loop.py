@@ -1,5 +1,6 @@
-"""The process in closed loop: a policy decides temperatures and ratios on measurements. Also as a
-problem: its objective, the best of several recipes, and its setups.
+"""The process in closed loop: a policy decides temperatures and ratios from measurements. The
+module also has the objective, the search for the best of several recipes, and the setups for
+training.
 """
 
 from collections.abc import Callable
@@ -38,10 +39,10 @@ from .staging import LoopRecord, decided, staged
 class ControlLoop(NamedTuple):
     """A closed loop, ready for `snapo.solve`.
 
-    - `inputs`: {name: Input}. `baseline`: the recipe of the case as a policy without observations;
+    - `inputs`: {name: Input}. `baseline`: the recipe of the case, as a policy without observations;
       trained, it is the best fixed recipe. `policy`: the same recipe with feedback.
-    - `stages`: in order. `outputs`: names of the attributes' totals. In addition, "success" is 1 if
-      all limits are met, and "violation" is the sum of the violations in margins.
+    - `stages`: the stages in order. `outputs`: names of the attributes' totals. Two further totals:
+      "success" is 1 if all limits are met, and "violation" is the sum of the violations in margins.
     """
 
     simulator: Simulator
@@ -91,7 +92,7 @@ def stages_of(case: PharmaCase) -> list[Stage]:
 
 @dataclass(frozen=True)
 class NextStage:
-    """From the end of one stage to the beginning of the next."""
+    """The transition from the end of one stage to the beginning of the next."""
 
     before: Stage
     after: Stage
@@ -117,7 +118,8 @@ def nominal_recipe(case: PharmaCase, stages: list[Stage], inputs: dict[str, Inpu
 
 
 def _course(case: PharmaCase, name: str, value: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """A control at shares of its unit's duration: its profile, or one number all the time."""
+    """The values of a control at shares of its unit's duration: of its profile, or a constant
+    number."""
     unit = next(item for item in case.units if item.name == name.partition(".")[0])
     profile = next((entry for entry in unit.profiles if entry.value.name == name), None)
     if profile is None:
@@ -132,7 +134,7 @@ STARTS, SPREAD = 3, 0.3  # recipes that tuning starts from: the case's own, and 
 
 
 def objective(case: PharmaCase) -> Objective:
-    """The objective of `[goal]`, of the totals "success", "violation" and "attribute.NAME"."""
+    """The objective of `[goal]`, made of the totals "success", "violation" and "attribute.NAME"."""
     goal: Goal = case.goal
     if goal.kind == "probability":
         return Mean("success") - SHORTFALL * Mean("violation")
@@ -145,7 +147,7 @@ def objective(case: PharmaCase) -> Objective:
 
 
 def in_words(goal: Goal) -> str:
-    """The objective as text, in the unit of the goal's attribute if it has one."""
+    """The objective as text; the unit is that of the goal's attribute, if there is one."""
     if goal.kind == "probability":
         return "probability of all limits"
     worst = f" over the worst {100 * (1 - goal.level):.3g} % of batches"
@@ -162,10 +164,10 @@ def best_recipe(
     engines: Engines,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[Feedback, Feedback]:
-    """The best of several recipes, each trained; and the same recipe after a second training.
+    """The best of several trained recipes, and the same recipe after a second training.
 
-    `feedback`: the case's recipe. A policy that is to be compared with the second starts from the
-    first.
+    `feedback`: the case's recipe. A policy that is compared with the second recipe starts from the
+    first one.
     """
 
     def tuned(recipe: Feedback, plan: TrainingPlan, subject: str) -> tuple[float, Feedback]:
@@ -180,15 +182,15 @@ def best_recipe(
     ]
     first = max(results, key=lambda item: item[0])[1]
     repeated = replace(training, seed=training.seed + 1)
-    return first, tuned(first, repeated, "best recipe, trained on")[1]
+    return first, tuned(first, repeated, "best recipe, trained further")[1]
 
 
 TOO_LONG = "a step of a process is larger than the native engine supports"
 
 
 class ClosedLoop:
-    """The common part of these parts: the loop, its problem, and the recipes once they are
-    tuned."""
+    """What the parts of a run on the closed loop share: the loop, its problem, and the recipes once
+    they are tuned."""
 
     def __init__(self, case: PharmaCase, engine: str):
         self.case, self.engine = case, engine
@@ -219,7 +221,7 @@ class ClosedLoop:
         return {}
 
     def setup(self) -> Setup:
-        """The policy starts from the first recipe, once that exists."""
+        """The setup for training; the policy starts from the first recipe, after that was tuned."""
         available = self.first is not None
         if available not in self._setups:
             policy = (self.first or self.loop.baseline).closed()
@@ -229,9 +231,8 @@ class ClosedLoop:
         return self._setups[available]
 
     def setup_at(self, before: Setup, other: PharmaCase) -> Setup:
-        """The setup of a case that differs only in the numbers of its inputs.
-
-        Nothing is compiled if the case has the same form.
+        """The setup of a case that differs from this one only in the numbers of its inputs. Nothing
+        is compiled if the case has the same form.
         """
         loop = closed_loop(other, seed=self.training.seed)
         problem = replace(before.problem, simulator=loop.simulator, inputs=loop.inputs)

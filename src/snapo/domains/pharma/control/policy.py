@@ -1,10 +1,10 @@
-"""A recipe as a policy, an action for every step, with or without corrections by feedback; and the
-readings of sensors: the state one dead time earlier.
+"""A recipe as a policy: an action for every step, with or without corrections by feedback. Also the
+readings of sensors with a dead time.
 
-An analyser at the end of a sample line, or a slow method, shows the past. The true readings at the
-last decisions are kept, the latest first, and the reading a dead time ago is interpolated linearly
-between two of them; before the unit's start it is the first one. The sensor's error is added when
-it is read.
+An analyser at the end of a sample line, or a slow method, shows a past state. The true readings at
+the last decisions are stored, the latest first. The reading one dead time ago is interpolated
+linearly between two of them; before the unit's start it is the first reading. The sensor's error is
+added when the sensor is read.
 """
 
 import math
@@ -33,12 +33,12 @@ def history_length(sensors: Sequence[Measurement], interval: float) -> int:
 
 
 def initial_history(values, length: int) -> Float[Array, "M L"]:
-    """The past at a unit's start: its first readings [M]."""
+    """The stored readings at a unit's start: its first readings [M], repeated `length` times."""
     return jnp.tile(jnp.asarray(values)[:, None], (1, length))
 
 
 def shifted(values, past) -> Float[Array, "M L"]:
-    """The past, once the readings `values` [M] are the latest."""
+    """The stored readings after the readings `values` [M] were added as the latest."""
     if not past.shape[1]:
         return past
     return jnp.concatenate([jnp.asarray(values)[:, None], past[:, :-1]], 1)
@@ -59,10 +59,10 @@ EDGE = 1e-4  # actions at a bound begin this far inside, where a logit is finite
 class Feedback(Policy):
     """action = sigmoid(table[step] + gain * network(observation)), in 0..1.
 
-    The step is read from the first number observed, the share of all steps done, with hat
-    functions, so that it is the same code in every engine. With `gain` 0 it is a fixed recipe:
-    the network neither acts nor learns; with 1 both learn. It is one policy in both cases, so
-    that nothing is compiled twice.
+    The step follows from the first number observed, the share of all steps that are done, by hat
+    functions, so that every engine runs the same code. With `gain` 0 it is a fixed recipe: the
+    network neither acts nor learns; with 1 both learn. It is one policy in both cases, so that
+    nothing is compiled twice.
     """
 
     table: Float[Array, "T size"]
@@ -94,10 +94,11 @@ class Feedback(Policy):
         return eqx.tree_at(lambda policy: policy.table, self, jnp.asarray(table, jnp.float32))
 
     def actions(self) -> np.ndarray:
-        """[T, size] its decisions without feedback."""
+        """The decisions without feedback, [T, size]."""
         return np.asarray(jax.nn.sigmoid(self.table))
 
     def perturbed(self, spread: float, seed: int) -> "Feedback":
-        """Another recipe to start from: logits moved by normal numbers of this deviation."""
+        """Another recipe to start from: the logits plus normal random numbers of this standard
+        deviation."""
         noise = np.random.default_rng(seed).normal(size=self.table.shape).astype(np.float32)
         return self.on(np.asarray(self.table) + spread * noise)

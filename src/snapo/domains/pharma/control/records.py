@@ -8,8 +8,8 @@ from typing import Literal
 class Manipulated:
     """One decision of the policy: the profile or the number `input` of a unit.
 
-    - `low`, `high`: the set, in the domain's unit. `ramp`: maximum change per second of a profile,
-      None without limit.
+    - `low`, `high`: its bounds, in the domain's unit. `ramp`: maximum change per second of a
+      profile, None without limit.
     """
 
     input: str
@@ -51,9 +51,10 @@ class PI:
 
 @dataclass(frozen=True)
 class Cascade:
-    """One loop: `outer` moves the `Manipulated` number `of`, or through `inner` its setpoint.
+    """One loop: `outer` moves the `Manipulated` number `of`; with `inner` it moves the setpoint of
+    `inner`, which moves the number.
 
-    `low`, `high`: bounds of the setpoint of `inner` set by `outer`.
+    `low`, `high`: bounds of the setpoint of `inner`.
     """
 
     of: int
@@ -67,7 +68,7 @@ class Cascade:
 class ControlRule:
     """A baseline for the policy: PI controllers around the recipe.
 
-    `tuning`: for missing settings: "simc" (Skogestad 2003) or "ziegler-nichols" (1942).
+    `tuning`: the formula for missing settings, "simc" (Skogestad 2003) or "ziegler-nichols" (1942).
     """
 
     name: str
@@ -79,9 +80,9 @@ class ControlRule:
 class Control:
     """Closed loop: the decisions, their times and the measurements.
 
-    - `steps`: decisions per unit, by name; other units run in open loop on their numbers.
-      `substeps`: fixed integration steps within one decision, at most 64.
-    - `solubility_margin`: maximum relative supersaturation, as a path constraint; or None.
+    - `steps`: decisions per unit, by name; other units run in open loop with the numbers of the
+      case. `substeps`: fixed integration steps within one decision, at most 64.
+    - `solubility_margin`: the maximum relative supersaturation as a path constraint, or None.
     - `rules`: controllers to compare with the policy, on the same batches.
     """
 
@@ -95,11 +96,12 @@ class Control:
 
 @dataclass(frozen=True)
 class Goal:
-    """The objective: an expectation, the mean of the worst batches, or the probability of all
+    """The objective: a mean, the mean of the worst batches, or the probability of meeting all
     limits.
 
     - `kind`: "mean" and "cvar" are of `attribute` (maximised, or minimised with `sense` -1) with
-      limits as penalties; "probability" is of all limits together and needs no attribute.
+      limits as penalties; "probability" is that of meeting all limits together, and needs no
+      attribute.
     - `level`: the level of "cvar". `penalty`: the loss per `Attribute.margin` of violation, in
       units of `attribute`'s margin.
     """

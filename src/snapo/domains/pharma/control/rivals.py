@@ -1,4 +1,4 @@
-"""The rules of a case as policies, with connections, setpoints and initial settings."""
+"""The control rules of a case as policies, with their connections, setpoints and first settings."""
 
 from typing import NamedTuple
 
@@ -31,7 +31,8 @@ class FirstOrder(NamedTuple):
 def first_order(times: np.ndarray, response: np.ndarray, step: float) -> FirstOrder:
     """The process that best fits a response [n] at `times` s [n] after a step of this size.
 
-    The fit is by least squares over time constants and dead times, each with its best gain.
+    The fit is by least squares over pairs of time constant and dead time, with the best gain of
+    every pair.
 
     **Raises:** `ValueError` if nothing responds.
     """
@@ -75,8 +76,9 @@ STEP = 0.05  # of a control's range, or of an inner setpoint's: the step from wh
 
 
 class Tuned(NamedTuple):
-    """A rule with its initial settings; `processes` [L]: those used by the formulas, None if
-    both numbers are specified; `loops`: the controllers, in the order of its connections."""
+    """A rule with its initial settings; `processes` [L]: the fitted processes that the formulas
+    used, None for a controller whose gain and time are both specified; `loops`: the controllers, in
+    the order of the connections."""
 
     policy: Loops
     processes: tuple[FirstOrder | None, ...]
@@ -86,7 +88,8 @@ class Tuned(NamedTuple):
 def connected(
     case: PharmaCase, stages: tuple[Stage, ...], rule: ControlRule
 ) -> tuple[list, list[PI]]:
-    """Its connections and controllers, the outer one of a cascade before the inner one."""
+    """The connections and controllers of a rule; in a cascade the outer one comes before the inner
+    one."""
     control = case.control
     assert control is not None
     connections, loops = [], []
@@ -124,7 +127,7 @@ def first_settings(
     rule: ControlRule,
     recipe: np.ndarray,
 ) -> Tuned:
-    """A rule around a recipe, [T, size] actions; missing settings are tuned from step responses."""
+    """A rule around a recipe, [T, size] actions; missing settings follow from step responses."""
     connections, loops = connected(case, stages, rule)
     control = case.control
     assert control is not None

@@ -1,11 +1,11 @@
-"""PI controllers and cascades of them as a policy: a baseline for the trained one.
+"""PI controllers, and cascades of them, as a policy: a baseline for the trained policy.
 
 A loop moves its control around the recipe: v = recipe + K e + I, e = setpoint - reading, at every
 decision. Its integral moves by dt / Ti (K e + applied - v): the part removed by limits and ramps is
 reset with the time Ti, so that it does not wind up (Astrom and Hagglund 2006, section 3.5). In a
 cascade the outer loop's v is the setpoint of the inner one.
 
-Gains and times are trained numbers, as the recipe is: they are tuned by the same adjoint.
+Gains and times are trained numbers, like the recipe: the same adjoint tunes them.
 """
 
 from typing import NamedTuple
@@ -27,9 +27,10 @@ class LoopConnection(NamedTuple):
     """The connection of one PI controller. An outer loop comes before its inner loop.
 
     - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: indices of the
-      features with its reading and with the applied value of `position`, the number in the action.
-    - `inner`: number of the loop whose setpoint it moves within `low` to `high`, in that one's
-      reading; -1: it moves the control itself, within 0 to 1.
+      features that have its reading and the applied value of its control; `position`: the index of
+      this control in the action.
+    - `inner`: number of the loop whose setpoint it moves, from `low` to `high` in the reading of
+      that loop; -1: it moves the control itself, from 0 to 1.
     """
 
     first: int
@@ -46,9 +47,10 @@ class LoopConnection(NamedTuple):
 class Loops(Memory):
     """A recipe, [T, size] logits, and PI controllers about it.
 
-    - `log_gain` [L]: of the size of each gain, in shares of the control's range (or readings of
-      the inner sensor) per reading; minus infinity for an open loop.
-    - `log_time` [L]: of each integral time in s. `signs` [L]: the signs of the gains, not trained.
+    - `log_gain` [L]: the logarithm of the size of each gain, in shares of the control's range (or
+      readings of the inner sensor) per reading; minus infinity for an open loop.
+    - `log_time` [L]: the logarithm of each integral time in s. `signs` [L]: the signs of the gains,
+      not trained.
     - `setpoints` [L, T] for the readings.
     """
 

@@ -1,9 +1,9 @@
-"""One batch of the process as stages of decisions: each unit with decisions or measurements over
-time and, at the end, all others if they have decisions.
+"""One batch of the process as stages of decisions. Every unit with decisions or measurements over
+time is a stage, and a last stage has the decisions of all other units.
 
-All other units run between the stages, without decisions. A stage's state holds the whole batch:
-its drawn numbers, the streams made so far, the last value of every control and the last reading of
-every sensor.
+Units without decisions run between the stages. A stage's state holds the whole batch: its drawn
+numbers, the streams made so far, the last value of every control and the last reading of every
+sensor.
 """
 
 from dataclasses import replace
@@ -77,7 +77,7 @@ class Stage(Simulator):
 
     @property
     def decided(self) -> tuple[int, ...]:
-        """Numbers of the `Manipulated` that this stage decides."""
+        """Indices of the `Manipulated` that this stage decides."""
         return decided(self.flowsheet.units, self.control, self.name)
 
     @property
@@ -165,7 +165,7 @@ class Stage(Simulator):
         return self.delivered(self.unit, problem.finish(state["y"], *endpoints), state)
 
     def delivered(self, unit: Unit, finish: LedgerFinish, state: StageState) -> StageState:
-        """The state with the delivery of a timed unit."""
+        """The state with the outlets and measures of a timed unit."""
         requested = self.flowsheet.measures
         streams = {
             f"{unit.name}.{port}": flat(stream)
@@ -179,7 +179,8 @@ class Stage(Simulator):
         }
 
     def settle(self, inputs, state: StageState) -> StageState:
-        """The state with every timed unit run that has no stage and whose inlets flow by now."""
+        """The state after running every timed unit that has no stage and whose inlets are
+        available."""
         flowsheet, fed = self.flowsheet, sources(self.flowsheet)
         local = staged(flowsheet.units, self.control)
         numerics = replace(flowsheet.numerics, method="mesh", steps=PLAIN_STEPS, along=True)
@@ -228,7 +229,8 @@ class Stage(Simulator):
         return jnp.stack(results) if results else jnp.zeros(0)
 
     def read(self, problem: Dynamics, values, past, state: StageState) -> Float[Array, " M"]:
-        """The readings of the sensors, this unit's new ones with their errors, of order one."""
+        """The readings of all sensors, scaled to order one; those of this unit are new, with their
+        errors."""
         assert self.unit is not None
         steps, observed = problem.duration / self.horizon, []
         for i, sensor in enumerate(self.control.measurements):
@@ -247,7 +249,7 @@ class Stage(Simulator):
         return jnp.concatenate([timer, state["seen"], control])
 
     def renewed(self, constants, state: StageState, noise) -> StageState:
-        """The state with this step's disturbances and sensor errors."""
+        """The state with new disturbances and sensor errors for this step."""
         uncertain = self.varied
         state = state | {"error": noise[len(uncertain.inputs) :]}
         repeated = np.array([item == "step" for item in uncertain.when], bool)
@@ -308,7 +310,7 @@ class Stage(Simulator):
         return after | {"seen": self.read(problem, values, past, after), "past": past}, {}
 
     def _dosed(self, problem: Dynamics, state: StageState, flow, seconds) -> Float[Array, ""]:
-        """The share of a `flow` over this decision that is covered by the remaining feed."""
+        """The share of a `flow` during this decision for which the remaining feed is sufficient."""
         assert problem.to_dose is not None
         requested = seconds * jnp.mean(flow @ fixed(np.array([1, 4, 1]) / 6))
         waits = jnp.maximum(problem.to_dose(state["y"]), 0.0)
@@ -333,9 +335,10 @@ class Stage(Simulator):
         return jax.lax.scan(advance, first, (drive, endpoints))[0]
 
     def terminal(self, constants, state: StageState, smooth):
-        """Runs the other units: every attribute, whether all limits are met, and their violation.
+        """Runs the other units, and returns every attribute, whether all limits are met, and by how
+        much they are violated.
 
-        Only the last stage has one; those of earlier stages are empty.
+        Only the last stage has these results; the results of earlier stages are empty.
         """
         if self.before + self.horizon < self.total:
             return {}
@@ -372,6 +375,6 @@ class Stage(Simulator):
         return outputs | {"success": success, "violation": violation}
 
     def _manipulated(self, name: str) -> int:
-        """The number of the `Manipulated` with this input, -1 if it is not decided."""
+        """The index of the `Manipulated` with this input, -1 if the input is not decided."""
         names = [item.input for item in self.control.manipulated]
         return names.index(name) if name in names else -1

@@ -1,5 +1,5 @@
-"""The units of a process that are stages of decisions, with everything that determines them: also
-the numbers that differ from batch to batch, and their draws."""
+"""The units of a process that are stages of decisions, and the numbers that differ from batch to
+batch, with their draws."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ class Varied:
 
 
 def varied(case: PharmaCase) -> Varied:
-    """The same numbers as those of `draws.all_entries`."""
+    """The numbers of `draws.all_entries` with their distributions."""
     available, moving = (
         case.uncertainty,
         [parameter for parameter in case.parameters if parameter.distribution],
@@ -48,7 +48,8 @@ def varied(case: PharmaCase) -> Varied:
 
 
 def drawn(distribution: Distribution, centre, z) -> Array:
-    """The value of a standard normal; formulas in `Distribution`."""
+    """The value of a number for a standard normal draw; the formulas are those of
+    `Distribution`."""
     if distribution.kind == "normal":
         return centre + distribution.spread * z
     if distribution.kind == "lognormal":
@@ -57,7 +58,7 @@ def drawn(distribution: Distribution, centre, z) -> Array:
 
 
 def staged(units: Iterable[Unit], control: Control) -> tuple[Timed, ...]:
-    """The units over whose time something is decided or measured, in order."""
+    """The units in which something is decided or measured over time, in order."""
     by_name = {name for name, _ in control.steps}
     by_name |= {measurement.state.partition(".")[0] for measurement in control.measurements}
     by_name |= {item.input.partition(".")[0] for item in control.manipulated}
@@ -87,7 +88,8 @@ class LoopRecord:
 
     @classmethod
     def of(cls, case: PharmaCase) -> Self:
-        """Without what only reports and rules ask for, and steps of units that have a stage."""
+        """The record of a case, without data that only reports and rules need, and without the
+        steps of units that have a stage."""
         assert case.control is not None
         local = [unit.name for unit in staged(case.units, case.control)]
         held = {name: x for name, x in case.numerics.held.items() if name not in local}

@@ -1,5 +1,5 @@
 """Derivatives of quality attributes, how they split into paths, and their checks.
 
-`jacobian.matrix` has them by adjoint or forward mode, `attribution.split` by path through the
-units; `certify`, `convergence` and `grids` check them.
+`jacobian.matrix` computes them by adjoint or forward mode, `local` for every single unit, from
+which `chapters.attribution` composes paths. `certify` and `convergence` check them.
 """

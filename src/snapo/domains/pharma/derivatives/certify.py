@@ -17,11 +17,11 @@ KINK, NOTABLE = 0.75, 1e-3
 
 
 class Checked(NamedTuple):
-    """One point: [Q, P] each, per domain unit of the parameter.
+    """One point; all arrays are [Q, P], per domain unit of the parameter.
 
     - `adjoint`: the derivative from the adjoint; `difference`: the same by fourth-order central
-      differences. `error`: their gap, divided by the largest entry of the row, or by the change of
-      one margin over half the normal range if that is larger.
+      differences. `error`: the gap between these two, divided by the largest entry of the row, or
+      by one margin per half of the normal range if that is larger.
     - `kink`: whether forward and backward differences remain different as the step is halved, so
       that the derivative there is one-sided.
     """

@@ -1,5 +1,5 @@
-"""Does the answer depend on the grid? Values and gradients on finer time steps and adaptively, and
-values on twice as many cells along a length and over sizes.
+"""Tests whether results depend on the grid: values and gradients with finer time steps and with
+error control, and values with twice as many cells along a length and over sizes.
 """
 
 from dataclasses import dataclass, replace
@@ -19,9 +19,10 @@ SMALL = 0.02  # of its value that an attribute without limits may move
 
 @dataclass(frozen=True)
 class Cells:
-    """One attribute in its unit: `value` by the case's cells, `finer` by twice as many, and the
-    change between them in margins of the attribute (`margins`), without limits in 2 % of its value;
-    infinite if there is no number; `passed`: whether that is at most one."""
+    """One attribute in its unit: `value` with the case's cells, `finer` with twice as many;
+    `margins`: the change between them in margins of the attribute, or in 2 % of the value if it has
+    no limits; infinite if there is no number. `passed`: whether the change is at most one
+    margin."""
 
     attribute: str
     value: Number
@@ -42,7 +43,7 @@ def finer_cells(process: PharmaProcess) -> PharmaProcess | None:
 
 
 def on_finer_cells(process: PharmaProcess, inputs=None) -> tuple[Cells, ...]:
-    """Every attribute; () if no unit has cells."""
+    """The test of every attribute; () if no unit has cells."""
     finer = finer_cells(process)
     if finer is None:
         return ()
@@ -57,7 +58,7 @@ def on_finer_cells(process: PharmaProcess, inputs=None) -> tuple[Cells, ...]:
 
 
 def allowed(attribute: Attribute, value: float) -> float:
-    """The allowed change of an attribute with the cells."""
+    """The change of an attribute with the number of cells that is allowed."""
     limited = attribute.low is not None or attribute.high is not None
     return attribute.margin if limited or value == 0 else SMALL * abs(value)
 
@@ -67,12 +68,13 @@ VALUES, DERIVATIVES = 1e-6, 1e-5  # gaps that count as agreement
 
 @dataclass(frozen=True)
 class ConvergenceRow:
-    """One number of the answer: a value ("value" as `parameter`) or a derivative.
+    """One number that is tested: a value (with "value" as `parameter`) or a derivative.
 
-    `mesh`, `finer`, `adaptive`: by the case's method; with twice its steps or a tenth of its
-    tolerance; and error-controlled (the tighter one again if the case is). The gap of a value is
-    relative to it, the gap of a derivative to the largest of its attribute. The scale is at least
-    the attribute's margin, for a derivative per half the normal range.
+    `mesh`: by the case's method; `finer`: with twice its steps or a tenth of its tolerance;
+    `adaptive`: error-controlled (equal to `finer` if the case is error-controlled). The gap of a
+    value is relative to this value, and the gap of a derivative to the largest derivative of the
+    attribute. The scale is at least the attribute's margin or, for a derivative, the margin per
+    half of the normal range.
     """
 
     attribute: str
@@ -103,7 +105,8 @@ def _own(process: PharmaProcess, inputs) -> Jacobian:
 
 
 def _differences(process: PharmaProcess, inputs) -> Jacobian:
-    """By the parameters, as central differences of fourth order of single runs."""
+    """Derivatives with respect to the parameters, as central differences of fourth order of single
+    runs."""
     parameters = process.case.parameters
     here, values = process.at(process.entries, inputs), process.nominal_inputs(inputs)
     columns = []

@@ -1,4 +1,5 @@
-"""Derivatives of attributes by inputs: adjoint or forward by counting, and second order."""
+"""Derivatives of attributes with respect to inputs, in the cheaper of two modes, and of second
+order."""
 
 from typing import Literal, NamedTuple
 
@@ -34,7 +35,7 @@ def matrix(
     attributes: tuple[str, ...] | None = None,
     mode: Literal["auto", "adjoint", "forward"] = "auto",
 ) -> Jacobian:
-    """Attributes by entries, by default those of the case's parameters."""
+    """Derivatives of all attributes with respect to entries, by default the case's parameters."""
     entries = process.entries if entries is None else tuple(entries)
     names = process.names if attributes is None else tuple(attributes)
     rows = np.array([process.names.index(name) for name in names], int)
@@ -63,7 +64,7 @@ def matrix(
 def choose(
     process: PharmaProcess, rows: int, columns: int, mode: Literal["auto", "adjoint", "forward"]
 ) -> tuple[Mode, str]:
-    """The cheaper mode, by counting tangents, and the count as text."""
+    """The cheaper mode of differentiation, by the numbers of passes, and the reason as text."""
     adjoint, forward = ADJOINT_COST * rows, float(columns)
     if process.case.numerics.method == "adaptive":
         if mode == "forward":
@@ -77,8 +78,8 @@ def choose(
 
 
 def gradient(process: PharmaProcess, attribute: str, inputs=None) -> dict[str, np.ndarray]:
-    """Derivatives of one attribute, for every entry of every input, from ONE adjoint pass; per
-    domain unit."""
+    """Derivatives of one attribute with respect to every entry of every input, per domain unit,
+    from ONE adjoint pass."""
     row = process.names.index(attribute)
 
     def make(local: bool):
@@ -94,7 +95,7 @@ def second(
 ) -> np.ndarray:
     """[pairs, Q] mixed second derivatives of every attribute, forward over reverse."""
     if process.case.numerics.method == "adaptive":
-        raise ValueError("Second derivatives are those of the mesh; use method 'mesh'.")
+        raise ValueError("Second derivatives need a fixed mesh; use method 'mesh'.")
     entries = tuple(dict.fromkeys(item for pair in pairs for item in pair))
 
     def make(local: bool):

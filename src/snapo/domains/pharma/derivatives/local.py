@@ -25,7 +25,7 @@ class DerivativeBlock(NamedTuple):
 
     K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
 
-    A loop is one unit here, called by its units as text.
+    A loop counts as one unit, whose name is the text of its units.
 
     - `inlets`, `outlets`: names of the streams ("unit.outlet", or a feed's name), in order.
     - `stream`: [outlets, K, inlets, K]; `measure`: [M, inlets, K].
@@ -102,7 +102,7 @@ def _of_process(process: PharmaProcess, names: tuple[str, ...]) -> LocalRun:
 
 
 def _entries(process: PharmaProcess, record: Any, reacts: bool) -> tuple[Entry, ...]:
-    """Its own inputs, and of a unit that `reacts` those of the network."""
+    """The unit's inputs and, if it `reacts`, those of the network of reactions."""
     records = (record, process.case.network) if reacts else (record,)
     names = [number.name for number in numbers_in(records) if number.name in process.inputs]
     return tuple((name, i) for name in names for i in range(process.inputs[name].size))
@@ -116,7 +116,8 @@ def _block(
     labels: list[str] = []
 
     def filled(stream: Stream):
-        """A vector of the length of the longest: streams differ by the crystals they count."""
+        """The vector padded to the length of the longest one: streams differ in the crystals that
+        they count."""
         vector = flat(stream)
         return jnp.pad(vector, (0, size - len(vector)))
 

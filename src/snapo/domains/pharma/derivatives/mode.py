@@ -1,7 +1,8 @@
 """The two modes of differentiation of a traceable function without paths.
 
-Adjoint: one pass back for each number that the function returns. Forward: one tangent for each
-number that it takes. Both take `argnums` and `has_aux` as JAX does.
+Adjoint mode needs one backward pass for each number that the function returns, forward mode one
+tangent for each number that it takes. Both functions have the arguments `argnums` and `has_aux`, as
+in JAX.
 """
 
 from collections.abc import Callable
@@ -15,6 +16,6 @@ DERIVATIVES: dict[Mode, Callable] = {"adjoint": jax.jacrev, "forward": jax.jacfw
 
 
 def of_method(method: Literal["mesh", "adaptive"]) -> Callable:
-    """The derivative of a few numbers by a few, through this method of integration: error control
-    has only an adjoint."""
+    """The derivative of a few numbers with respect to a few others, in the mode that this method of
+    integration allows: error control has only an adjoint."""
     return DERIVATIVES["adjoint" if method == "adaptive" else "forward"]

@@ -1,6 +1,7 @@
-"""The sensitivity matrix in its reported forms: raw, over the normal range, as share of room.
+"""The sensitivity matrix in its reported forms: raw, over the normal range, as a share of the
+margin.
 
-Also the criticality of parameters, and the linear share of the variance.
+Also the criticality of parameters, and the shares of sources in the variance, to first order.
 """
 
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ class MatrixForms(NamedTuple):
 
 
 def table(case: PharmaCase, matrix: Jacobian) -> MatrixForms:
-    """The three forms of `matrix`, whose entries are the case's parameters in order."""
+    """The three forms of a `matrix` whose columns are the case's parameters in order."""
     scale = np.array([parameter.scale for parameter in case.parameters])
     half = np.array([(item.normal_high - item.normal_low) / 2 for item in case.parameters])
     scaled = matrix.jacobian * half
@@ -51,9 +52,9 @@ def table(case: PharmaCase, matrix: Jacobian) -> MatrixForms:
 
 @dataclass(frozen=True)
 class Rank:
-    """The criticality of a parameter. Room is the distance to a limit that the variation of batches
-    leaves; `share` is the largest share of it that the parameter uses. `variance`: its share of
-    that attribute's variance."""
+    """The criticality of a parameter. Here the margin is the distance to a limit that the variation
+    of batches leaves; `share` is the largest share of it that the parameter uses. `variance`: its
+    share of that attribute's variance."""
 
     parameter: str
     share: Number
@@ -66,9 +67,9 @@ class Rank:
 def ranking(case: PharmaCase, forms: MatrixForms, matrix: Jacobian, varied: "Spread") -> list[Rank]:
     """Parameters by criticality, the most critical first.
 
-    Room is the distance to the nearest limit minus `VARIATION` standard deviations of the batches
-    around the set point. `outside`: the attribute is beyond its limit already, `spent`: the
-    variation of the batches takes all the room; a share has then no meaning.
+    Here the margin is the distance to the nearest limit minus `VARIATION` standard deviations of
+    the batches around the set point. `outside`: the attribute is already beyond its limit; `spent`:
+    the variation of the batches takes all of the margin. In both cases a share has no meaning.
     """
     room = AttributeLimits.of(case).distance(matrix.values)
     left = (room - VARIATION * varied.total)[:, None]
@@ -110,8 +111,9 @@ def _of_variance(varied: "Spread", shares: np.ndarray, name: str) -> float:
 class Spread:
     """The sources of the batch-to-batch spread of each attribute, to first order.
 
-    - `sources`: [V] names; `part`: [Q, V] standard deviation that each one causes.
-    - `total`: [Q] of independent sources together, in quadrature (a correlation adds its terms).
+    - `sources`: [V] names; `part`: [Q, V] standard deviation that each source causes.
+    - `total`: [Q] standard deviation due to all sources, in quadrature (a correlation adds its
+      terms).
     """
 
     sources: tuple[str, ...]
@@ -120,7 +122,8 @@ class Spread:
 
 
 def spread(case: PharmaCase, jacobian: np.ndarray) -> Spread:
-    """`jacobian` [Q, V] by `all_entries(case)`, per domain unit."""
+    """The spread from the `jacobian` [Q, V] with respect to `all_entries(case)`, per domain
+    unit."""
     which = all_entries(case)
     centre = nominal(case, which)
     kinds = list(case.uncertainty.distributions)
@@ -135,7 +138,8 @@ def spread(case: PharmaCase, jacobian: np.ndarray) -> Spread:
 
 
 def source_names(case: PharmaCase) -> tuple[str, ...]:
-    """[V] `all_entries(case)` as text: a parameter by its name, a number with its label."""
+    """[V] The names of `all_entries(case)`: the name of a parameter, or of a number with its
+    label."""
     names = {(parameter.input, parameter.entry): parameter.name for parameter in case.parameters}
     return tuple(names.get(entry) or entry_name(case, *entry) for entry in all_entries(case))
 

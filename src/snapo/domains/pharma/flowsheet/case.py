@@ -42,7 +42,8 @@ class Connection:
 class Flowsheet:
     """The flowsheet, and the integration over time.
 
-    - `units`: in the order in which material flows. `measures`: the names of the requested ones.
+    - `units`: in the order in which material flows. `measures`: the names of the requested
+      measures.
     """
 
     network: FlowNetwork
@@ -57,11 +58,11 @@ class Flowsheet:
 class PharmaCase:
     """A whole case; `units` are in the order in which material flows.
 
-    - `purpose`: a sentence for the report. `assumptions`: the user's, in addition to those of the
-      units.
+    - `purpose`: a sentence for the report. `assumptions`: sentences of the user, in addition to
+      those of the units.
     - `pairs`: pairs of parameter names for second derivatives of every attribute.
     - `held`: names of `CaseInput`s that are not inputs.
-    - `parts`: names of those parts of a run that are wanted, () for all.
+    - `parts`: names of the parts of a run that are requested, () for all.
     - `control`, `design_space`, `estimation`, `optimise`: None if the case does not ask for them.
     """
 

@@ -17,7 +17,7 @@ class Feed(TableRecord):
     """Material that enters: amounts of one batch, or of `duration` seconds of a continuous run.
 
     - `concentration`: kmol/m3, index [S], labels are the species.
-    - `duration`: over which a continuous unit takes it in; None for a batch.
+    - `duration`: the time over which a continuous unit takes it in; None for a batch.
     """
 
     name: str
@@ -25,9 +25,9 @@ class Feed(TableRecord):
     temperature: CaseInput = ABSOLUTE("temperature of the feed")
     concentration: CaseInput
     solvent: CaseInput = UnitQuantity("kg/m3", LIQUID, example="887.6 kg/m^3")(
-        "solvent per volume fed"
+        "mass of solvent per volume fed"
     )
-    duration: float | None = TIME.number("time in which it is fed", None, example="2 h")
+    duration: float | None = TIME.number("time over which it is fed", None, example="2 h")
 
     heading = "`[feeds.NAME]`"
     more_keys: ClassVar = {
@@ -39,7 +39,7 @@ class Feed(TableRecord):
 
 
 def feed(record: Feed, inputs: dict[str, Any]) -> Stream:
-    """The material of a feed."""
+    """The stream of a feed."""
     volume = use(inputs, record.volume)
     species = use(inputs, record.concentration) * volume
     solvent = use(inputs, record.solvent) * volume

@@ -1,4 +1,4 @@
-"""Material through the whole flowsheet, unit by unit in the case's order."""
+"""The flow of material through the whole flowsheet, unit by unit in the case's order."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -36,7 +36,8 @@ def sources(sheet: Flowsheet) -> dict[str, tuple[str, ...]]:
 
 
 def leaving(sheet: Flowsheet) -> tuple[str, ...]:
-    """Names of the streams that leave the flowsheet: into no unit, or into one without outlets."""
+    """Names of the streams that leave the flowsheet: those that feed no unit, or a unit without
+    outlets."""
     into = {item.name: item for item in sheet.units if item.outlets}
     used = {c.stream for c in sheet.connections if c.target in into}
     names = [f"{unit.name}.{port}" for unit in sheet.units for port in unit.outlets]
@@ -63,7 +64,7 @@ def flow(
     record: bool = False,
     endpoints: Mapping[str, Array] | None = None,
 ) -> Flow:
-    """Runs every unit; `record`: keep the trajectories. `endpoints`: {unit: its final y} of units
+    """Runs every unit; `record`: keep the trajectories. `endpoints`: {unit: its final y} for units
     that were integrated elsewhere."""
     result = _through(sheet, sheet.units, inputs, record, endpoints or {})
     return result._replace(measures=result.measures | yields(sheet, result.streams))
@@ -72,7 +73,8 @@ def flow(
 def problem_of(
     sheet: Flowsheet, unit: Timed, inputs: dict[str, Any], endpoints: Mapping[str, Array]
 ) -> Dynamics:
-    """A unit's initial value problem, once the timed units before it have come to their ends."""
+    """A unit's initial value problem, after the timed units before it were integrated to their
+    ends."""
     before = sheet.units[: [item.name for item in sheet.units].index(unit.name)]
     streams = _through(sheet, before, inputs, False, endpoints).streams
     values = tuple(streams[name] for name in sources(sheet)[unit.name])
@@ -131,7 +133,7 @@ def _blanks(sheet: Flowsheet, group: Group) -> tuple[Stream, ...]:
 
 
 def entry_words(sheet: Flowsheet, loop: str) -> list[str]:
-    """A description of every entry of the guess of a loop, which is called by its units."""
+    """A description of every entry of the guess of a loop, with the loop's units as its name."""
     group = next(g for g in groups(sheet.units, sheet.connections) if g.loop == loop)
     return labels(_blanks(sheet, group), group.torn, sheet.network.species)
 
@@ -154,8 +156,8 @@ def _along(
 
 
 def yields(sheet: Flowsheet, streams: dict[str, Stream]) -> dict[str, Array]:
-    """{"process.yield.PRODUCT.KEY": new crystals of PRODUCT per KEY fed, both in kmol;
-    "process.product.PRODUCT": kg of them}, those asked for."""
+    """The requested ones of {"process.yield.PRODUCT.KEY": new crystals of PRODUCT per KEY fed, both
+    in kmol; "process.product.PRODUCT": kg of these crystals}."""
     table, out = {}, leaving(sheet)
     species = sheet.network.species
     for name in sheet.measures:

@@ -1,9 +1,9 @@
-"""The time loops of many batches on the native engine: lanes are batches, steps those of the mesh.
+"""The time loops of many batches on the native engine: a lane is a batch, a step one of the mesh.
 
 Everything between the units is algebra, which XLA computes for many batches in parallel. The
-expensive part, a unit's steps, is one kernel: one step at a time, and the schedule of all.
-Derivatives are propagated forward with the values, and a unit carries only those with respect to
-numbers that affect it.
+expensive part, the steps of a unit, is one kernel, which has the program of a step and the schedule
+of all steps. Derivatives are propagated forward with the values; a unit computes only those with
+respect to numbers that affect it.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,7 +42,7 @@ def mesh_march(
     problem: Dynamics, numerics: Numerics, held: Float[np.ndarray, " n+1"] | None
 ) -> tuple[Callable, MarchSchedule]:
     """A step, (y, the schedule's row) -> y, and the schedule: the steps of `integrate` on a mesh,
-    or those `held` of a stiff unit."""
+    or the `held` steps of a stiff unit."""
     if held is not None:
         return _stiff(problem, numerics, held)
     return _explicit(problem, numerics)
@@ -76,7 +76,7 @@ def _stiff(
     problem: Dynamics, numerics: Numerics, held: Float[np.ndarray, " n+1"]
 ) -> tuple[Callable, MarchSchedule]:
     """`piece`: [T]; `endpoints`: [T, 2] start and end of the step within the piece; `width`: [T] of
-    the step, a share of the duration. y is not a number after a step that is refused."""
+    the step, a share of the duration. y is NaN after a refused step."""
     edges = edges_of(tuple(profile for profile, _ in problem.controls))
     segments, steps = break_up(edges, None), steps_of(problem, held)
     endpoints = [segments.endpoints(*control) for control in problem.controls]
@@ -132,10 +132,10 @@ class March(Simulator):
     noise_size = 0
 
     def prepare(self, inputs) -> Schedule:
-        raise NotImplementedError("A march has its schedule already.")
+        raise NotImplementedError("A march already has its schedule.")
 
     def initial(self, constants, noise):
-        raise NotImplementedError("A march begins from a supplied state.")
+        raise NotImplementedError("A march needs a supplied initial state.")
 
     def observe(self, constants, now, state):
         return jnp.zeros(1)
@@ -165,7 +165,8 @@ class _Leg(NamedTuple):
 
 
 class Batches(Protocol):
-    """The interface of a process for marching: `flowsheet.process.PharmaProcess`."""
+    """The interface that `Marches` needs of a process, which is a
+    `flowsheet.process.PharmaProcess`."""
 
     @property
     def case(self) -> PharmaCase: ...
@@ -235,7 +236,7 @@ class Marches:
         return values, rows.T
 
     def _leg(self, unit: Timed) -> _Leg:
-        """The unit's leg, once those before it are there."""
+        """The unit's leg, after the legs of the units before it were made."""
         made = {}
 
         def start(numbers, draw, endpoints, inputs):

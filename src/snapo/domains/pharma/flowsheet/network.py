@@ -22,10 +22,10 @@ SPENT = 1e-6
 class FlowNetwork:
     """Mass-action reactions: r_i = k_i exp(-E_i / (R T)) prod_s c_s^order_is, in kmol/m3/s.
 
-    With a reference temperature the rate constant is k_i exp(-E_i / R (1/T - 1/T_ref)), so that
-    k_i is the constant at T_ref. R = 8.314 J/mol/K, as the published kinetics use it. A reactant of
-    order 0 runs out: the rate has the factor tanh(c / SPENT), the smallest one if there are
-    several.
+    With a reference temperature the rate constant is k_i exp(-E_i / R (1/T - 1/T_ref)), so that k_i
+    is the constant at T_ref. R = 8.314 J/mol/K, as the published kinetics use it. A reactant of
+    order 0 can run out: the rate has the factor tanh(c / SPENT), or the smallest of these factors
+    if there are several such reactants.
 
     - `species`, `reactions`: [S], [R] names. `molar_mass`: [S] kg/kmol (the same as g/mol).
     - `stoichiometry`: [R, S], negative if used; `molar_mass` times a row adds up to zero.
@@ -48,7 +48,7 @@ class FlowNetwork:
 
     @property
     def runs_out(self) -> np.ndarray:
-        """[R, S] whether a reaction uses a species on which its rate does not depend."""
+        """[R, S] True where a reaction uses a species on which its rate does not depend."""
         return (self.stoichiometry < 0) & (self.order == 0)
 
 

@@ -1,4 +1,4 @@
-"""The order of the units, and the loops among them."""
+"""The order of the units in the flow, and the loops of the flowsheet."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
@@ -10,10 +10,10 @@ Carried = TypeVar("Carried")
 
 
 class Group(NamedTuple):
-    """Units that are solved together: a single one, or those of a loop, in order.
+    """Units that are solved together: a single unit, or the units of a loop, in order.
 
-    `torn`: names of the streams that feed a unit at or before the one they come from; () without
-    a loop.
+    `torn`: names of the streams that feed the unit from which they come, or an earlier one; ()
+    without a loop.
     """
 
     units: tuple[Unit, ...]
@@ -26,7 +26,8 @@ class Group(NamedTuple):
 
 
 def ancestors(units: Sequence[Unit], connections: Sequence[Connection]) -> dict[str, set[str]]:
-    """{unit: every unit that material passes on its way to it, itself included}."""
+    """{unit: every unit that material passes before it leaves this unit, including the unit
+    itself}."""
     table = {unit.name: {unit.name} for unit in units}
     moved = True
     while moved:
@@ -58,7 +59,8 @@ def in_order(units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[
 
 
 def _around(names: list[str], connections: Sequence[Connection]) -> list[str]:
-    """The units of one loop, from one that is fed from outside, so that few streams are torn."""
+    """The units of one loop in order, from a unit that is fed from outside, so that few streams are
+    torn."""
     outside = {c.target for c in connections if c.source not in names}
     around: list[str] = []
 

@@ -1,4 +1,4 @@
-"""Impossible values of a measure, which equations give if their assumptions fail."""
+"""Impossible values of a measure, which result if the assumptions of an equation fail."""
 
 import math
 
@@ -21,7 +21,7 @@ def smallest(measure: str) -> float:
 
 
 def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
-    """The first measure with a value that cannot be, as text; "" if there is none."""
+    """A sentence on the first measure with an impossible value; "" if there is none."""
     units = {
         f"{unit.name}.{name}": measured
         for unit in case.units
@@ -37,7 +37,7 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
             return f"{name} is {metadata}, which is impossible{hint}"
         if name.endswith(".at_largest") and value > AT_LARGEST:
             return (
-                f"{name} is {value:.3g}: the grid of sizes ends too early, and at most "
+                f"{name} is {value:.3g}: the grid of sizes ends too early; at most a share of "
                 f"{AT_LARGEST:g} of the crystals' volume may be in its last cell; increase "
                 "`largest`"
             )

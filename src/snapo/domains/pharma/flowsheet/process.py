@@ -36,10 +36,11 @@ class ProcessRun(NamedTuple):
     - `streams`: {"unit.outlet" or feed's name: Stream}; `measures`: {"unit.measure": number in
       the domain's unit}; `attributes`: {name: number in the case's unit}.
     - `trajectories`: {unit: {"time": [n] s, state: [n]}}, states as in `Unit.states`.
-    - `status`: "ok"; "unit: did not converge at t s", with the error estimate of a held step that
-      it refuses; "unit: the steps are too long …"; or the measure whose value is impossible.
+    - `status`: "ok"; or "unit: did not converge at t s", with the error estimate of a held step
+      that it refuses; "unit: the steps are too long …"; or the measure whose value is impossible.
     - `errors`: {unit on held steps: the largest error estimate of a step, relative}.
-    - `loops`: {units of a loop, as text: (relative change in one more turn, rounds of Newton)}.
+    - `loops`: {units of a loop, as text: (relative change in one more iteration, rounds of Newton's
+      method)}.
     - `ledgers`: {unit: the terms of its balance other than its streams}.
     """
 
@@ -54,7 +55,8 @@ class ProcessRun(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Many batches: `values` [N, Q], `jacobian` [N, Q, E] or None, `ok` [N] whether all finite."""
+    """Many batches: `values` [N, Q], `jacobian` [N, Q, E] or None, `ok` [N] whether all numbers are
+    finite."""
 
     values: np.ndarray
     jacobian: np.ndarray | None
@@ -62,7 +64,7 @@ class Batch(NamedTuple):
 
 
 class PharmaProcess:
-    """A case with its compiled functions: made once, called often without compiling again.
+    """A case with its compiled functions, which are compiled once and can be called many times.
 
     - `case`: the case, with the steps that it needs. `form`: the form of its flowsheet,
       which is all that the functions are compiled for.
@@ -84,7 +86,7 @@ class PharmaProcess:
     def attributes(
         self, inputs: dict[str, Array], along: bool = False, nominal_steps: bool = True
     ) -> Float[Array, " Q"]:
-        """The quality attributes in the case's units; plain JAX, to be traced. `along` and
+        """The quality attributes in the case's units; plain JAX, which can be traced. `along` and
         `nominal_steps` as in `Numerics`."""
         return self.of_measures(
             self.flow(inputs, along=along, nominal_steps=nominal_steps).measures
@@ -103,7 +105,7 @@ class PharmaProcess:
         along: bool = False,
         nominal_steps: bool = True,
     ) -> Flow:
-        """All streams and measures; plain JAX, to be traced."""
+        """All streams and measures; plain JAX, which can be traced."""
         self.traces += 1
         numerics = replace(self.case.numerics, along=along, own_steps=nominal_steps)
         return flow(replace(self.form.record, numerics=numerics), inputs, record)
@@ -114,7 +116,7 @@ class PharmaProcess:
         return self.either("values", make, self.nominal_inputs(inputs))
 
     def nominal_inputs(self, inputs=None) -> dict[str, np.ndarray]:
-        """The nominal inputs with those of `inputs` in their place, float64."""
+        """The nominal inputs, with those in `inputs` replaced; float64."""
         result = self.inputs | (inputs or {})
         return {name: np.asarray(item, np.float64) for name, item in result.items()}
 
@@ -165,7 +167,8 @@ class PharmaProcess:
         )
 
     def _unsound(self, trajectories: dict[str, dict[str, np.ndarray]], inputs) -> str:
-        """The first unit whose model ended within the run, as text; "" if none did."""
+        """A sentence on the first unit whose model became invalid within the run; "" if there is
+        none."""
         with jax.enable_x64(True):
             metadata = (
                 unit.unsound(trajectories[unit.name], inputs)
@@ -175,7 +178,7 @@ class PharmaProcess:
             return next(filter(None, metadata), "")
 
     def _open(self, loops: dict[str, Closed]) -> str:
-        """The first loop without a steady state, as text; "" if all have one."""
+        """A sentence on the first loop without a steady state; "" if all loops have one."""
         for name, loop in loops.items():
             if not loop.converged:
                 text = entry_words(self.form.record, name)[int(loop.worst)]
@@ -204,7 +207,7 @@ class PharmaProcess:
         return *produced, trajectories, times, result.loops, ledgers
 
     def shifted(self, changes, entries: Sequence[Entry], inputs) -> dict:
-        """`inputs` with `entries` REPLACED by `changes` [E]; plain JAX, to be traced."""
+        """`inputs` with `entries` REPLACED by `changes` [E]; plain JAX, which can be traced."""
         table = {name: jnp.asarray(item) for name, item in inputs.items()}
         for i, (name, position) in enumerate(entries):
             table[name] = table[name].at[position].set(changes[i])
@@ -227,8 +230,9 @@ class PharmaProcess:
         """Attributes, and derivatives with respect to `sensitivities`, at `draws` [N, E] of
         `entries`.
 
-        The rest is as in `inputs`. All chunks have the same shape: the last one is padded with its
-        first row. They run on all cores. "auto" takes the native engine if it can run the case.
+        All other numbers are those of `inputs`. All chunks have the same shape: the last one is
+        padded with its first row. They run on all cores. "auto" takes the native engine if it can
+        run the case.
         """
         key = tuple(entries), tuple(sensitivities)
         nominal, draws = self.nominal_inputs(inputs), np.asarray(draws, np.float64)
@@ -300,10 +304,10 @@ class PharmaProcess:
         return one
 
     def observe(self, inputs, unit: str, states: Sequence[str], times) -> Float[Array, " n"]:
-        """[n] the state `states[i]` of `unit` at `times[i]` s; plain JAX, to be traced.
+        """[n] the state `states[i]` of `unit` at `times[i]` s; plain JAX, which can be traced.
 
-        Between mesh points by cubic Hermite interpolation of the integrated states; NaN before the
-        unit's start and after its end, if it has no states.
+        Between mesh points, the integrated states are interpolated by cubic Hermite polynomials.
+        The result is NaN before the unit's start and after its end.
         """
         outcome = self.flow(inputs, record=True).outcomes[unit]
         track, of_row = outcome.track, outcome.states
@@ -333,7 +337,7 @@ def _status(times: dict[str, Any]) -> str:
         if rough < duration:
             return (
                 f"{name}: the time steps are too long from {rough:.6g} s on; "
-                'take [numerics] method = "adaptive", or more steps'
+                'use [numerics] method = "adaptive", or more steps'
             )
         if not reached >= duration:
             estimate = "" if error is None else f" (estimated error of one step: {error:.2g})"

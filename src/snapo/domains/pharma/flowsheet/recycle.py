@@ -1,11 +1,12 @@
 """The steady state of a loop of the flowsheet, by tearing and the implicit function theorem.
 
 Some streams of the loop are torn: from a guess x the units compute them as g(x), and g(x) = x is
-required. Newton's method solves that with the full Jacobian of g; if a step does not reduce the
-residual, shorter ones are tried, and the substitution of x by g(x), which is always possible. The
-search carries no derivatives. Two further steps with the matrix held fixed are sufficient: with M
-the Jacobian of x - g at the solution, x - M^-1 (x - g(x)) has the derivative M^-1 dg of the
-implicit function theorem, and after the second step second derivatives are exact too.
+required. Newton's method solves this equation with the full Jacobian of g. If a step does not
+reduce the residual, shorter steps are tried, and the substitution of x by g(x), which is always
+possible. The search carries no derivatives. Two further steps with the matrix held fixed are
+sufficient: with M the Jacobian of x - g at the solution, x - M^-1 (x - g(x)) has the derivative
+M^-1 dg of the implicit function theorem, and after the second step second derivatives are exact
+too.
 """
 
 from collections.abc import Callable
@@ -58,7 +59,7 @@ def labels(streams: tuple[Stream, ...], names: tuple[str, ...], species: tuple[s
 def close(
     turn: Turn, guess: tuple[Stream, ...], around: Any, numerics: Numerics
 ) -> tuple[tuple[Stream, ...], Closed]:
-    """The tear streams, NaN if no steady state was reached, and the progress of the iteration.
+    """The tear streams (NaN if no steady state was reached), and how the iteration ended.
 
     `turn(torn, around)`: the tear streams that the loop returns; `guess` has their shapes, and
     the duration of all flows; `around`: everything else, which has derivatives.
@@ -94,8 +95,8 @@ def close(
 
 
 def _search(gap: Callable[[Array], Array], start: Array, numerics: Numerics):
-    """The zero of `gap`, from `start`, and its matrix there; the change that is left, its place,
-    and the rounds of Newton's method."""
+    """The zero of `gap`, from `start`, and its matrix there; the remaining change, the entry with
+    this change, and the rounds of Newton's method."""
 
     def change(u, off):
         size = jnp.abs(off) / jnp.maximum(1.0, jnp.abs(u))

@@ -1,10 +1,11 @@
 """The units of a case that are stiff or need error control, and the steps that they take.
 
-Explicit steps of h seconds are stable while h times the fastest rate at which a state answers stays
-below 2.78 (classical Runge-Kutta, on the negative axis). That rate is measured along the solution
-of the nominal batch, computed by Rosenbrock steps with error control. If it is above the limit,
-these steps are held, and every batch uses them. Units that need error control (a jacket, a dryer's
-tray, a gas that dissolves, reactions that may use up a species immediately) hold them in any case.
+Explicit steps of h seconds are stable while h times the fastest rate at which a state responds
+stays below 2.78 (classical Runge-Kutta, on the negative axis). That rate is measured along the
+solution of the nominal batch, computed by Rosenbrock steps with error control. If it is above the
+limit, these steps are held, and every batch uses them. Units that need error control (a jacket, a
+dryer's tray, a gas that dissolves, reactions that may use up a species immediately) hold them in
+any case.
 
 For a unit without such steps, and if the case does not set their number, the explicit steps of
 every piece are doubled until no attribute of the nominal batch changes. If a bound shows that all
@@ -37,7 +38,8 @@ PRECISE, SHORT = 0.1, 20.0
 
 
 def with_steps(case: PharmaCase) -> PharmaCase:
-    """The case with the steps of its stiff units, and on a mesh that is fine enough."""
+    """The case with the steps of its stiff units, and with a mesh that is fine enough for the
+    others."""
     case = with_stiff_steps(case)
     numerics = case.numerics
     if not numerics.open:
@@ -85,7 +87,7 @@ def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
 
 
 def longest_step(case: PharmaCase, unit: Timed) -> float:
-    """Seconds of the longest explicit step, by the profiles only."""
+    """Seconds of the longest explicit step, from the profiles only."""
     edges = edges_of(unit.profiles)
     within = steps_per_piece(case.numerics.steps, len(edges) - 1)
     return float(unit.duration.used() * np.diff(edges).max() / within)
@@ -130,7 +132,8 @@ def _longest(problem: Dynamics, steps: int):
 
 
 def _doubtful(case: PharmaCase, unit: Timed) -> bool:
-    """Whether its steps may be too long; those that are held are chosen by error control."""
+    """Whether the unit's steps may be too long; held steps are not, since error control chose
+    them."""
     if unit.name in case.numerics.held:
         return False
     step = longest_step(case, unit)
@@ -138,7 +141,7 @@ def _doubtful(case: PharmaCase, unit: Timed) -> bool:
 
 
 def _attributes(case: PharmaCase, steps: int) -> np.ndarray:
-    """The attributes of the nominal batch on so many steps."""
+    """The attributes of the nominal batch with this number of steps."""
     finer = replace(case.flowsheet, numerics=replace(case.numerics, steps=steps))
 
     def nominal(inputs):

@@ -1,5 +1,6 @@
 """Streams between units: the material of one batch, in amounts, with the grid of sizes on which
-crystals are counted; the delivery of a unit, and the terms of its balance other than its streams.
+crystals are counted. Also what a unit delivers, and the terms of its balance other than its
+streams.
 """
 
 from dataclasses import dataclass, replace
@@ -36,7 +37,8 @@ Sizes = Grid | None
 
 
 def together(sizes: tuple[Sizes, ...]) -> Sizes:
-    """On which grid crystals of several streams are counted together; None if they are not."""
+    """The grid on which the crystals of several streams are counted together; None if they are
+    not."""
     some = {size for size in sizes if size != NO_CRYSTALS}
     return NO_CRYSTALS if not some else some.pop() if len(some) == 1 else None
 
@@ -49,9 +51,9 @@ class Stream(TreeRecord):
 
     - `species`: [S] kmol dissolved. `solid`: [S] kmol in crystals, of which `seed`, [S], was
       added as seed.
-    - `solvent`, `antisolvent`: kg. `volume`: m3 of liquid, to which concentrations refer; it does
-      not change by mixing or reaction. `solids`: m3 of the crystals, which is not part of it and by
-      which crystallisation reduces it; 0 if a crystalliser neglects that.
+    - `solvent`, `antisolvent`: kg. `volume`: m3 of liquid, to which concentrations refer; mixing
+      and reactions do not change it. `solids`: m3 of the crystals, which `volume` does not include;
+      crystallisation reduces `volume` by as much. 0 if a crystalliser neglects this.
     - `temperature`: K. `duration`: s, 0 for a batch.
     - `moments`: [6] sum over all crystals of their size to the power 0 to 5, m^k.
     - `density`, `shape`: of the crystals: kg/m3, and kv in volume = kv size^3.
@@ -95,7 +97,7 @@ class Stream(TreeRecord):
         return self.density * self.shape * self.moments[3]
 
     def replace(self, **fields: Any) -> "Stream":
-        """The stream with other `fields`."""
+        """The stream with these `fields` replaced."""
         return replace(self, **fields)
 
 
@@ -129,7 +131,7 @@ def blank(species: int, sizes: Sizes) -> Stream:
 
 
 def flat(stream: Stream) -> Float[Array, " K"]:
-    """The stream as one vector, fields in order; `unflat` undoes it."""
+    """The stream as one vector with the fields in order; `unflat` reverses this."""
     return jax.flatten_util.ravel_pytree(stream)[0]
 
 
@@ -141,8 +143,8 @@ def unflat(vector: Float[Array, " K"], like: Stream) -> Stream:
 class Ledger(NamedTuple):
     """The terms of a unit's balance other than its streams, all of one batch.
 
-    - `made`: [S] kmol by reactions; `added`: [S] kmol, such as seed; `held`: [S] kmol more at
-      the end than at the start; `left`: [S] kmol of its inlets that it has not taken in.
+    - `made`: [S] kmol by reactions; `added`: [S] kmol, such as seed; `held`: [S] kmol more at the
+      end than at the start; `left`: [S] kmol of its inlets that the unit has not taken in.
     - `solvent_added`, `solvent_left`: kg.
     - `energy`: (into, out of, accumulated) J where a heat balance is part of the unit.
     """
@@ -163,7 +165,7 @@ def ledger(species: int, **entries: Any) -> Ledger:
 
 
 class LedgerFinish(NamedTuple):
-    """The delivery of a unit: its outlets in order, its measures and ledger."""
+    """The results of a unit: its outlets in order, its measures and its ledger."""
 
     outlets: tuple[Stream, ...]
     measures: dict[str, Array]

@@ -1,5 +1,6 @@
-"""Batches for every statistic of a study: one list of varied numbers, and so one compiled function.
-Also quality limits as arrays: which are met, and the distance of a value from them.
+"""Batches for every statistic of a study; all use the same list of varied numbers, and so one
+compiled function. Also quality limits as arrays: which are met, and the distance of a value from
+them.
 """
 
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ def inputs_with(
     changes: Mapping[Entry, float],
     about: Mapping[str, np.ndarray] | None = None,
 ) -> dict[str, np.ndarray]:
-    """The process's inputs, or those `about`, with some entries replaced."""
+    """The inputs of the process, or the inputs `about`, with some entries replaced."""
     available = process.inputs if about is None else about
     inputs = {name: np.array(values, np.float64) for name, values in available.items()}
     for (name, entry), value in changes.items():
@@ -41,7 +42,8 @@ def inputs_with(
 def drawn(
     process: "PharmaProcess", changes: Mapping[Entry, float], samples: int, seed: int
 ) -> np.ndarray:
-    """[samples, V] draws of `varied` about the set point moved by `changes`; the same each time."""
+    """[samples, V] draws of `varied` about the set point moved by `changes`; every call has the
+    same draws."""
     about = inputs_with(process, changes)
     batch = all_draws(process.case, samples, seed, about)
     fixed = [about[name][entry] for name, entry in varied(process.case)[batch.shape[1] :]]
@@ -49,7 +51,7 @@ def drawn(
 
 
 def nominally(process: "PharmaProcess", changes: Mapping[Entry, float]) -> np.ndarray:
-    """[1, V] the nominal model at the set point moved by `changes`."""
+    """[1, V] the numbers of the nominal model at the set point moved by `changes`."""
     about = inputs_with(process, changes)
     return np.array([[about[name][entry] for name, entry in varied(process.case)]])
 
@@ -65,7 +67,8 @@ def attributes(process: "PharmaProcess", rows: np.ndarray) -> np.ndarray:
 
 class AttributeLimits(NamedTuple):
     """[Q] `low` and `high` in the attributes' units; infinite if there is none. `least`: the
-    smallest possible value: a filtration time below 0 keeps no limit."""
+    smallest possible value; a value below it, such as a negative filtration time, meets no
+    limit."""
 
     low: np.ndarray
     high: np.ndarray

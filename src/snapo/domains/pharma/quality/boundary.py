@@ -1,11 +1,11 @@
 """The boundary of the design space, with an interval, along the lines of its map.
 
-Every point of the map has the same draws. Between two points the distance of each draw from each
-limit is interpolated linearly, so that the share of the draws that keep all limits is known at any
+Every point of the map uses the same draws. Between two points the distance of each draw from each
+limit is interpolated linearly, so that the share of the draws that meet all limits is known at any
 position on a line, to second order in the map's spacing. The boundary is where that share falls
-below the required one. A position belongs to its 95 % interval if Wilson's interval of the share
-there contains the required one: an inverted test of a share (Casella and Berger, Statistical
-Inference, section 9.2).
+below the required probability. A position belongs to the boundary's 95 % interval if Wilson's
+interval of the share there contains the required probability; this inverts a test of the share
+(Casella and Berger, Statistical Inference, section 9.2).
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,8 @@ def interval(share, of: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarr
 
 
 def draws_for(probability: float, level: float = LEVEL) -> int:
-    """The number of draws, all successful, for which the interval is above a probability."""
+    """The number of draws for which the interval is above a probability if all draws are
+    successful."""
     z = ndtri((1 + level) / 2)
     return int(np.ceil(z**2 * probability / (1 - probability)))
 
@@ -48,12 +49,13 @@ FAR = 1e6  # margins: of a draw without a finite result, and of an attribute wit
 
 @dataclass(frozen=True)
 class Boundary:
-    """One place at which the design space ends.
+    """One position at which the design space ends.
 
     - `axis`: number of the axis along which the line runs; `at`: number of the grid point on every
-      axis, -1 on that one; `side`: -1 if the space ends towards low values, +1 towards high.
+      axis, -1 on the axis of the line; `side`: -1 if the space ends towards low values, +1 towards
+      high.
     - `position`: the position of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside
-      the space; in the unit of the grid. NaN if the end is outside of the line.
+      the space; in the unit of the grid. NaN if this end is beyond the line.
     - `binding`: number of the attribute that most often violates its limits just beyond the
       boundary.
     """
@@ -80,7 +82,8 @@ def distances(case: PharmaCase, values: Float[np.ndarray, "*n Q"]) -> Float[np.n
 def boundaries(
     rooms: Float[np.ndarray, "*n draws Q"], grid: Sequence[np.ndarray], required: float
 ) -> list[Boundary]:
-    """All ends of the space along all lines of the map; `rooms`: `distances` at its points."""
+    """All ends of the space along all lines of the map; `rooms`: `distances` at the points of the
+    map."""
     results = []
     for axis, positions in enumerate(grid):
         lines = np.moveaxis(rooms, axis, 0)
@@ -93,7 +96,8 @@ def boundaries(
 
 
 def _of_line(rooms: np.ndarray, positions: np.ndarray, required: float) -> list[tuple]:
-    """(side, place, inner, outer, binding) of every end along one line; `rooms` [n, draws, Q]."""
+    """(side, position, inner, outer, binding) of every end along one line; `rooms` [n, draws,
+    Q]."""
     fine, share, worst = _shares(rooms, positions)
     low, high = interval(share, rooms.shape[1], LEVEL)
     valid, rows = share >= required, []
@@ -108,8 +112,8 @@ def _of_line(rooms: np.ndarray, positions: np.ndarray, required: float) -> list[
 
 
 def _shares(rooms: np.ndarray, positions: np.ndarray):
-    """Places [m] along the line, the share of draws that keep all limits there, and the attribute
-    that most often breaks them."""
+    """Positions [m] along the line, the share of draws that meet all limits there, and the
+    attribute that most often breaks its limits."""
     part = np.arange(PARTS) / PARTS
     fine, selected, worst = [], [], []
     for k in range(len(positions) - 1):
@@ -132,8 +136,8 @@ def _between(fine: np.ndarray, excess: np.ndarray, one: int, other: int) -> floa
 def _end(
     fine: np.ndarray, excess: np.ndarray, start: int, step: int, above: bool, stays: np.ndarray
 ) -> float:
-    """From `start` in steps of `step`, where `excess` stops being `above` zero or not above it; NaN
-    if it does not while `stays` holds."""
+    """The position, from `start` in steps of `step`, where `excess` changes its sign; it begins at
+    or above zero if `above` is true. NaN if it does not change while `stays` holds."""
     k = start
     while 0 <= k < len(fine) and stays[k]:
         if (excess[k] >= 0) != above:

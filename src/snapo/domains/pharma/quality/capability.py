@@ -23,19 +23,20 @@ ROUND_OFF = 1e-12  # of the mean: a smaller deviation counts as zero
 
 @dataclass(frozen=True, eq=False)
 class Capability:
-    """[Q] each, over n fresh batches at the set point.
+    """Statistics of n fresh batches at the set point; every array is [Q].
 
-    - `cpk`: min(high - mean, mean - low) / (3 deviation), which assumes a normal attribute;
-      NaN without a limit. `sigmas`: the distance to the edge of failure in deviations, 3 Cpk.
+    - `cpk`: min(high - mean, mean - low) / (3 deviation), which assumes a normal attribute; NaN
+      without a limit. `sigmas`: the distance to the nearest limit in standard deviations, which is
+      3 Cpk.
     - `outside`: share of batches beyond the limits, with its standard error `error`.
     - `quantiles`: [Q, 3] 1 %, 50 %, 99 %.
     - `joint`: share of batches beyond any limit, and `joint_error`.
 
-    All of these vary uncertain numbers together with differences between batches. Separately:
+    All of these include the uncertain numbers and the differences between batches. Separately:
 
-    - `cpk_batches`: Cpk of differences between batches only, the model's numbers at their nominal
-      values; NaN if nothing differs. `cpk_low`, `cpk_high`: 5 % and 95 % of it over the model's
-      uncertain numbers; NaN if all are known.
+    - `cpk_batches`: Cpk of differences between batches only, with the model's numbers at their
+      nominal values; NaN if nothing differs. `cpk_low`, `cpk_high`: 5 % and 95 % of it over the
+      model's uncertain numbers; NaN if all are known.
     """
 
     mean: Floats
@@ -55,14 +56,16 @@ class Capability:
 
 
 def capability(process: "PharmaProcess", count: int, seed: int) -> Capability:
-    """Draws of everything uncertain and of parameters that vary, at the set point."""
+    """The capability from draws of all uncertain numbers and of the parameters that vary, at the
+    set point."""
     rows = batches.drawn(process, {}, count, seed)
     values = from_values(process.case, batches.attributes(process, rows))
     return replace(values, **_apart(process, seed))
 
 
 def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
-    """The same from attributes [n, Q]; non-finite rows are failures that violate all limits."""
+    """The capability from attributes [n, Q]; non-finite rows are failures that violate all
+    limits."""
     limits, count = AttributeLimits.of(case), len(values)
     selected = limits.hold(values)
     valid = np.isfinite(values).all(-1)
@@ -97,8 +100,8 @@ def _cpk(limits: AttributeLimits, values: np.ndarray) -> np.ndarray:
 
 
 def _apart(process: "PharmaProcess", seed: int) -> dict[str, np.ndarray]:
-    """Cpk between batches, and its interval over the uncertain numbers: `WORLDS` draws of them,
-    with the same `INNER` batches for each."""
+    """Cpk between batches, and its interval over `WORLDS` draws of the uncertain numbers, with the
+    same `INNER` batches for every draw."""
     limits, uncertain = AttributeLimits.of(process.case), draws.unknown(process.case)
 
     def in_worlds(worlds: np.ndarray, inner: np.ndarray) -> np.ndarray:

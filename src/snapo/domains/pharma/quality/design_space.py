@@ -21,10 +21,12 @@ if TYPE_CHECKING:
 
 
 class Point(NamedTuple):
-    """The results of n draws at one set point or more: leading axes are the points'.
+    """The results of n draws at one set point or more; the leading axes of the arrays are the set
+    points.
 
-    - `probability`: that all limits hold; `error`: its standard error.
-    - `by_attribute`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
+    - `probability`: the probability that all limits hold; `error`: its standard error.
+    - `by_attribute`: […, Q] the probability that the limits of each attribute hold; `mean`: […, Q]
+      the mean of each attribute.
     - `binding`: the attribute that most often violates its limits, -1 if none does.
     - `failed`: the share of runs without a finite result; they break every limit.
     - `low`, `high`: 95 % interval of the probability.
@@ -41,8 +43,8 @@ class Point(NamedTuple):
 
 
 class ProbabilityMap(NamedTuple):
-    """`axes`: names; `grid`: per axis its points in the case's unit; `at`: one `Point` array;
-    `boundaries`: where the space ends along the lines of the map."""
+    """`axes`: names; `grid`: the points of every axis in the case's unit; `at`: the `Point` of the
+    whole map; `boundaries`: where the space ends along the lines of the map."""
 
     axes: tuple[str, ...]
     grid: tuple[np.ndarray, ...]
@@ -74,7 +76,7 @@ def probability_map(process: "PharmaProcess", seed: int) -> ProbabilityMap:
 def at_points(
     process: "PharmaProcess", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
 ) -> Point:
-    """[n] probabilities at set points, each moved by its `changes` in the domain's unit."""
+    """[n] probabilities at set points, which are moved by their `changes` in the domain's unit."""
     return graded(process.case, drawn_values(process, changes, samples, seed))
 
 
@@ -110,7 +112,7 @@ def graded(case: PharmaCase, values: np.ndarray) -> Point:
 
 
 def parameter(case: PharmaCase, name: str) -> Parameter:
-    """The parameter of that name."""
+    """The parameter with this name."""
     return next(item for item in case.parameters if item.name == name)
 
 
@@ -121,8 +123,8 @@ def in_case_unit(item: Parameter, value):
 
 @dataclass(frozen=True, eq=False)
 class LargestBox:
-    """A box inside the design space, in the case's units, [axes] each; `volume`: share of the
-    map."""
+    """A box inside the design space, from `low` to `high` [axes] in the case's units; `volume`: its
+    share of the map."""
 
     low: Floats
     high: Floats

@@ -1,7 +1,7 @@
-"""Batches that differ: values of everything uncertain, and of parameters that vary.
+"""Batches that differ: values of all uncertain numbers, and of parameters that vary.
 
-Every draw starts as a standard normal, so that two set points have the same batches. Draw i does
-not depend on the number of draws.
+Every draw is made from standard normals that do not depend on the set point, so two set points have
+the same batches. Draw i does not depend on the number of draws.
 """
 
 import math
@@ -28,8 +28,8 @@ def all_entries(case: PharmaCase) -> tuple[Entry, ...]:
 
 
 def unknown(case: PharmaCase) -> np.ndarray:
-    """[E] of `batches.varied`: whether an entry is an unknown number that is the same in every
-    batch."""
+    """[E] for the entries of `batches.varied`: whether an entry is an unknown number that is the
+    same in every batch."""
     between = case.uncertainty.between or tuple(w == "step" for w in case.uncertainty.when)
     rest = {(parameter.input, parameter.entry) for parameter in case.parameters} - set(
         entries(case)
@@ -100,7 +100,7 @@ def values(
 
 
 def value(distribution: Distribution, z: np.ndarray, centre) -> np.ndarray:
-    """The values of standard normals; exact formulas in `Distribution`."""
+    """The values for standard normals; the exact formulas are those of `Distribution`."""
     spread = distribution.spread
     match distribution.kind:
         case "normal":

@@ -1,13 +1,14 @@
 """Fits kinetic numbers to measured batches by weighted least squares, and tests the fit.
 
-Residuals are (model - measured) / error, their derivatives the model's own. With errors known as
-standard deviations the covariance is (J^T J)^-1 (Bard, Nonlinear Parameter Estimation, 1974);
-intervals use Student's t with n - p degrees of freedom, which is slightly conservative. If chi^2 is
-significantly too large, or the errors are known only up to a factor, the covariance is multiplied
-by chi^2 / (n - p), to agree with the residuals.
+Residuals are (model - measured) / error, and their derivatives are those of the model. With errors
+known as standard deviations the covariance is (J^T J)^-1 (Bard, Nonlinear Parameter Estimation,
+1974); intervals use Student's t with n - p degrees of freedom, which is slightly conservative. If
+chi^2 is significantly too large, or the errors are known only up to a factor, the covariance is
+multiplied by chi^2 / (n - p), to agree with the residuals.
 
 The search begins at the numbers of the case and at points of a Halton sequence within the bounds.
-Minima with a chi^2 as good as the best one that are not connected to it are reported.
+Other minima are reported if their chi^2 is as good as the best one and they are not connected to
+it.
 """
 
 from collections.abc import Sequence
@@ -38,19 +39,19 @@ AT_BOUND = 1e-5  # of the room between its bounds: so near a number is at one of
 class ParameterFit:
     """The fitted numbers, in the domain's units; P numbers, n measurements.
 
-    - `values`, `low`, `high`: [P] with their confidence interval; NaN if not identified.
+    - `values`: [P], with the confidence interval from `low` to `high`; NaN if not identified.
     - `at_bound`: [P] "low" or "high" if a number is at that bound, else ""; its interval is then
-      one-sided, and the others assume it held there.
-    - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted);
-      0 for numbers at a bound. `scale`: the factor on (J^T J)^-1.
+      one-sided, and the other intervals hold it there.
+    - `covariance`, `correlation`: [P, P] of the fitted variables (of the logarithm if this is
+      fitted); 0 for numbers at a bound. `scale`: the factor on (J^T J)^-1.
     - `residuals`: [n], in standard deviations of the measurement; `chi2`: their sum of squares,
       of `freedom` = n - P degrees of freedom; `tail`: its p-value, NaN if only the ratios of
       errors are known. `measured`, `fitted_values`: [n].
     - `condition`: ratio of the largest to the smallest singular value, with variables scaled by
       their bounds.
     - `unidentified`: directions that the data do not determine, as text.
-    - `minima`: [M, P] other numbers that fit as well, with their `minima_chi2`, [M]; `starts`: from
-      how many points the search began.
+    - `minima`: [M, P] other numbers that fit as well, with their `minima_chi2`, [M]; `starts`: the
+      number of starting points.
     """
 
     names: tuple[str, ...]
@@ -117,7 +118,7 @@ def fit(process: "PharmaProcess", estimation: Estimation) -> ParameterFit:
 
 
 def _searched(residual, slope, start, low, high) -> OptimizeResult:
-    """The minimum to which a search from one point comes."""
+    """The minimum that a search from one point reaches."""
     return least_squares(
         lambda x: np.asarray(residual(x)),
         start,
@@ -132,8 +133,9 @@ def _searched(residual, slope, start, low, high) -> OptimizeResult:
 
 
 def _others(result, searched, estimation: Estimation) -> list[OptimizeResult]:
-    """Minima that fit as well as the best, and that its own quadratic does not reach: one that the
-    quadratic joins to it is the same, or lies along a direction that the data leave free."""
+    """Minima that fit as well as the best one and are separate from it. A minimum that the
+    quadratic approximation at the best one connects with it is the same minimum, or differs along a
+    direction that the data leave free."""
     count, size = result.jac.shape
     scale = _scale(2 * result.cost, count - size, estimation.errors)
     room = 2 * gammaincinv(size / 2, estimation.level) * scale
@@ -154,7 +156,7 @@ def _scale(chi2: float, freedom: int, errors: str) -> float:
 
 
 def variables_of(values: np.ndarray, log: np.ndarray) -> np.ndarray:
-    """[P] the fitted variables of numbers: their logarithm if `log`."""
+    """[P] the fitted variables of numbers: the logarithm of those with `log`."""
     return np.where(log, np.log(np.where(log, values, 1.0)), values)
 
 
@@ -188,7 +190,7 @@ def model_of(process: "PharmaProcess", estimation: Estimation, experiments: Sequ
 
 
 def _observed(process: "PharmaProcess", inputs, experiment):
-    """[n] states at their times, unit by unit, back in the order of the data."""
+    """[n] states at their times, computed unit by unit and returned in the order of the data."""
     units = [state.partition(".")[0] for state in experiment.state]
     result = jnp.zeros(len(units))
     for unit in dict.fromkeys(units):
@@ -199,7 +201,7 @@ def _observed(process: "PharmaProcess", inputs, experiment):
 
 
 def _judged(result, others, measured, resolved, low, high, names, estimation) -> ParameterFit:
-    """The covariance where the data identify all numbers, else the directions as text."""
+    """The covariance if the data identify all numbers; otherwise the free directions as text."""
     log, width = np.array(estimation.logarithm), high - low
     count, size = result.jac.shape
     chi2, freedom = 2 * float(result.cost), count - size

@@ -1,14 +1,14 @@
-"""Proven ranges of two parameters together, and the change of the effect of one by the other.
+"""Proven ranges of two parameters together, and their interaction.
 
-A proven range holds with all others at their set point; at a corner of two ranges limits may fail.
-The line from the set point to each of the four corners, the same share of both ranges at each
-point, is searched for the first failure: the smallest of the four is the share of both ranges that
-may be used together.
+A proven range holds with all other parameters at their set point; at a corner of two ranges, limits
+may fail. The line from the set point to each of the four corners, the same share of both ranges at
+each point, is searched for the first failure: the smallest of the four shares is the share of both
+ranges that may be used together.
 
 The interaction of x and y in an attribute f is (f(+, +) - f(+, -) - f(-, +) + f(-, -)) / 4 at the
-corners of the normal operating ranges: half of the difference that one makes to the effect of the
-other, as in a factorial design at two levels. For f = c x y it is c times half of either range, for
-a sum of functions of x and of y it is zero.
+corners of the normal operating ranges: half of the change in the effect of one parameter that the
+other causes, as in a factorial design at two levels. For f = c x y it is c times half of the range
+of x and half of the range of y; for a sum of functions of x and of y it is zero.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,10 +40,11 @@ PairEnds = tuple[float, float]  # of a range, in the domain's unit
 
 @dataclass(frozen=True)
 class Together:
-    """Two ranges together. `share`: the largest share of both ranges at which no corner fails (1 if
-    none fails). `corner` (-1 or 1, -1 or 1): the corner that fails first; `fails`: the number of
-    the attribute that fails there, -1 if none fails. `certain`, `possible`: the share if the lower,
-    or the upper, end of the 95 % interval of the probability must be above the required one."""
+    """The result for two ranges together. `share`: the largest share of both ranges at which no
+    corner fails (1 if none fails). `corner` (-1 or 1, -1 or 1): the corner that fails first;
+    `fails`: the number of the attribute that fails there, -1 if none fails. `certain`, `possible`:
+    the share if the lower, or the upper, end of the 95 % interval of the probability must be above
+    the required one."""
 
     share: Number
     corner: tuple[int, int]
@@ -59,7 +60,7 @@ class Pair:
     - `nominal`, `probable`: their proven ranges together, None if one of them has no range or it
       was not searched.
     - `interaction`: [Q] in the attributes' units; `used`: its largest share of the distance to a
-      limit, and `maximum` the attribute's number, -1 if none has a limit.
+      limit, and `maximum`: the number of the attribute with this share, -1 if none has a limit.
     - `holds_normal`: whether the nominal model keeps all limits at the corners of normal operation.
     """
 
@@ -156,7 +157,7 @@ def _together(
 
 
 def _search(ways: list[_Way], valid: Good, search: tuple[int, int, int]) -> list[tuple]:
-    """(share, attribute that fails, certain, possible) of every way; all of them are searched
+    """(share, attribute that fails, certain, possible) for every segment; all are searched
     together."""
     count, within, times = search
     observed = [{0.0: (True, -1, True, True)} for _ in ways]
@@ -177,7 +178,8 @@ def _search(ways: list[_Way], valid: Good, search: tuple[int, int, int]) -> list
 
 
 def _bracket(observed: dict[float, tuple]) -> PairEnds:
-    """The last share before the first failure, and that of the failure; equal where none fails."""
+    """The last share before the first failure, and the share of the failure; equal if none
+    fails."""
     last = 0.0
     for share in sorted(observed):
         if not observed[share][0]:
@@ -196,7 +198,8 @@ def _ends(observed: dict[float, tuple]) -> tuple[float, int, float, float]:
 
 
 def _interactions(process: "PharmaProcess", both: Sequence) -> list[tuple]:
-    """(interaction [Q], its largest share of a room, the attribute, whether all corners do)."""
+    """(interaction [Q], its largest share of a margin, the attribute, whether all corners meet the
+    limits)."""
     if not both:
         return []
     rows = [batches.nominally(process, {})]

@@ -24,8 +24,8 @@ Changes = Mapping[Entry, float]  # of a set point, in the domain's unit
 
 
 class GradedPoints(NamedTuple):
-    """[n] whether points are fine; the index of the worst attribute; whether points are fine even
-    at the lower end, or only at the upper end, of the interval of their probability."""
+    """[n] whether points meet the criterion; the index of the worst attribute; whether they meet it
+    even at the lower end, or only at the upper end, of the interval of their probability."""
 
     fine: np.ndarray
     fails: np.ndarray
@@ -37,8 +37,9 @@ Good = Callable[[Sequence[Changes]], GradedPoints]
 
 
 def goods(process: "PharmaProcess", required: float, samples: int, seed: int) -> tuple[Good, Good]:
-    """Ranges by the model at its nominal numbers; and with the `required` probability of `samples`
-    draws, a parameter with a distribution varying about its point."""
+    """The two criteria: the limits hold for the nominal model; and they hold with the `required`
+    probability over `samples` draws, in which a parameter with a distribution varies about its
+    point."""
     case = process.case
     limits = AttributeLimits.of(case)
     margins = np.array([attribute.margin for attribute in case.attributes])
@@ -69,13 +70,13 @@ PROBABLE = (9, 3, 1)  # every point of these is many batches
 
 @dataclass(frozen=True)
 class AcceptableRange:
-    """A range in the case's unit; an edge names the attribute that fails beyond it.
+    """A range in the case's unit; an edge is the name of the attribute that fails beyond it.
 
     `low`, `high`: None if the set point itself fails. `low_edge`, `high_edge`: "" if the studied
-    range ends before any limit. `certain`: ends between which every tested point passes even at the
-    lower end of its 95 % interval; `possible`: up to the first point that fails even at the upper
-    end; None if the set point itself fails. `holds_normal`, `sure_normal`: whether the normal range
-    lies inside, and inside `certain`.
+    range ends before any limit. `certain`: the ends between which every tested point passes even at
+    the lower end of its 95 % interval; `possible`: the same up to the first points that fail even
+    at the upper end; None if the set point itself fails. `holds_normal`, `sure_normal`: whether the
+    normal range lies inside, and inside `certain`.
     """
 
     low: float | None
@@ -107,9 +108,8 @@ RangePoints = list[tuple[Parameter, float]]  # [n] (parameter, value in the doma
 def proven_ranges(
     process: "PharmaProcess", required: float, samples: int, seed: int
 ) -> list[ProvenRange]:
-    """Both ranges of every parameter.
-
-    A parameter with a distribution varies about each point of its probable range.
+    """Both proven ranges of every parameter. A parameter with a distribution varies about each
+    point of its probable range.
     """
     case: PharmaCase = process.case
     nominally, probably = goods(process, required, samples, seed)
@@ -124,7 +124,7 @@ def proven_ranges(
 
 
 def changes(points: RangePoints) -> list[Changes]:
-    """Every point as the change of one number."""
+    """The points as changes of one number each."""
     return [{(p.input, p.entry): x} for p, x in points]
 
 
@@ -213,7 +213,7 @@ def _reach(points: list[tuple[float, bool, bool]], here: float) -> tuple[RangeEn
 
 
 def _bracket(selected, scan, fine, fails, here: int, step: int) -> _Edge:
-    """The first failure seen from the set point; not a number where that fails itself."""
+    """The first failure in one direction from the set point; NaN if the set point itself fails."""
     if not fine[here]:
         return _Edge(selected, float("nan"), float("nan"), int(fails[here]))
     end = here
@@ -225,7 +225,7 @@ def _bracket(selected, scan, fine, fails, here: int, step: int) -> _Edge:
 
 
 def _zoom(edges: list[_Edge], valid: Good, count: int, observed: _Seen) -> list[_Edge]:
-    """Every bracket, narrowed by `count` points within it."""
+    """The brackets, narrowed by `count` points within each of them."""
     open_ones = [i for i, edge in enumerate(edges) if edge.fails >= 0 and edge.inner == edge.inner]
     if not open_ones:
         return edges

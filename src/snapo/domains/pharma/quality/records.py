@@ -1,4 +1,4 @@
-"""The questions to a process: parameters, attributes, uncertain numbers, experiments."""
+"""The data of all studies of a process: parameters, attributes, uncertain numbers, experiments."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -21,14 +21,15 @@ class Distribution:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A process parameter, as a filing lists it: one entry of one `CaseInput`.
+    """A process parameter as a regulatory filing lists it: one entry of one `CaseInput`.
 
-    - `name`: in tables; `input`, `entry`: the `CaseInput`'s name and the position in its `values`.
+    - `name`: the name in tables; `input`, `entry`: the `CaseInput`'s name and the position in its
+      `values`.
     - `unit`: the case's unit, `scale`: the domain's unit per case's unit (a sensitivity per
       case's unit is `scale` times the raw one), `offset`: domain value = scale * case's + offset.
     - `low`, `high`: proven or studied range; `normal_low`, `normal_high`: normal operating range,
       both in the domain's unit.
-    - `distribution`: its variation about the set point; None if it holds exactly.
+    - `distribution`: its variation about the set point; None if it does not vary.
     - `control`: whether the designer may choose it; False for a material attribute.
     """
 
@@ -72,13 +73,13 @@ class Attribute:
 class Uncertainty:
     """Uncertain model parameters, jointly lognormal or normal, and disturbances.
 
-    U numbers; each is one entry of one `CaseInput`, like a `Parameter`. The policy does not observe
-    them.
+    There are U numbers; each is one entry of one `CaseInput`, like a `Parameter`. The policy does
+    not observe them.
 
     - `inputs`: [U] names of `CaseInput`s; `entries`: [U] positions; `distributions`: [U].
     - `correlation`: [U, U] of the underlying standard normals.
     - `between`: [U] True for a number that differs between batches (a feed), False for one unknown
-      number (a rate constant); () if batches differ only by changes within them.
+      number (a rate constant); () if numbers vary only within batches.
     - `when`: [U] "batch" for one draw per batch (kinetics, feed); "step" for a new draw in every
       decision step (a temperature that is not held exactly).
     """
@@ -97,8 +98,8 @@ class DesignSpace:
 
     - `axes`: two or three names of `Parameter`s, over their `low` to `high`; `points`: per axis.
     - `samples`: draws of the uncertainty per point, the same at every point.
-    - `levels`: contours, such as (0.85, 0.95, 0.99); `required`: the probability that the space,
-      the proven ranges and the largest box must keep.
+    - `levels`: contours, such as (0.85, 0.95, 0.99); `required`: the probability that is required
+      in the space, the proven ranges and the largest box.
     """
 
     axes: tuple[str, ...]
@@ -112,7 +113,8 @@ class DesignSpace:
 class Experiment:
     """One measured batch: its settings, and its measurements with their times.
 
-    - `settings`: ((`CaseInput` name, entry, value in the domain's unit), …) other than the case's.
+    - `settings`: ((`CaseInput` name, entry, value in the domain's unit), …) that differ from the
+      case.
     - `units`: [n] the units of `value` in the case, with (scale, offset) of each in `scales`, as
       for a `Parameter`.
     - `time`: [n] s since the unit's start, `state`: [n] "unit.state" measured, `value`: [n] in the
@@ -133,12 +135,12 @@ class Experiment:
 class Estimation:
     """The numbers that are fitted, and the experiments to which they are fitted.
 
-    - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
+    - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] whether the logarithm is fitted.
     - `low`, `high`: [P] bounds in the domain's unit.
-    - `level`: the level of the confidence intervals. `units`, `scales`: [P] those of the case, see
-      `Parameter`.
+    - `level`: the level of the confidence intervals. `units`, `scales`: [P] units of the case and
+      their conversion, see `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
-    - `errors`: "known" as standard deviations, or "relative", up to a common factor.
+    - `errors`: "known" if they are standard deviations, or "relative", up to a common factor.
     - `starts`: points from which the search begins, the case's first.
     """
 

@@ -1,4 +1,4 @@
-"""On which mesh statistics are taken: thousands of batches need not be solved to ten digits."""
+"""The mesh for statistics: thousands of batches need not be solved to ten digits."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +13,7 @@ COARSER, ENOUGH = 4, 0.01  # times larger steps, where attributes move by less t
 
 
 def on_steps(process: PharmaProcess, steps: int) -> PharmaProcess:
-    """The same process with as many steps per piece."""
+    """The same process with this number of steps per piece."""
     case = process.case
     if steps == case.numerics.steps:
         return process
@@ -25,11 +25,11 @@ def on_steps(process: PharmaProcess, steps: int) -> PharmaProcess:
 def sampler(
     process: PharmaProcess, made: Callable[[PharmaProcess, int], PharmaProcess] | None = None
 ) -> tuple[PharmaProcess, dict[str, Any]]:
-    """The process for statistics, and the accuracy that its mesh costs. `made`: makes the same
+    """The process for statistics, and the loss of accuracy on its mesh. `made`: makes the same
     process on other steps, by default `on_steps`.
 
     The process on a quarter of the steps, if the nominal attributes then move by at most 1 % of
-    their margins; the process itself if they move by more, and if it has no mesh.
+    their margins; the process itself if they move by more, or if it has no mesh.
     """
     case = process.case
     steps = max(8, case.numerics.steps // COARSER)

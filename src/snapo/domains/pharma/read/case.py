@@ -145,8 +145,8 @@ def read_case(path: str | Path) -> PharmaCase:
 
 
 def without_checks(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables of a case whose numbers are moved: with normal ranges as wide as what was studied,
-    and without measured batches. No value depends on either."""
+    """The tables of a case whose numbers are moved: with normal ranges as wide as the studied
+    ranges, and without measured batches. No value depends on either."""
     data = {key: table for key, table in data.items() if key != "estimation"}
     parameters = data.get("parameters")
     if isinstance(parameters, list):
@@ -214,7 +214,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
 
 
 def _highest(case: PharmaCase) -> list[tuple[str, str, float]]:
-    """Where a number is studied, decided or uncertain, its name, and its highest value."""
+    """Rows (key where a number is studied, decided or uncertain; its name; its highest value)."""
     results = [
         (f"parameters.{parameter.name}", parameter.input, parameter.high)
         for parameter in case.parameters

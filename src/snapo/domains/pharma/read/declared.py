@@ -40,7 +40,7 @@ from .reader import Reader, TextKey
 
 @dataclass(frozen=True)
 class UnitQuantity(Quantity):
-    """A number with its unit, "30 min": called with a meaning it makes a field of a record.
+    """A number with its unit, such as "30 min"; a call with a meaning makes a field of a record.
 
     - `example`: a value as text. `alias`: the key, if it differs from the name of the field.
     - `form` of the field: an input, a profile over time, or a constant number.
@@ -122,7 +122,8 @@ def number_name(table: TableContext) -> str:
 
 
 def key(field: Any, name: str = "", **more: Any) -> Any:
-    """A field of a record that is read from a key of its table; `name`: if it has another."""
+    """A field of a record that is read from a key of its table; `name`: the key, if it differs from
+    the field."""
     assert isinstance(field, FieldInfo)
     default = field.default
     if default is PydanticUndefined or (quantity_of(field) and default is not None):
@@ -200,7 +201,7 @@ def values(record: type, read: Reader, species: tuple[str, ...] = ()) -> dict[st
 class TableRecord:
     """An inner table of a unit, its fields declared; `heading`: the name of the table.
 
-    - `more_keys`: {key: (type, declaration)} of keys that are no fields.
+    - `more_keys`: {key: (type, declaration)} of keys that are not fields.
     """
 
     heading: ClassVar[str]

@@ -1,4 +1,4 @@
-"""Numbers of the case by the texts that speak of them: "reactor.temperature[0]"."""
+"""The numbers of a case by their names in the file, such as "reactor.temperature[0]"."""
 
 import math
 import re
@@ -22,7 +22,8 @@ class EntryNumbers(NamedTuple):
     network: FlowNetwork
 
     def unit(self, name: str, entry: int) -> str:
-        """The domain's unit of one entry: powers and rate constants have units of their own."""
+        """The domain's unit of one entry; the entries of powers and rate constants may have
+        different units."""
         unit = self.givens[name].unit
         if unit == "(m3/kmol)^(order-1)/s":
             return prefactor_unit(self.network.order[entry].sum())
@@ -31,7 +32,7 @@ class EntryNumbers(NamedTuple):
         return unit.replace("K^k", f"K^{entry}").replace("m^k/m3", f"m^{entry}/m^3")
 
     def all(self, section: Location, key: str, text: str) -> list[Entry]:
-        """The entries that "name", "name[1]" or "name[label]" means."""
+        """The entries that a text such as "name", "name[1]" or "name[label]" means."""
         result = ENTRY.fullmatch(text)
         name = result[1] if result else text
         if result is None or name not in self.givens:

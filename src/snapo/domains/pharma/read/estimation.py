@@ -126,8 +126,8 @@ def _experiment(
         lowest = smallest(row.cells["state"])
         if value < lowest - NOISE * error:
             message = (
-                f"{(lowest - value) / error:.3g} of its standard deviations below the smallest "
-                f"possible value; allowed are {NOISE:g}"
+                f"the value is {(lowest - value) / error:.3g} of its standard deviations below the "
+                f"smallest possible value; at most {NOISE:g} are allowed"
             )
             raise row.error("value", message)
     metadata = [

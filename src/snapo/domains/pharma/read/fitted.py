@@ -26,9 +26,9 @@ class FittedRows(NamedTuple):
 
 
 def read_fitted(file, name: str | None, numbers: EntryNumbers, notes: list[str]) -> FittedRows:
-    """Puts the fitted values in the place of the case's own; returns how uncertain they are.
+    """Replaces the case's numbers by the fitted values, and returns the uncertainty of these.
 
-    A logarithm that is normal makes the number lognormal; all others are normal.
+    A number that was fitted as its logarithm is lognormal; all others are normal.
     """
     entries: list[Entry] = []
     distributions: list[Distribution] = []
@@ -73,7 +73,7 @@ def _correlation(rows: list[Row]) -> np.ndarray:
             raise row.error("correlation", message)
         result[i] = numbers
     if not np.allclose(result, result.T, atol=1e-6) or (np.linalg.eigvalsh(result) <= 1e-12).any():
-        message = "this is not a correlation matrix (not symmetric, not positive definite)"
+        message = "this is not a correlation matrix (not symmetric, or not positive definite)"
         raise rows[0].error("correlation", message)
     return (result + result.T) / 2
 

@@ -27,7 +27,7 @@ class RuleTable(CaseTable):
 
     name: TextKey = doc("name of the rule", allowed="a name")
     tuning: Literal["simc", "ziegler-nichols"] = doc(
-        "tuning of gains and times that the case leaves out", "simc"
+        "formula for gains and times that are missing in the case", "simc"
     )
     loops: list[dict] = tables("control loops of the rule", "[[control.rules.loops]]")
 
@@ -40,7 +40,7 @@ class LoopTable(CaseTable):
         "state that the loop controls", allowed="the state of one of [[control.measurements]]"
     )
     setpoint: Any = doc(
-        "setpoint over the time",
+        "setpoint over the unit's time",
         None,
         'quantities, evenly spaced over the time, such as ["20 g/L", "9 g/L"]',
     )
@@ -98,7 +98,7 @@ class _Loops:
         of = _among(section, "of", table.of, self.controls, "control")
         unit = table.of.partition(".")[0]
         if unit not in self.timed:
-            message = "a loop moves a number that is decided over a unit's time"
+            message = "a loop must move a number that is decided over a unit's time"
             raise section.error("of", table.of, message)
         moved = self.numbers.unit(table.of, 0)
         if table.inner is None:

@@ -1,5 +1,5 @@
-"""Reads species, reactions, feeds and connections. A reaction must conserve mass; every inlet is
-fed once, no outlet used twice, and the order is known.
+"""Reads species, reactions, feeds and connections. A reaction must conserve mass; every inlet must
+be fed once, and no outlet used twice. Units are put in the order of the flow.
 """
 
 import re
@@ -116,8 +116,8 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
         raise section.error("equation", table.equation, message)
     if gap > ROUND_OFF:
         notes.append(
-            f"Reaction {name} conserves mass to {gap:.1e} only, with the molar masses of the case; "
-            "the balance of mass shows this as produced by the reaction."
+            f"With the molar masses of the case, reaction {name} conserves mass only to {gap:.1e}; "
+            "the mass balance shows the difference as produced by the reaction."
         )
     order = left.copy()
     for item, exponent in table.order.items():
@@ -203,7 +203,7 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
 def read_connections(
     file, raw: list[dict], feeds: Sequence[Feed], units: Sequence[Unit]
 ) -> tuple[Connection, ...]:
-    """`[[connections]]`, each checked against the ports that there are."""
+    """`[[connections]]`, checked against the existing ports."""
     by_name = {unit.name: unit for unit in units}
     for feed in feeds:
         if feed.name in by_name:
@@ -241,7 +241,7 @@ def _check_fed(
         free = [port for port in sources if ("from", port) not in used]
         message = f"the inlet {open_inlets[0]} is not fed"
         if free:
-            message += f"; free are {', '.join(free)}"
+            message += f"; unused outlets are {', '.join(free)}"
         raise CaseError(str(file), "connections", None, message)
 
 
@@ -281,8 +281,8 @@ def _check_inlet(file, unit: Unit, inlet: Inlet, result: Sizes) -> None:
     elif inlet.crystals == "refused":
         message = f"crystals reach the inlet {inlet.name} of this unit, which takes only liquids"
     elif result is None and (inlet.crystals == "counted" or inlet.grid):
-        message = "crystals reach this unit whose sizes are not counted on a grid"
+        message = "the crystals that reach this unit are not counted on a grid of sizes"
     elif inlet.grid and result != inlet.grid:
-        message = "crystals reach this unit on a different grid of sizes"
+        message = "the crystals that reach this unit are counted on a different grid of sizes"
     if message:
         raise CaseError(str(file), f"units.{unit.name}", None, message)

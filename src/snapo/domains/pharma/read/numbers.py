@@ -1,5 +1,5 @@
-"""From the raw value of a key to numbers in the domain's units: quantities, lists, profiles; and
-names that a user gives: of species, feeds, units and ports.
+"""Raw values of keys become numbers in the domain's units: quantities, lists and profiles. Also
+checks the names of species, feeds, units and ports.
 """
 
 import math
@@ -53,7 +53,7 @@ class ProfileTable(CaseTable):
     )
     kind: Literal["linear", "constant"] = doc("values between the nodes", "linear")
     ramp: Any = doc(
-        "fastest change, by default any", None, 'a quantity in quotation marks, such as "0.5 K/min"'
+        "fastest change, if limited", None, 'a quantity in quotation marks, such as "0.5 K/min"'
     )
 
 
@@ -85,7 +85,7 @@ def quantity(
     basis: str | None = None,
 ) -> float:
     """The number under `key` in the domain's `unit`; see `conversion` for a `difference`. `basis`:
-    the basis of a share, by default that of the key's name."""
+    the basis of a share, by default the basis that belongs to the name of the key."""
     number, name = _split(section, key, raw, unit)
     try:
         if unit in PURE:
@@ -137,7 +137,8 @@ def case_input(
     index: np.ndarray | None = None, meaning: str = "", local: str = "", bounds: Range = ANY,
     positions: tuple[FilePosition, ...] = (),
 ) -> CaseInput:  # fmt: skip
-    """Numbers of a case with their metadata; used in order unless there is an `index`.
+    """Numbers of a case with their metadata; they are used in their order unless there is an
+    `index`.
 
     `local`: the case's unit. Temperatures are moved by a kelvin, and all other numbers by a share
     of their value.
@@ -290,5 +291,5 @@ def check_name(section: TableContext, key: str, name: Any) -> str:
     if not isinstance(name, str) or NAME.fullmatch(name) is None or name in RESERVED:
         message = "a name has letters, digits, - and _, and begins with a letter"
         reserved = " and ".join(f'"{item}"' for item in RESERVED)
-        raise section.error(key, name, f"{message}; {reserved} are taken")
+        raise section.error(key, name, f"{message}; {reserved} are reserved")
     return name

@@ -50,16 +50,16 @@ class OptimiseTable(CaseTable):
     per: list[dict] = doc("terms by whose sum the goal is divided", [], "tables [[optimise.per]]")
     decisions: list[dict] = tables("numbers that are decided", "[[optimise.decisions]]")
     reserve: float = within(
-        "margins by which the recipe stays away from every limit",
+        "number of margins by which the recipe stays away from every limit",
         Range(0.0, noun="a number of margins"),
         0.0,
     )
     deviations: float = within(
-        "standard deviations by which it stays away from every limit",
+        "number of standard deviations by which it stays away from every limit",
         Range(0.0, noun="a number of standard deviations"),
         0.0,
     )
-    starts: int = whole("points from which the search begins", 1, 1000, default=1)
+    starts: int = whole("number of points from which the search begins", 1, 1000, default=1)
 
 
 def read_optimise(
@@ -148,7 +148,7 @@ def _decisions(section: TableContext, raw: dict, numbers: EntryNumbers) -> list[
 
 
 def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
-    """`[goal]`: the probability of keeping all limits, or the mean or tail of an attribute."""
+    """`[goal]`: the probability of meeting all limits, or the mean or the tail of an attribute."""
     table = parse(GoalTable, raw, str(file), "goal")
     section = TableContext(file, "goal", [])
     names = [attribute.name for attribute in attributes]
@@ -168,7 +168,7 @@ def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
 def read_design_space(
     file, raw: dict | None, parameters: Sequence[Parameter], attributes: Sequence[Attribute]
 ) -> DesignSpace | None:
-    """`[design_space]`: its parameters, its points, and the probability it must keep."""
+    """`[design_space]`: its parameters, its points, and the required probability."""
     if raw is None:
         return None
     section = TableContext(file, "design_space", [])

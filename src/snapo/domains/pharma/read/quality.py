@@ -50,7 +50,7 @@ def read_parameters(file, raw: list[dict], numbers: EntryNumbers, notes) -> tupl
             if other.name == parameter.name:
                 raise section.error("name", other.name, "another parameter has this name")
             if (other.input, other.entry) == (parameter.input, parameter.entry):
-                raise section.error("of", item["of"], f"parameter {other.name} has the same number")
+                raise section.error("of", item["of"], f"parameter {other.name} has this number too")
         parameters.append(parameter)
     return tuple(parameters)
 
@@ -217,9 +217,7 @@ def read_uncertainty(
             if entry in which:
                 raise section.error("of", table.of, "this number appears twice")
             if entry in fit.entries:
-                message = (
-                    "the uncertainty of this number is part of its fit, from the file `fitted`"
-                )
+                message = "the file `fitted` has the uncertainty of this number; remove this entry"
                 raise section.error("of", table.of, message)
             unit = numbers.unit(*entry)
             distribution = read_distribution(section, table.distribution, unit)
@@ -247,11 +245,11 @@ def read_uncertainty(
             if entry not in which:
                 raise section.error("between", text, "this number is not under [[uncertainty]]")
         if one == other:
-            raise section.error("between", table.between, "a number correlates with another")
+            raise section.error("between", table.between, "these two numbers are the same")
         row, column = which.index(one), which.index(other)
         matrix[row, column] = matrix[column, row] = table.value
     if which and np.linalg.eigvalsh(matrix).min() <= 1e-12:
-        message = "the correlations together are not positive definite"
+        message = "the matrix of all correlations is not positive definite"
         raise CaseError(str(file), "correlations", None, message)
     return Uncertainty(
         tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(spreads),

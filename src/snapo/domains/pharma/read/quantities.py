@@ -1,6 +1,6 @@
-"""Quantities with units: a user's text, "40 degC", becomes a number in the domain's unit.
+"""Quantities with units: a text such as "40 degC" becomes a number in the domain's unit.
 
-A text is taken apart here and only the name of its unit goes to pint, so nothing in a case is ever
+A text is split here, and only the name of its unit is passed to pint, so nothing in a case is ever
 evaluated. The domain's units are written as in `records`: "kmol/m3", "1/s", "1".
 """
 
@@ -66,7 +66,7 @@ EXACT = 1e-9  # exponents of dimensions that differ only by round-off are the sa
 
 
 class UnitError(ValueError):
-    """A unit that does not exist, or of another dimension; the message is a clause."""
+    """A unit that does not exist, or has another dimension; the message is a clause."""
 
 
 class Conversion(NamedTuple):
@@ -104,7 +104,7 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
 
 
 def by_pint(unit: str, target: str, difference: bool = False) -> Conversion:
-    """`conversion` of any unit, by a library that takes as long to load as all the rest."""
+    """`conversion` of any unit by pint, which takes as long to load as everything else together."""
     domain = _parse(target)
     local = _exact(_parse(unit), domain)
     if _gaps(local, domain):
@@ -205,20 +205,19 @@ def _parse(unit: str) -> "pint.Unit":
 
 
 def _gaps(unit: "pint.Unit", domain: "pint.Unit") -> dict[str, float]:
-    """By which exponent of each dimension two units differ; without those that agree."""
+    """The difference of the exponents of each dimension in two units, without those that agree."""
     one, other = _powers(unit.dimensionality), _powers(domain.dimensionality)
     table = {name: other.get(name, 0.0) - one.get(name, 0.0) for name in {*one, *other}}
     return {name: gap for name, gap in table.items() if abs(gap) > EXACT}
 
 
 def _powers(result: Any) -> dict[str, float]:
-    """The exponents of units or dimensions, which pint holds as any kind of number."""
+    """The exponents of units or dimensions as floats; pint stores them as numbers of any kind."""
     return {str(name): float(power) for name, power in result.items()}
 
 
 def _exact(unit: "pint.Unit", domain: "pint.Unit") -> "pint.Unit":
-    """`unit` with the exponents that `domain` asks for, where those are the same to three
-    digits."""
+    """`unit` with the exponents of `domain` if they are the same to three digits."""
     gaps = _gaps(unit, domain)
     parts = _powers(unit._units)
     if not gaps or not parts:

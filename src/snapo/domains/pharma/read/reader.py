@@ -28,12 +28,12 @@ def quantity(meaning: str, subject: str, default: Any = ...) -> Any:
 def whole(
     meaning: str, low: int, high: float = math.inf, default: Any = ..., note: str = ""
 ) -> Any:
-    """A field for a whole number of a range."""
+    """A field for a whole number in a range."""
     return within(meaning, Range(low, high, note=note, noun="a whole number"), default)
 
 
 def within(meaning: str, bounds: Range, default: Any = ...) -> Any:
-    """A field for a number of a range, which its type does not repeat."""
+    """A field for a number in a range; the type of the field does not repeat the range."""
     low, high = bounds.endpoints
     limits = {
         "gt" if low == "(" else "ge": bounds.low,
@@ -70,7 +70,7 @@ class Reader(NamedTuple):
         return name
 
     def ports(self, key: str) -> tuple[str, ...]:
-        """Names of ports, each once."""
+        """Names of ports, without repetition."""
         names = getattr(self.table, key)
         for i, name in enumerate(names):
             check_name(self.section, key, name)
@@ -86,7 +86,8 @@ class Reader(NamedTuple):
         return Reader(section, f"{self.name}.{key}", result, self.raw[key])
 
     def only(self, kinds: tuple[str, ...], keys: tuple[str, ...], needed: bool = False) -> None:
-        """Refuses `keys` unless `kind` is one of `kinds`; if it is, they may be `needed`."""
+        """Refuses `keys` unless `kind` is one of `kinds`; for these kinds the keys may be
+        `needed`."""
         kind = self.table.kind
         for key in keys:
             values = getattr(self.table, key)

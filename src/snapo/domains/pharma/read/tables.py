@@ -1,7 +1,7 @@
-"""The tables of a pharma case of the TOML file, each key with its meaning.
+"""The tables in the TOML file of a pharma case; every key has its meaning.
 
-A quantity is any value here: whether its number and unit are right is decided by `numbers`. Tables
-of units are those of the unit operations.
+Here a quantity may have any value; `numbers` checks its number and its unit. Tables of units are
+those of the unit operations.
 """
 
 from typing import Annotated, Any, Literal
@@ -61,7 +61,7 @@ class ParameterTable(CaseTable):
 
     name: TextKey = doc("name of the parameter", allowed="a name")
     of: TextKey = doc(
-        "number of the case to which it refers",
+        "number of the case that it varies",
         allowed='a number of the case, such as "crystalliser.temperature[1]"',
     )
     range: list[Any] = pair("range that is studied", 'quantities such as ["303 K", "323 K"]')
@@ -79,7 +79,7 @@ class AttributeTable(CaseTable):
     """`[[attributes]]`"""
 
     name: TextKey = doc("name of the quality attribute", allowed="a name")
-    measure: TextKey = doc("measure that it is", allowed='a measure such as "dryer.solvent"')
+    measure: TextKey = doc("measure of the process", allowed='a measure such as "dryer.solvent"')
     unit: str = doc("unit of the attribute in all tables", allowed='a unit such as "um", or "1"')
     low: Any = quantity("lower limit", '"80 um"', None)
     high: Any = quantity("upper limit", '"100 um"', None)
@@ -125,7 +125,7 @@ class ManipulatedTable(CaseTable):
     )
     low: Any = quantity("lower bound", '"273 K"')
     high: Any = quantity("upper bound", '"313 K"')
-    ramp: Any = quantity("fastest change, by default any", '"0.5 K/min"', None)
+    ramp: Any = quantity("fastest change, if limited", '"0.5 K/min"', None)
 
 
 class MeasurementTable(CaseTable):
@@ -177,7 +177,7 @@ class DesignSpaceTable(CaseTable):
         min_length=2,
         max_length=3,
     )
-    points: int = whole("points of an axis", 3, 201, default=17, note=", of points along each axis")
+    points: int = whole("points per axis", 3, 201, default=17, note=", of points along each axis")
     samples: int = whole(
         "draws of the uncertain numbers at every point",
         16,
@@ -228,7 +228,7 @@ class EstimationTable(CaseTable):
         "whether measurement errors are known, or only their ratios", "known"
     )
     starts: int = whole(
-        "points from which the search begins",
+        "number of points from which the search begins",
         1,
         1000,
         default=8,
@@ -252,7 +252,7 @@ class NumericsTable(CaseTable):
 
 
 class PharmaReportTable(ReportTable):
-    """`[report]`: the parts of a run that are wanted, and texts of its page."""
+    """`[report]`: the requested parts of a run, and texts of its page."""
 
     parts: PartNames = names_of_parts("capability")
 

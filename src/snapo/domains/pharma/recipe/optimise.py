@@ -1,4 +1,5 @@
-"""The best recipe of the nominal model: `[optimise]` of a case, solved with its conditions."""
+"""The best recipe of the nominal model: `[optimise]` of a case, solved with a test of the
+optimality conditions."""
 
 import time
 from typing import NamedTuple
@@ -20,8 +21,8 @@ from .records import Term
 
 
 class AttributeLimit(NamedTuple):
-    """A limit of attribute number `which`: `sign` (value - `limit`) >= `reserve`; over `size` it
-    is of order one."""
+    """A limit of attribute number `which`: `sign` (value - `limit`) >= `reserve`; divided by `size`
+    it is of order one."""
 
     name: str
     unit: str
@@ -33,7 +34,8 @@ class AttributeLimit(NamedTuple):
 
 
 class Ramp(NamedTuple):
-    """Between two nodes of a profile: most change per second over a share of the duration."""
+    """A piece between two nodes of a profile: the largest change per second, over a share of the
+    duration."""
 
     name: str
     unit: str
@@ -46,8 +48,8 @@ class Ramp(NamedTuple):
 
 class Optimum(NamedTuple):
     """`recipe`: its x are the decisions, and its constraints those of `bounds`, then two for each
-    of `ramps`. `before`: the goal at the start; `endpoints`: the goal at the end from each start.
-    `mode`: how the goal was differentiated; `compiling`, `solving`: seconds.
+    of `ramps`. `before`: the goal at the start; `endpoints`: the goal that the search reached from
+    each start. `mode`: how the goal was differentiated; `compiling`, `solving`: seconds.
     """
 
     recipe: Recipe
@@ -63,8 +65,8 @@ class Optimum(NamedTuple):
 def optimise(process: PharmaProcess, seed: int = 0) -> Optimum:
     """Chooses the decisions of the case's `[optimise]`; all limits are constraints.
 
-    With several starts the result is the best of those that meet the conditions, else the best of
-    all.
+    With several starts the result is the best of those that meet the conditions, or the best of all
+    if none does.
     """
     case = process.case
     ask = case.optimise
@@ -96,7 +98,8 @@ def optimise(process: PharmaProcess, seed: int = 0) -> Optimum:
 def goal_and_room(
     process: PharmaProcess, limits: tuple[AttributeLimit, ...], steep: tuple[Ramp, ...]
 ):
-    """From decisions [n] to the goal, the room to every limit, and both of every ramp."""
+    """The function from decisions [n] to the goal, the distance to every limit, and two distances
+    for every ramp."""
     case, nominal = process.case, process.nominal_inputs()
     ask = case.optimise
     assert ask is not None
@@ -127,7 +130,7 @@ def goal_and_room(
 
 
 def _sum(terms: tuple[Term, ...], measures, inputs) -> Array:
-    """`inputs` has every number of the case, held ones too."""
+    """The sum of terms; `inputs` has every number of the case, including held ones."""
     total = jnp.zeros(())
     for term in terms:
         value = measures[term.of] if term.entry is None else inputs[term.of][term.entry]
@@ -137,7 +140,7 @@ def _sum(terms: tuple[Term, ...], measures, inputs) -> Array:
 
 def varies(process: PharmaProcess) -> np.ndarray:
     """[Q] standard deviation of the batches about the case's recipe, to first order, in the
-    attributes' units; zeros where nothing asks for it."""
+    attributes' units; zeros if the case does not need it."""
     case = process.case
     assert case.optimise is not None
     available = len(all_entries(case))
@@ -149,7 +152,7 @@ def varies(process: PharmaProcess) -> np.ndarray:
 
 
 def bounds(case: PharmaCase, deviation: np.ndarray) -> tuple[AttributeLimit, ...]:
-    """The limits of all attributes as inequalities, minus the reserve; `deviation` [Q]."""
+    """The limits of all attributes as inequalities, with the reserve; `deviation` [Q]."""
     ask = case.optimise
     assert ask is not None
     results = []
@@ -165,7 +168,7 @@ def bounds(case: PharmaCase, deviation: np.ndarray) -> tuple[AttributeLimit, ...
 
 
 def ramps(case: PharmaCase) -> tuple[Ramp, ...]:
-    """Ramps of the profiles that a decision bends or stretches."""
+    """Ramps of the profiles whose nodes or duration are decided."""
     ask = case.optimise
     assert ask is not None
     decided = {decision.input for decision in ask.decisions}

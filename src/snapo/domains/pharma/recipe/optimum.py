@@ -1,4 +1,4 @@
-"""Optimisation of a traceable function, with its first-order conditions shown.
+"""Optimisation of a traceable function, with a test of its first-order conditions.
 
 Sequential quadratic programming (SciPy's SLSQP) on exact derivatives of one compiled function
 that has the goal and all constraints; without constraints L-BFGS-B. Its result is tested
@@ -33,8 +33,8 @@ class Conditions(NamedTuple):
     the inequalities): relaxing one of these by one unit improves the goal by its multiplier.
 
     - `stationarity`: the largest entry of the residual of grad f with multipliers of the right
-      sign; `violation`: the largest violation of a constraint. Both are relative: goal over
-      `scale`.
+      sign; `violation`: the largest violation of a constraint. Both are relative: the goal is
+      divided by `scale`.
     - `low`, `high`: [n] multipliers of the bounds; `equal` [k], `above` [m]: multipliers of the
       equalities (of any sign) and of the inequalities.
     """
@@ -72,8 +72,8 @@ class Recipe(NamedTuple):
 
 
 class SearchLimits(NamedTuple):
-    """The limits at which an optimisation stops; `progress` takes its lines of progress, some
-    seconds apart (those of the run at hand without one)."""
+    """The limits at which an optimisation stops; `progress` receives lines of progress, some
+    seconds apart (by default the run that is in progress receives them)."""
 
     evaluations: int = 5000
     seconds: float = float("inf")
@@ -88,7 +88,7 @@ class TracedRecipe:
     """A traceable function of x [n] (and of further arguments) to [K] numbers, compiled once.
 
     A call returns the numbers and their derivative [K, n] with respect to x. The result of the last
-    call is remembered, since optimisers request values and derivatives one after the other.
+    call is stored, since optimisers request values and derivatives one after the other.
     `compiling`: seconds.
     """
 
@@ -140,7 +140,7 @@ class BestSoFar:
         self._last = -1
 
     def see(self, u: np.ndarray, values: np.ndarray, goal: float) -> None:
-        """A point with its numbers, the goal first and with the sign to make it small.
+        """Records a point with its numbers; the first is the goal, with the sign for a minimum.
 
         **Raises:** `Stopped` at a limit, and if a number is non-finite.
         """
@@ -168,8 +168,8 @@ class BestSoFar:
             raise Stopped(f"it stopped after {taken:.0f} s")
 
     def best(self, start: np.ndarray) -> np.ndarray:
-        """The best point evaluated, by the smallest violation, then the goal; the start if there is
-        none."""
+        """The best evaluated point, by the smallest violation, then by the goal; the start if there
+        is none."""
         return start if self._best is None else self._best[1]
 
 
@@ -250,7 +250,7 @@ def optimum(
 
 
 def _short_of(conditions: Conditions, tolerance: float, stopped: str) -> str:
-    """The reason why a point does not count as the best one."""
+    """The reason why a point is not accepted as the optimum."""
     why = stopped or "the solver ended"
     return (
         f"{why} before the tolerance {tolerance:.1g} was reached: stationarity "
@@ -285,7 +285,8 @@ class _Scaled(NamedTuple):
         return values * sign, slopes * sign[:, None] * width
 
     def conditions(self, u: np.ndarray) -> Conditions:
-        """Multipliers by least squares, those of inequalities not negative."""
+        """The conditions with multipliers by least squares; those of inequalities are not
+        negative."""
         values, slopes = self.scaled(u)
         if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
             none, rest = np.full(len(u), np.nan), np.full(len(values) - 1, np.nan)
@@ -318,7 +319,7 @@ class _Scaled(NamedTuple):
 
 
 def _spread(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """The values where they belong, zero elsewhere."""
+    """A vector with the values at their positions, and zeros elsewhere."""
     spread = np.zeros(len(where))
     spread[where] = values
     return spread

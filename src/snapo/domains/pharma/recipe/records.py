@@ -49,8 +49,8 @@ class Optimise:
     """Goal = sum of `terms`, divided by the sum of `per` if there is one; at the nominal model.
 
     - `sense`: 1 to maximise the goal, -1 to minimise it.
-    - `reserve`, `deviations`: how many margins, and how many standard deviations of the batches
-      around the case's recipe, the attributes stay within their limits.
+    - `reserve`, `deviations`: the numbers of margins, and of standard deviations of the batches
+      around the case's recipe, by which attributes stay within their limits.
     - `starts`: the number of starting points: the case's recipe, and random ones within the bounds.
     """
 

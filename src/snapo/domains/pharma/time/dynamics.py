@@ -1,6 +1,4 @@
-"""A unit over its time as the integrator sees it: an initial value problem, and how it is
-integrated.
-"""
+"""A unit over its time as an initial value problem, and how it is integrated."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -22,11 +20,11 @@ class Numerics:
 
     - `method`: "mesh", fixed steps between the breaks at events and profile nodes, or "adaptive",
       error-controlled to `tolerance` (relative; the absolute tolerance is for scaled states).
-    - `steps`: fixed steps for each unit and interval between breaks; `open`: whether more steps are
-      taken if the nominal batch needs them. `refine`: whether the run repeats value and gradient
-      with twice as many steps and reports the difference.
-    - `max_steps`: the maximum of the adaptive solver, after which the unit's status contains the
-      time reached.
+    - `steps`: fixed steps for each unit and interval between breaks; `open`: whether the number of
+      steps is increased if the nominal batch needs more. `refine`: whether the run repeats value
+      and gradient with twice as many steps and reports the difference.
+    - `max_steps`: the maximum number of steps of the adaptive solver; if it is reached, the unit's
+      status contains the time reached.
     - `along`: whether derivatives on the mesh are computed step by step, which is better for many
       batches in parallel, instead of for all steps at once, which is faster for one batch.
     - `own_steps`: whether a run whose held steps are refused gets separate steps in the same trace,
@@ -55,7 +53,7 @@ class Numerics:
     held: Mapping[str, np.ndarray] = field(default_factory=dict, hash=False)
 
     def finer(self) -> "Numerics":
-        """Twice as many steps on the mesh; with error control, a tenth of the tolerance."""
+        """The method with twice as many steps on the mesh, or with a tenth of the tolerance."""
         if self.method == "adaptive":
             return replace(self, tolerance=self.tolerance / 10, max_steps=2 * self.max_steps)
         held = {

@@ -1,5 +1,5 @@
-"""Time integration: classical Runge-Kutta on a broken mesh, Rosenbrock steps that are held, or
-error-controlled by diffrax.
+"""Time integration: classical Runge-Kutta steps on a mesh of pieces, held Rosenbrock steps, or
+error-controlled steps by diffrax.
 
 The residual of the differential equation between fixed steps shows whether they were short enough.
 For every step the cubic Hermite interpolant is inserted into the equation at the midpoint (Enright,
@@ -64,8 +64,8 @@ def integrate(
 
 
 def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool) -> Solved:
-    """On the held steps of a stiff unit; where they are refused, on steps of the run's if
-    `numerics.own`."""
+    """The solution on the held steps of a stiff unit; if these are refused and `numerics.own_steps`
+    is set, on steps chosen for this run."""
     nominal, limit = steps_of(problem, held), limit_of(numerics.stiff_tolerance)
     endpoints = [value[-1] for _, value in problem.controls]
     maximum = OWN * len(nominal.end) + MORE if numerics.own_steps else len(nominal.end)
@@ -93,7 +93,7 @@ def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool)
 
 
 def ended(problem: Dynamics, final: Float[Array, " m"]) -> Solved:
-    """The result of `integrate` where the final y is known already."""
+    """The result of `integrate` if the final y is already available."""
     return Solved(final, [value[-1] for _, value in problem.controls], problem.duration, None)
 
 
@@ -170,8 +170,8 @@ LOOSE = 0.05
 
 
 def too_long(problem: Dynamics, numerics: Numerics, track: Track) -> Float[Array, ""]:
-    """s at which the residuals of a `track` on the mesh first add up to more than `LOOSE`; the
-    duration if they never do."""
+    """The time in s at which the sum of the residuals of a `track` on the mesh first exceeds
+    `LOOSE`; the duration if it never does."""
     mesh = make_mesh(
         edges_of(tuple(profile for profile, _ in problem.controls)), numerics.steps, problem.event
     )

@@ -1,9 +1,9 @@
 """Time steps with nodes where the solution has kinks, graded towards an event.
 
-A fixed mesh converges to the derivatives of the solution only if no step straddles a kink. So
-the mesh is broken at every profile node, and at the event (supersaturation crosses zero), which
-moves with the parameters and is differentiated with them. Growth starts there like a broken
-power of the time since, hence steps that shrink towards it on both sides.
+A fixed mesh converges to the derivatives of the solution only if no step straddles a kink. So the
+mesh is broken at every profile node, and at the event (supersaturation crosses zero), which moves
+with the parameters; derivatives include this movement. After the event, growth rises like a
+fractional power of the time since then, so steps shrink towards it on both sides.
 """
 
 from math import ceil
@@ -22,8 +22,8 @@ class PiecewiseTime(NamedTuple):
     """A unit's time, broken into K pieces at the nodes of its profiles and at its event.
 
     `breaks`: [K + 1] shares of the duration. `source`: [K] number of the interval of `edges` that
-    contains the piece. `grading`: [K, 3] 1 at the row of `local_points` by which the piece is
-    graded. `edges`: all nodes of the unit's profiles.
+    contains the piece. `grading`: [K, 3] 1 at the row of `local_points` with which the steps of the
+    piece are graded. `edges`: all nodes of the unit's profiles.
     """
 
     breaks: Float[Array, " K+1"]
@@ -32,7 +32,7 @@ class PiecewiseTime(NamedTuple):
     edges: np.ndarray
 
     def of(self, profile: Profile) -> Int[Array, " K"]:
-        """The number of the profile's piece in which each piece lies."""
+        """[K] the number of the profile's piece in which every piece of this time lies."""
         middle = (self.edges[:-1] + self.edges[1:]) / 2
         local = np.searchsorted(profile.share[1:-1], middle, side="right")
         return jnp.asarray(local)[self.source]
@@ -66,7 +66,7 @@ class Mesh(NamedTuple):
         return values_in(profile, value, piece, self.stages)
 
     def point_values(self, profile: Profile, value) -> Float[Array, " n+1"]:
-        """The profile at `times`, at a jump the earlier value."""
+        """The profile at `times`; at a jump, the earlier value."""
         result = self.values(profile, value)
         return jnp.concatenate([result[:1, 0], result[:, 2]])
 
@@ -77,12 +77,14 @@ def edges_of(profiles: tuple[Profile, ...]) -> np.ndarray:
 
 
 def steps_per_piece(steps: int, segments: int) -> int:
-    """`steps` in each of a few pieces; many pieces share about three times as many."""
+    """The steps per piece: `steps` if there are few pieces; many pieces share about three times
+    `steps`."""
     return steps if segments <= 4 else max(8, ceil(3 * steps / segments))
 
 
 def local_points(n: int) -> Float[np.ndarray, "3 n+1"]:
-    """From 0 to 1 in n steps: even ones, ones that shrink towards 1, and ones that grow from 0."""
+    """Points from 0 to 1 in n steps, in three rows: equal steps, steps that shrink towards 1, and
+    steps that grow from 0."""
     even = np.linspace(0.0, 1.0, n + 1)
     return np.stack([even, 1 - (1 - even) ** GRADING, even**GRADING])
 
@@ -106,7 +108,8 @@ def break_up(edges: np.ndarray, event: Float[Array, ""] | None) -> PiecewiseTime
 
 
 def make_mesh(edges: np.ndarray, steps: int, event: Float[Array, ""] | None) -> Mesh:
-    """The same number of steps in every piece; those of a piece of length zero do no harm."""
+    """A mesh with the same number of steps in every piece; the steps of a piece of length zero do
+    no harm."""
     segments = break_up(edges, event)
     n = steps_per_piece(steps, len(segments.source))
     local = segments.grading @ local_points(n)

@@ -1,5 +1,5 @@
-"""Profiles: a control over a unit's time, and its value anywhere; when supersaturation first
-crosses zero under one, with the exact derivatives of that time.
+"""Profiles: a control over a unit's time, and its value at any time. Also the time at which
+supersaturation first crosses zero under a temperature profile, with its exact derivatives.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,7 +35,7 @@ def values_in(
     profile: Profile, value: Float[Array, " N"], piece: Int[Array, "..."], share
 ) -> Float[Array, "..."]:
     """The profile at shares of the duration, each in the piece with the number in `piece`. The
-    piece is an argument and is not searched for: at a jump both sides can be requested, and the
+    piece is an argument and is not searched for, so both sides of a jump can be requested, and the
     adjoint with respect to the nodes is a gather.
     """
     if profile.kind == "constant":
@@ -60,15 +60,15 @@ def weights(profile: Profile) -> Float[np.ndarray, " N"]:
 
 
 def mean_value(profile: Profile, value: Float[Array, " N"]) -> Float[Array, ""]:
-    """The mean over the duration."""
+    """The mean of the profile over the duration."""
     return jnp.sum(weights(profile) * value)
 
 
 def flow_of(
     profile: Profile, inputs: Mapping[str, Any], duration, volume
 ) -> tuple[Profile, Float[Array, " N"]]:
-    """The profile and its values as a flow in m3/s that adds up to `volume` over `duration`: the
-    profile's values are its shape. If all values are zero, nothing flows."""
+    """The profile and its values as a flow in m3/s that adds up to `volume` over `duration`; the
+    profile supplies only the shape of the flow. If all values are zero, nothing flows."""
     shape = use(inputs, profile.value)
     mean = mean_value(profile, shape)
     some = mean > 0

@@ -1,4 +1,4 @@
-"""Rosenbrock steps for stiff units: L-stable, linear algebra only, with an error estimate.
+"""Rosenbrock steps for stiff units: L-stable, without Newton iterations, with an error estimate.
 
 Rodas5P (Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical benchmarks
 within the Julia Differential Equations package, BIT Numerical Mathematics 63:27, 2023,
@@ -9,7 +9,7 @@ derivative with respect to time through the controls,
     (I - gamma h J) u_i = gamma (h f(y + sum_j a_ij u_j, t + c_i h) + sum_j C_ij u_j + d_i h^2 f_t),
 
 the step ends at y + sum_j a_8j u_j + u_8, and u_8 is the estimate of its error. This is the form
-without products of J with vectors (Hairer and Wanner, Solving Ordinary Differential Equations II,
+without products of J and vectors (Hairer and Wanner, Solving Ordinary Differential Equations II,
 section IV.7, equation 7.25), times h, so that a step of no length changes nothing.
 """
 
@@ -24,14 +24,14 @@ WRITTEN_OUT = 24  # unknowns above which LAPACK factorises, which the native eng
 
 
 class LUFactors(NamedTuple):
-    """A matrix [m, m], ready to be solved with: its inverse, or LAPACK's factors and pivots."""
+    """A matrix [m, m] in a form for solving: its inverse, or LAPACK's factors and pivots."""
 
     table: Float[Array, "m m"]
     pivots: Array | None
 
 
 def factorised(matrix: Float[Array, "m m"]) -> LUFactors:
-    """The factors of a matrix, without derivatives: `solve` has them."""
+    """The factors of a matrix, without derivatives; `solve` has the derivatives."""
     matrix = jax.lax.stop_gradient(matrix)
     if len(matrix) <= WRITTEN_OUT:
         return LUFactors(_inverse(matrix), None)
@@ -121,8 +121,8 @@ Rate = Callable[[Array, Array], Array]
 
 
 class Push(NamedTuple):
-    """The driving inputs over one step: `at` [6, D] at its `NODES`, `bend` [D] its slope at the
-    start, per length of the step."""
+    """The driving inputs over one step: `at` [6, D], their values at the `NODES` of the step;
+    `bend` [D], their slope at its start, per length of the step."""
 
     at: Float[Array, "6 D"]
     bend: Float[Array, " D"]

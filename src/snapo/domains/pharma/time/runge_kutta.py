@@ -5,9 +5,9 @@ A step is y_(t+1) = y_t + h/6 (k1 + 2 k2 + 2 k3 + k4), k_i = f(Y_i, u_i). To fir
     d y_(t+1) = A_t dy_t + sum_i M_i,t g_i,t + c_t dh_t,
 
 where g is the derivative of f at the point Y_i with respect to everything except Y_i. Once the
-points are known, A, M and c of all steps follow side by side, and d y_n = sum_t P_t (sum_i M_i,t
-g_i,t + c_t dh_t) + P dy_0 with the products P_t = A_(n-1) ... A_(t+1). No loop is left in the
-linear part, so that its transpose, the adjoint, has none either.
+points are known, A, M and c follow for all steps at once, and d y_n = sum_t P_t (sum_i M_i,t g_i,t
++ c_t dh_t) + P dy_0 with the products P_t = A_(n-1) ... A_(t+1). The linear part has no loop, so
+its transpose, the adjoint, has none either.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ def runge_kutta(rate: RateFunction, y: Array, step: Array, drive: Float[Array, "
 
 
 def _step(rate: RateFunction, y, step, drive) -> tuple[Array, Float[Array, "4 m"]]:
-    """The state after the step, and the points at which the rate was asked for."""
+    """The state after the step, and the points at which the rate was evaluated."""
     k1 = rate(y, drive[0])
     y2 = y + step / 2 * k1
     k2 = rate(y2, drive[1])
@@ -43,8 +43,8 @@ def final_state(
     step: Float[Array, " n"],
     drive: Float[Array, "n 3 D"],
 ) -> Float[Array, " m"]:
-    """The state after all steps. Derivatives of it take memory for some 10 n m^2 numbers; they
-    can be taken twice, the second time forward."""
+    """The state after all steps. Its derivatives need memory for some 10 n m^2 numbers. Second
+    derivatives are possible, with forward mode for the second one."""
     rate, held = jax.closure_convert(rate, start, drive[0, 0])
     return _last(rate, start, step, drive, tuple(held))
 
@@ -108,7 +108,8 @@ def _linear(slopes: Callable, points: Float[Array, "4 m n"], step: Float[Array, 
 
 
 def _product(a: Float[Array, "i j ..."], b: Float[Array, "j k ..."]) -> Float[Array, "i k ..."]:
-    """Products of small matrices, side by side; written out, for whole rows of them at a time."""
+    """Products of many small matrices at once; the sums are written out and act on whole rows of
+    matrices."""
     return sum(a[:, j, None] * b[j] for j in range(len(b)))  # pyright: ignore[reportReturnType]
 
 
@@ -117,9 +118,8 @@ def _times(a: Float[Array, "i j n"], v: Float[Array, "j n"]) -> Float[Array, "i 
 
 
 def _products(a: Float[Array, "m m n"]) -> tuple[Float[Array, "m m n"], Float[Array, "m m"]]:
-    """All that comes after each step, A_(n-1) ... A_(t+1), and the product of all.
-
-    In about sqrt(n) blocks side by side, and then from block to block.
+    """The product of all matrices after each step, A_(n-1) ... A_(t+1), and the product of all. It
+    is computed within about sqrt(n) blocks at once, and then from block to block.
     """
     m, n = a.shape[0], a.shape[2]
     long = max(1, isqrt(n))

@@ -25,8 +25,8 @@ class ChosenSteps(NamedTuple):
 
 
 def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
-    """Steps each of which has an error of at most `tolerance`; at most `maximum` are tried. If
-    they do not reach the end, the last number is the point that they reached. The result has no
+    """Steps with errors of at most `tolerance`; at most `maximum` steps are tried. If they do not
+    reach the end of the duration, the last number is the point that they reached. The result has no
     derivatives.
     """
     nodes = jnp.asarray(edges_of(tuple(profile for profile, _ in problem.controls)))
@@ -64,9 +64,9 @@ def choose(problem: Dynamics, tolerance: float, maximum: int) -> ChosenSteps:
 
 
 def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
-    """`maximum` steps for the present problem, in a trace; steps that are not needed have no
-    length. If they do not reach the end, one further step does, which is refused by its error
-    estimate. The result has no derivatives."""
+    """`maximum` steps for the present problem, in a trace; steps that are not needed have length
+    zero. If the steps do not reach the end of the duration, a last step does, which its error
+    estimate refuses. The result has no derivatives."""
 
     def endpoints(start, duration):
         return choose(problem._replace(start=start, duration=duration), tolerance, maximum - 1).end
@@ -82,8 +82,8 @@ def own_steps(problem: Dynamics, tolerance: float, maximum: int) -> Steps:
 
 
 def times_of(selected: ChosenSteps) -> Float[np.ndarray, " n+1"]:
-    """The times of the steps, as shares of the duration. If the steps did not reach the end, one
-    more does, which its error estimate refuses."""
+    """The times of the steps, as shares of the duration. If the steps did not reach the end of the
+    duration, a last step does, which its error estimate refuses."""
     return np.unique(
         np.concatenate([[0.0], np.asarray(selected.end)[: int(selected.count)], [1.0]])
     )

@@ -1,9 +1,9 @@
-"""A stiff unit on held steps: chosen once by error control, the same in every run.
+"""A stiff unit on held steps, which error control chooses once and which are the same in every run.
 
 With the steps held as shares of the duration, the final state is a fixed composition of smooth maps
-of the inputs, and its derivatives, in any mode and order, are exactly those of the numbers
-computed. The error estimate of every step is computed again in every run, so that a run for which
-the steps are too long is known.
+of the inputs, and its derivatives, in any mode and order, are exactly those of the computed
+numbers. The error estimate of every step is computed again in every run, which shows whether the
+steps are too long for this run.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ LOOSER, ENOUGH = 1e3, 1e-6  # refused: errors above this multiple of the toleran
 
 class Steps(NamedTuple):
     """`start` and `end` of n steps, shares of the duration; `number`: the number of the piece
-    between nodes of the profiles in which each lies."""
+    between nodes of the profiles in which every step lies."""
 
     start: Float[np.ndarray | Array, " n"]
     end: Float[np.ndarray | Array, " n"]
@@ -50,7 +50,7 @@ def pushed(problem: Dynamics, number, start, end) -> Push:
 
 
 def size_of_error(error: Array, y: Array, after: Array) -> Float[Array, ""]:
-    """The largest estimate relative to its state, below `FLOOR` to that."""
+    """The largest error estimate relative to its state, or to `FLOOR` if the state is smaller."""
     size = jnp.max(jnp.abs(error) / (FLOOR + jnp.maximum(jnp.abs(y), jnp.abs(after))))
     return jax.lax.stop_gradient(size)
 
@@ -90,7 +90,8 @@ def stepped(problem: Dynamics, steps: Steps, limit: float, record: bool) -> Step
 
 
 def schedule(problem: Dynamics, steps: Steps) -> tuple[Array, Array]:
-    """Shares of the duration [n + 1] and the controls [n + 1, C] there, at a jump the earlier."""
+    """Shares of the duration [n + 1], and the controls [n + 1, C] there; at a jump, the earlier
+    values."""
     segments = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
     times = jnp.append(jnp.asarray(steps.start), jnp.asarray(steps.end)[-1])
     number = jnp.append(jnp.asarray(steps.number)[:1], jnp.asarray(steps.number))

@@ -1,4 +1,4 @@
-"""The unit operations: a file each, found by `registry`.
+"""The unit operations, one file for each; `registry` has the list of them.
 
 A new unit is an `operation.Unit`: its table, ports, equations, balances and measures.
 """

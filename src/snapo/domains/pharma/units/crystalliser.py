@@ -62,8 +62,8 @@ class Crystalliser(Timed):
       used; crystals of the feed are then counted on the same grid. None if the moments 0 to 5 are
       used.
     - `basis`: with "solution" concentrations are per volume of liquid, which is smaller by the
-      volume of the crystals; with "suspension" per volume of both together, an approximation for
-      few crystals.
+      volume of the crystals; with "suspension" per volume of liquid and crystals together, an
+      approximation for few crystals.
     """
 
     solute: str = species_key("species that crystallises", "the name of a species")
@@ -102,7 +102,7 @@ class Crystalliser(Timed):
         ("c", "concentration"),
         ("c*", "solubility"),
         ("S", "supersaturation"),
-        ("L", "size and n its density by number"),
+        ("L", "size, and n the density by number over it"),
         ("μₖ", "moments of the size"),
         ("kᵥ", "shape"),
     )
@@ -130,7 +130,8 @@ class Crystalliser(Timed):
 
     @property
     def error_controlled(self):
-        """The concentration changes while nothing grows, or cells set how long a step may be."""
+        """True if the concentration changes while nothing grows, or if cells limit the length of a
+        step."""
         dissolves = bool(self.kinetics.dissolution.values.any())
         return dissolves or self.dosing is not None or self.edges is not None
 
@@ -184,7 +185,7 @@ class Crystalliser(Timed):
         )
 
     def population(self, feed: Stream, inputs: dict[str, Any]) -> Population:
-        """Seed, and crystals of the feed, at the start."""
+        """The population at the start, with the seed and the crystals of the feed."""
         shape, density = use(inputs, self.shape), use(inputs, self.density)
         if self.edges is not None:
             seed = seed_numbers(self.seed, inputs, shape, density, self.edges / SIZE)
@@ -195,8 +196,8 @@ class Crystalliser(Timed):
         return by_moments(shape, size, self.separate, seed, feed.moments / feed.volume)
 
     def dynamics(self, network, inlets, inputs):
-        """y: the crystals' `Population` per first volume, then with dosing the volume dosed, per
-        first volume too."""
+        """y: the crystals' `Population` per initial volume of liquid and, with dosing, the dosed
+        volume per initial volume."""
         feed, dose = inlets[0], inlets[1] if len(inlets) > 1 else None
         solute, mass = network.species.index(self.solute), network.molar_mass
         shape, density = use(inputs, self.shape), use(inputs, self.density)
@@ -219,16 +220,19 @@ class Crystalliser(Timed):
             to_dose = lambda y: dose.volume - volume * y[-1]  # noqa: E731
 
         def taken(mu3):
-            """The volume of crystals in addition to the liquid, per first volume of that."""
+            """The volume of crystals that adds to that of the liquid, per initial volume of
+            liquid."""
             return shape * units[3] * mu3 if self.basis == "solution" else jnp.zeros(())
 
         def scaled(y) -> tuple[Array, Array]:
-            """Scaled moments of all crystals, and the suspension, per first volume of liquid."""
+            """Scaled moments of all crystals, and the volume of the suspension, per initial volume
+            of liquid."""
             size = 1 + taken(first)
             return crystals.moments(y[:count]), size + y[-1] if dosed else size
 
         def liquid(y):
-            """Solute in kg/m3, solubility's factor by anti-solvent, mu3 per first volume."""
+            """Solute in kg/m3, the factor of the anti-solvent on the solubility, and mu3 per
+            initial volume."""
             moments, size = scaled(y)
             mu3, size = moments[3] * units[3], size - taken(moments[3])
             solute_amount = dissolved + weight * units[3] * (first - moments[3])

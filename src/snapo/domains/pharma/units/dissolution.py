@@ -1,4 +1,4 @@
-"""The product's dissolution test: spheres that shrink in a film, of all sizes that were counted."""
+"""The dissolution test of the product: spheres that shrink by diffusion through a film."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,10 +15,10 @@ from .solids.release import BY_MEAN, gone, lasting, over_sizes
 
 @dataclass(frozen=True, eq=False)
 class Dissolution(Instant):
-    """Dissolution test of the product, shrinking spheres of the sizes that are counted, or of d32.
+    """Dissolution test of the product: shrinking spheres of the counted sizes, or of the size d32.
 
     Dissolved share at `test_time`: 1 - (1 - D Cs t / (rho_s h r))^3, 1 once a sphere is gone; the
-    crystals' density comes with the stream.
+    stream supplies the density of the crystals.
     """
 
     diffusivity: CaseInput = DIFFUSIVITY("diffusivity in the film")
@@ -56,7 +56,7 @@ class Dissolution(Instant):
     def equations(self):
         return [
             "dissolved share 1 − (1 − D Cₛ t/(ρₛ h r))³, 1 once dissolved, summed over the "
-            "sizes 2 r that are counted; else r = d₃₂/2"
+            "sizes 2 r if they are counted, otherwise with r = d₃₂/2"
         ]
 
     def deliver(self, network, inlets, inputs):

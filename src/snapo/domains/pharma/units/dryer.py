@@ -1,4 +1,4 @@
-"""Falling-rate drying of the cake, in closed form along the temperature profile."""
+"""Drying of the cake at a falling rate, in closed form along the temperature profile."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -22,7 +22,7 @@ STEPS = 32  # per piece of the profile, by Simpson's rule; exact where temperatu
 
 @dataclass(frozen=True, eq=False)
 class Dryer(Unit):
-    """Dryer by a rate constant.
+    """Dryer with a rate constant for the falling rate.
 
     Falling rate: X' = -k X, k = rate exp(-activation / R (1/T - 1/reference_temperature))
     (reference_size / d32); X is solvent per crystals, kg/kg.

@@ -96,7 +96,7 @@ class Filter(Instant):
         ]
 
     def deliver(self, network, inlets, inputs):
-        """Its ledger adds the wash liquid, which is the slurry's solvent."""
+        """The ledger includes the wash liquid, which is the solvent of the slurry."""
         slurry = inlets[0]
         porosity, volume = use(inputs, self.porosity), slurry.volume
         density, mass = slurry.density, network.molar_mass
@@ -156,7 +156,8 @@ class Filter(Instant):
 
 
 def displacement(ratio, peclet) -> Float[Array, ""]:
-    """The share left at the outlet after `ratio` void volumes, by Lapidus and Amundson (1952).
+    """The share of a solute that is left at the outlet after `ratio` void volumes, by Lapidus and
+    Amundson (1952).
 
     1 - (erfc(a) + e^Pe erfc(b)) / 2, a = (1 - W) / 2 sqrt(Pe / W), b = (1 + W) / 2 sqrt(Pe / W);
     e^Pe erfc(b) is written exp(-a^2) erfcx(b), which does not overflow. The share is 1 without a
@@ -171,7 +172,8 @@ def displacement(ratio, peclet) -> Float[Array, ""]:
 
 
 def scaled_erfc(x) -> Array:
-    """exp(x^2) erfc(x) for x >= 0: directly below 4, by Laplace's continued fraction beyond."""
+    """exp(x^2) erfc(x) for x >= 0, computed directly if x is below 4, otherwise by Laplace's
+    continued fraction."""
     near = jnp.minimum(x, 4.0)
     far = jnp.maximum(x, 4.0)
     fraction = far
@@ -185,8 +187,8 @@ def scaled_erfc(x) -> Array:
 
 
 def check_wash(read) -> None:
-    """**Raises:** `CaseError` if the key of the kind of wash is missing, or that of another kind
-    is present."""
+    """**Raises:** `CaseError` if a key that the kind of wash needs is missing, or a key of another
+    kind is present."""
     table = read.table
     for wash, name in (("exponential", "efficiency"), ("dispersion", "peclet")):
         if table.wash == wash and getattr(table, name) is None:

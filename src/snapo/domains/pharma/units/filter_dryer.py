@@ -2,8 +2,8 @@
 
 Filtration at constant pressure is Ruth's equation, dt/dV = Kp V + B. A wash through the cake runs
 at the rate at which filtration ended; a reslurry wash mixes the cake with fresh solvent, which
-dilutes the dissolved species, and filters again. Drying is as on a heated shelf under vacuum, with
-a cake that agitation keeps uniform: at a constant rate, then at a falling one.
+dilutes the dissolved species, and filters again. Drying is as on a heated shelf under vacuum, first
+at a constant rate, then at a falling one; agitation keeps the cake uniform.
 """
 
 from dataclasses import dataclass
@@ -121,10 +121,10 @@ class FilterDryer(TrayDryer):
     def equations(self):
         wash = self.nutsche.equations()
         if self.nutsche.washes is not None:
-            wash[-1] = "of a solute (s/(s + W))ⁿ stays after n reslurry washes of W void volumes"
+            wash[-1] = "share (s/(s + W))ⁿ of a solute stays after n washes of W void volumes"
         return [
             *wash,
-            "wash liquid flows at the rate of filtration at its end",
+            "wash liquid flows at the rate of the filtrate at the end of filtration",
             *super().equations(),
         ]
 

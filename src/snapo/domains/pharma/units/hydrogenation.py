@@ -1,8 +1,9 @@
-"""Reactor under a gas, such as hydrogen: it dissolves, and reacts in the liquid.
+"""Reactor under a gas, such as hydrogen, which dissolves and reacts in the liquid.
 
 The gas is one of the species: kL a (c* - c) of it enters a m3 of liquid each second, c* = p / He by
 Henry's law. Either its concentration is a state, or it follows at every moment from the balance of
-transfer and reaction (for a reaction slow against kL a that is wrong only at the start).
+transfer and reaction. If the reaction is slow compared with kL a, the second model is wrong only at
+the start.
 """
 
 from dataclasses import dataclass
@@ -105,7 +106,7 @@ class Hydrogenation(Timed):
         ]
 
     def dynamics(self, network, inlets, inputs):
-        """y: extents [R] and, for the dynamic kind, the gas that came in, all kmol/m3."""
+        """y: extents [R] and, for the dynamic kind, the gas absorbed so far, all in kmol/m3."""
         feed, gas, count = inlets[0], self.gas, len(network.reactions)
         charge, transfer = feed.concentration(), use(inputs, self.transfer)
         dynamic = self.dissolved == "dynamic"
@@ -153,8 +154,8 @@ class Hydrogenation(Timed):
     def _steady(self, network, driven, c: list[Array], transfer) -> Array:
         """The concentration of the gas at which kL a (c* - c) equals the rate of reaction.
 
-        By Newton's method from c*, which one step solves where the orders in the gas are 0 and 1
-        and it does not run out. Where it does, steps that lead below 0 end there.
+        Newton's method starts at c*. One step is sufficient if the orders in the gas are 0 and 1
+        and the gas does not run out; if it runs out, steps that lead below 0 end at 0.
         """
         order, maximum = network.order[:, self.gas], driven[-1]
         taken = network.stoichiometry[:, self.gas]

@@ -2,18 +2,18 @@
 
 Randolph and Larson, Theory of Particulate Processes (1971): with growth G that does not depend on
 size and residence time tau the crystals obey G n' = (n_in - n) / tau with n(0) = B / G. Its moments
-are mu_0 = mu_0,in + B tau and mu_k = mu_k,in + k G tau mu_(k-1); of a clear feed it is
-n = n0 exp(-L / (G tau)), so that mu_k = k! n0 (G tau)^(k + 1). Growth is G = growth S^growth_order,
-nucleation B = nucleation (G / G_r)^i (M_T / M_r)^j at a reference, the suspension holds
-M_T = rho kv mu_3, and a mass balance closes it: one equation for S = (c - c*) / c*. With c per
-volume of suspension that is M_T = M_T,in + c_in - c; per volume of solution, of which the
-suspension holds 1 - M_T / rho, M_T = M_T,in + (1 - M_T,in / rho) (c_in - c) / (1 - c / rho).
+are mu_0 = mu_0,in + B tau and mu_k = mu_k,in + k G tau mu_(k-1); for a clear feed, n = n0 exp(-L /
+(G tau)), so that mu_k = k! n0 (G tau)^(k + 1). Growth is G = growth S^growth_order, nucleation B =
+nucleation (G / G_r)^i (M_T / M_r)^j at a reference, the suspension holds M_T = rho kv mu_3, and a
+mass balance closes it: one equation for S = (c - c*) / c*. With c per volume of suspension that is
+M_T = M_T,in + c_in - c; per volume of solution, of which the suspension holds 1 - M_T / rho, M_T =
+M_T,in + (1 - M_T,in / rho) (c_in - c) / (1 - c / rho).
 
 This equation is solved by bisection without derivatives; two Newton steps then give them, which is
-the implicit function theorem. With j below 1, or crystals in the feed, there is one steady state
-with crystals; of a clear feed with j = 1 none if nuclei are washed out faster than they form: the
-outlet is then the feed. Crystals in a feed below saturation would dissolve, which is not modelled:
-the outlet is then NaN.
+the implicit function theorem. With j below 1, or with crystals in the feed, there is one steady
+state with crystals. With a clear feed and j = 1 there is none if nuclei are washed out faster than
+they form; the outlet is then the feed. Crystals in a feed below saturation would dissolve, which is
+not modelled: the outlet is then NaN.
 """
 
 from dataclasses import dataclass, replace
@@ -193,7 +193,8 @@ class Msmpr(Instant):
         return LedgerFinish((slurry,), measures, ledger(len(network.species)))
 
     def steady(self, entering, saturated, residence, fed, inputs: dict[str, Any]) -> Steady:
-        """`entering`, dissolved, and `saturated` kg/m3, `residence` s, moments `fed` per m3."""
+        """The steady state: `entering` dissolved solute and `saturated` in kg/m3, `residence` in s,
+        moments `fed` per m3."""
         excess, weight = entering - saturated, use(inputs, self.density) * use(inputs, self.shape)
         above, solution = excess > 0, self.basis == "solution"
         room = 1 - use(inputs, self.shape) * fed[3] if solution else 1.0
@@ -211,7 +212,8 @@ class Msmpr(Instant):
             return growth, born * denser ** use(inputs, self.suspension_power), crystals
 
         def gap(level):
-            """The logarithm of the crystals that grow over those of the mass balance; it rises."""
+            """The logarithm of the ratio of the crystals that grow to those of the mass balance,
+            which rises with the supersaturation."""
             growth, born, crystals = rates(level)
             grown = self.moments(Steady(level, growth, born, crystals), residence, fed)[3]
             return jnp.log(weight * grown) - jnp.log(crystals)
@@ -236,7 +238,8 @@ class Msmpr(Instant):
         return jnp.stack(moments)
 
     def counted(self, result: Steady, moments, residence, fed, grid: Sizes) -> Float[Array, " N"]:
-        """Crystals in each cell per m3, with the third moment of all of them.
+        """The number of crystals in each cell per m3, consistent with the third moment of all
+        crystals.
 
         The number of nuclei decreases as exp(-L / (G tau)). Crystals `fed`, per m3 on their `grid`,
         are spread evenly over the sizes of their cell; a share exp(-x) of them remains over an

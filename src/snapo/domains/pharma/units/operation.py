@@ -33,8 +33,8 @@ class Inlet(NamedTuple):
     - `crystals`: "refused" if the unit takes only liquids; "needed"; "counted" if they are needed
       with their numbers on a grid; else "allowed". `grid`: the grid on which crystals must be
       counted.
-    - `dosed`: the shape over time of the flow into the unit; None if all enters at the start, or
-      evenly.
+    - `dosed`: the shape over time of the flow into the unit; None if all material enters at the
+      start or evenly.
     - `lasting`: whether the unit runs continuously, over the duration of its feed.
     """
 
@@ -47,9 +47,10 @@ class Inlet(NamedTuple):
 
 class Outcome(NamedTuple):
     """The results of a unit. `duration`: its time in s, and `reached`: the time to which it was
-    integrated, equal if all went well; both are 0 for a unit without time. Its `track`, and the
-    function from rows of the track to states; `error` as in `Solved`; `rough`: the time in s from
-    which the steps of a mesh were too long, None if that was not examined."""
+    integrated, equal to `duration` if all went well; both are 0 for a unit without time. Its
+    `track`, and `states`: the function from rows of the track to states; `error` as in `Solved`;
+    `rough`: the time in s from which the steps of a mesh were too long, None if that was not
+    examined."""
 
     finish: LedgerFinish
     duration: Float[Array, ""]
@@ -62,10 +63,10 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unit(ABC):
-    """The interface of a unit operation to reading, flowsheet, balances and report.
+    """The interface of a unit operation for reading, flowsheet, balances and report.
 
-    - `type`: its word in the file; `variant`: its `kind`, if the kind selects a class of the type,
-      else "". `title`: its name in the report.
+    - `type`: the value of `type` in the file; `variant`: its `kind`, if the kind selects a class of
+      the type, else "". `title`: its name in the report.
     - `table`: the table `[units.NAME]`, made of its declared fields and `more_keys`. `reacts`:
       whether it reads the case's reactions.
     - `symbols`: the symbols of the equations, each with its meaning; `assumptions`: sentences for
@@ -105,7 +106,8 @@ class Unit(ABC):
     @property
     @abstractmethod
     def outlets(self) -> tuple[str, ...]:
-        """Names of the ports that may feed another unit, each at most one; the rest is waste."""
+        """Names of the ports that may feed another unit, at most one unit each; all other streams
+        are waste."""
 
     @property
     @abstractmethod
@@ -117,20 +119,23 @@ class Unit(ABC):
         """The grid on which crystals are counted at each outlet, from the grids at the inlets."""
 
     def lasts(self, inlets: tuple[float, ...]) -> tuple[float, ...]:
-        """s over which every outlet flows, from those of the inlets; 0 for a batch. Nominal."""
+        """The nominal time in s over which every outlet flows, from the times of the inlets; 0 for
+        a batch."""
         return (0.0,) * len(self.outlets)
 
     @abstractmethod
     def measures(self, species: tuple[str, ...]) -> dict[str, str]:
-        """{measure: its unit in the domain} at the end; attributes name them "unit.measure"."""
+        """{measure: its unit in the domain} at the end; attributes refer to it as
+        "unit.measure"."""
 
     @abstractmethod
     def states(self, species: tuple[str, ...]) -> dict[str, str]:
-        """{state: its unit in the domain} over time: recorded, measured by a policy, fitted."""
+        """{state: its unit in the domain} over time; states can be recorded, measured for a policy,
+        and fitted."""
 
     @abstractmethod
     def equations(self) -> list[str]:
-        """The model, one equation a line."""
+        """The equations of the model, one in each line."""
 
     @abstractmethod
     def operate(
@@ -145,7 +150,8 @@ class Unit(ABC):
         """Runs the unit; with `record`, its track is kept. `end`: its final y, if known."""
 
     def finer(self) -> Self:
-        """The unit on twice as many cells along its length or over sizes; itself if it has none."""
+        """The unit with twice as many cells along its length or over sizes; the same unit if it has
+        no cells."""
         return self
 
     def unsound(self, track: dict[str, np.ndarray], inputs: dict[str, Any]) -> str:
@@ -181,8 +187,8 @@ class Timed(Unit):
         return False
 
     def fastest(self, network: FlowNetwork, feeds: tuple[Feed, ...]) -> float:
-        """1/s: a bound on the rates at which its states answer, from the numbers of the case only,
-        where `feeds` are all that enters; infinite if there is none."""
+        """A bound in 1/s on the rates at which its states respond, from the numbers of the case
+        only, if nothing but `feeds` enters; infinite if there is no bound."""
         return inf
 
     @abstractmethod

@@ -1,9 +1,11 @@
-"""Reactors: tanks with the case's reactions, one or several in series, fed at once or continuously.
+"""Reactors: tanks with the case's reactions, one or several in series, filled at once or fed over
+time.
 
 Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are integrated,
-and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction. Stirred and
-plug-flow: c_t = nu^T r - q/V c_z at points along a tube (`length`), of which a stirred tank has
-one, and the amounts that left the last point. With a jacket the heat at a point is a further state.
+and amounts follow, n = n_0 + nu^T x V_0 + dosed; so the balance of every species closes by
+construction. Stirred and plug-flow: c_t = nu^T r - q/V c_z at points along a tube (`length`), of
+which a stirred tank has one, and the amounts that left the last point. With a jacket the heat at a
+point is a further state.
 """
 
 from dataclasses import dataclass, replace
@@ -122,7 +124,7 @@ class Reactor(Timed):
 
     @property
     def steps_transfer(self):
-        """False: for cells in series every implicit step would factorise a large matrix."""
+        """False for cells in series, because every implicit step would factorise a large matrix."""
         return self.kind != "plug-flow"
 
     def sizes(self, inlets):
@@ -152,7 +154,8 @@ class Reactor(Timed):
         return [flows[self.kind], "rᵢ = kᵢ exp(−Eᵢ/(R T)) Π c^order, R = 8.314 J/mol/K", heat]
 
     def fastest(self, network, feeds):
-        """By mass, a species is at most as concentrated as if the whole inflow consisted of it."""
+        """A bound in 1/s; by mass, a species is at most as concentrated as if the whole inflow
+        consisted of it."""
         if self.jacket is not None:
             return np.inf
         mass = max(network.molar_mass @ feed.concentration.used() for feed in feeds)
@@ -212,7 +215,7 @@ def extended(network: FlowNetwork, base, extents) -> list[Array]:
 
 
 def _drive(network: FlowNetwork, inputs, jacketed: bool):
-    """What the time loop reads: rate constants, or the jacket's temperature; then dosing."""
+    """The inputs of the time loop: rate constants, or the jacket's temperature; then dosing."""
 
     def drive(temperature, *dosing):
         first = temperature[..., None] if jacketed else rate_constants(network, inputs, temperature)
@@ -222,8 +225,9 @@ def _drive(network: FlowNetwork, inputs, jacketed: bool):
 
 
 def _filled(unit: Reactor, network: FlowNetwork, inlets, inputs) -> Dynamics:
-    """Batch and semi-batch. y: extents [R], volume dosed per first volume, then with a jacket
-    heat held per first volume and heat capacity (K), and heat from the jacket (K)."""
+    """Batch and semi-batch. y: extents [R] and the dosed volume per initial volume; with a jacket
+    also the heat content (K) and the heat from the jacket (K), both per initial volume and heat
+    capacity."""
     feed, dose = inlets[0], inlets[1] if len(inlets) > 1 else None
     count, heat = len(network.reactions), _heat(unit.jacket, network, inputs)
     duration, controls = use(inputs, unit.duration), _controls(unit, inputs)
@@ -236,7 +240,7 @@ def _filled(unit: Reactor, network: FlowNetwork, inlets, inputs) -> Dynamics:
     first = use(inputs, unit.temperature.value)[0]
 
     def composition(y):
-        """kmol/m3 of each species, and the volume per first volume."""
+        """kmol/m3 of each species, and the volume per initial volume."""
         if not dosed:
             return extended(network, charge, y), 1.0
         size = 1 + y[count]

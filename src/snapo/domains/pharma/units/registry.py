@@ -48,7 +48,7 @@ Variants = dict[str, type[Unit]]
 
 
 def catalogue(operations: Iterable[type[Unit]]) -> dict[str, Variants]:
-    """{type: {variant: class}}; the first variant is the default.
+    """The unit operations, {type: {variant: class}}; the first variant is the default.
 
     **Raises:** `TypeError` if a class is not complete, or two have the same name.
     """
@@ -91,7 +91,8 @@ def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str])
 
 
 def _variant(section: TableContext, raw: dict, variants: Variants) -> type[Unit]:
-    """The class that `kind` chooses; keys of another one are named as such."""
+    """The class that `kind` selects; a key of another class is reported with the kinds to which it
+    belongs."""
     first, *others = variants
     if not others:
         return variants[first]

@@ -77,7 +77,8 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
     warmth = sum(entry.suspension() * entry.temperature for entry in streams)
 
     def counted(name: str, of: str) -> dict[str, Any]:
-        """The `of` grid on which crystals of all streams are counted, and their numbers there."""
+        """The grid on which the crystals of all streams are counted (field `of`), and their numbers
+        on it."""
         grid = together(tuple(getattr(each, of) for each in streams))
         numbers = jnp.zeros(grid.cells if grid else 0)
         for each in streams:

@@ -50,7 +50,7 @@ class Thickener(Instant):
         ]
 
     def deliver(self, network, inlets, inputs):
-        """Its measure: kg of crystals per m3 of the underflow."""
+        """The outlets, and the measure `crystals`: kg of crystals per m3 of the underflow."""
         feed, share = inlets[0], use(inputs, self.underflow)
         thick = feed.replace(
             species=feed.species * share,

@@ -1,14 +1,15 @@
-"""Drying of a cake on a heated shelf under vacuum: one moisture and one temperature.
+"""Drying of a cake on a heated shelf under vacuum, with one moisture and one temperature.
 
 Per kg of crystals, X kg/kg of liquid leaves at w = k a max(f p_v(T) - p, 0), where a = 6 / (rho
 d32) is the crystals' surface in m2/kg, p_v the liquid's vapour pressure and p the pressure above
 the cake. If the surface is wet, f = 1: the rate is constant once the cake is so warm that the
 shelf's heat, U A (T_shelf - T), equals the heat of evaporation. Below the critical moisture X_c the
 surface dries out and f = X / X_c; in between f = r (1 + r^8)^(-1/8), r = X / X_c, which is within
-0.1 % of either branch outside 0.6 < r < 1.7. In the end X_c p / p_v is left, in equilibrium.
+0.1 % of either branch outside 0.6 < r < 1.7. In the end the moisture X_c p / p_v remains, which is
+in equilibrium with the pressure p.
 
-Heat: (cp_s + X cp_l) m T' = U A (T_shelf - T) - m w lambda. It is integrated as heat in the
-cake, from the shelf and into the vapour, so that energy closes to rounding.
+Heat: (cp_s + X cp_l) m T' = U A (T_shelf - T) - m w lambda. The heat in the cake, from the shelf
+and into the vapour are integrated, so the energy balance closes to rounding.
 """
 
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ class Liquid(TableRecord):
 class TrayDryer(Timed):
     """Dryer on a heated shelf under vacuum, its cake ideally mixed.
 
-    `critical`: of the crystals' moisture; below it the surface is no longer wet.
+    `critical`: the moisture of the crystals below which the surface is no longer wet.
     """
 
     duration: CaseInput = TIME("drying time", example="3 h")
@@ -237,7 +238,7 @@ def vapour_pressure(liquid: Liquid, inputs: dict[str, Any], temperature) -> Arra
 
 
 def wetness(ratio) -> Array:
-    """f at `ratio` = X / X_c: 1 if the surface is wet, otherwise the ratio."""
+    """The factor f at `ratio` = X / X_c: 1 if the surface is wet, otherwise the ratio."""
     return ratio * (1 + ratio**SHARPNESS) ** (-1 / SHARPNESS)
 
 

@@ -5,10 +5,10 @@ volume is b(w | v) = (2 + z) (w / v)^z / v with z = (2 - p) / (p - 1): p = 2 is 
 breakage, and the fragments of one crystal have its weight. If S is proportional to v and p = 2,
 Ziff and McGrady (Journal of Physics A 18, 3027, 1985) have the solution in closed form.
 
-Cells represent crystals of their mean volume, and a fragment is shared between the two cells on
-both sides of it so that number and volume are both kept (Kumar and Ramkrishna, Chemical Engineering
-Science 51, 1311, 1996). So mass is conserved to rounding on any grid; finer crystals join the first
-cell by their volume, and number is lost only there.
+Cells represent crystals of their mean volume. A fragment is shared between the two cells next to
+its volume so that number and volume are both conserved (Kumar and Ramkrishna, Chemical Engineering
+Science 51, 1311, 1996). So mass is conserved to rounding on any grid. Fragments below the first
+cell are added to it by their volume; only there is their number lost.
 """
 
 from dataclasses import dataclass
@@ -132,10 +132,9 @@ class WetMill(Timed):
 
 
 def shares(volumes: Float[Array, " N"], fragments) -> Float[Array, "N N"]:
-    """[i, j] the number of crystals that appear in cell i when one breaks in cell j; `volumes`:
-    the volumes of the cells' crystals, rising. Columns add up to `fragments` except for sizes
-    below the first cell; weighted by the volumes they add up to the volume of the broken
-    crystal."""
+    """[i, j] the number of crystals that appear in cell i when one breaks in cell j; `volumes`: the
+    volumes of the cells' crystals, rising. Columns add up to `fragments` except for sizes below the
+    first cell; weighted by the volumes, they add up to the volume of the broken crystal."""
     power = (2 - fragments) / (fragments - 1)
     parent = volumes[None, :]
     # A fragment of relative size x: numbers below it, and volume below it over the parent's.

@@ -129,7 +129,7 @@ def test_constants_by_name():
     [
         ({"composition": [0.7, 0.2]}, "2 shares that add up to 1"),
         ({"b": [[0, 1], [1, 0]]}, "3 rows of 3 numbers"),
-        ({"molar_mass": None}, "required unless a solute is named"),
+        ({"molar_mass": None}, "required if there is no `solute`"),
         ({"melting": "443 g"}, "nrtl.melting"),
     ],
 )

@@ -1,5 +1,5 @@
-"""Checks of a whole case: decisions, held and varied numbers, and doses fit the flowsheet; numbers
-that are possible and yet not likely, or not possible together, are noted or refused.
+"""Checks of a whole case: whether decisions, held and varied numbers, and doses fit the flowsheet.
+Numbers that are possible but unlikely are noted; numbers that are impossible together are refused.
 """
 
 import math
@@ -54,7 +54,8 @@ def check_decided(case: PharmaCase) -> None:
             )
         elif name in needed:
             message = (
-                f"{name} comes before a unit in which the policy decides or measures over time"
+                f"{name} comes before a unit in which the policy decides or measures over time, so "
+                "its numbers cannot be decided"
             )
         else:
             continue
@@ -71,7 +72,7 @@ def check_moved(case: PharmaCase) -> None:
     moved += [("uncertainty", name) for name in case.uncertainty.inputs]
     for where, name in moved:
         if name in case.held:
-            message = "this number is in the list `held`, whose numbers do not move"
+            message = "this number is in the list `held`, whose numbers cannot be varied"
             raise CaseError(str(case.file), f"{where}.of", name, message)
 
 
@@ -80,7 +81,7 @@ def check_varied_once(case: PharmaCase) -> None:
     uncertain = set(zip(case.uncertainty.inputs, case.uncertainty.entries))
     for name, entry in process_entries(case):
         if (name, entry) in uncertain:
-            message = "this number has a distribution under [[parameters]] as well"
+            message = "this number has a distribution under [[parameters]] as well; keep only one"
             raise CaseError(str(case.file), "uncertainty", f"{name}[{entry}]", message)
 
 
@@ -91,7 +92,8 @@ def check_amounts(
     connections: Sequence[Connection],
     notes: list[str],
 ) -> None:
-    """Continuous units need a feed that lasts as long as they; a dose adds up to its feed."""
+    """Checks that the feed of a continuous unit lasts as long as the unit, and a dose adds up to
+    its feed."""
     by_name = {feed.name: feed for feed in feeds}
     lasting = _lasting(feeds, units, connections)
     for group in groups(units, connections):
@@ -109,12 +111,12 @@ def check_amounts(
             if feed is not None and inlet.dosed is not None:
                 _check_dose(file, unit, feed, inlet.dosed)
             if feed is not None and inlet.lasting and feed.duration is None:
-                message = f"unit {unit.name} runs continuously and needs a duration"
+                message = f"unit {unit.name} runs continuously, so its feed needs a duration"
                 raise CaseError(str(file), f"feeds.{feed.name}.duration", None, message)
             if inlet.lasting and not lasting[unit.name, inlet.name]:
                 message = (
                     f"unit {unit.name} runs continuously, and a batch reaches its inlet "
-                    f"{inlet.name}: every feed of a flow needs a duration"
+                    f"{inlet.name}: every feed that reaches the unit needs a duration"
                 )
                 raise CaseError(str(file), f"units.{unit.name}", None, message)
             if inlet.lasting and unit.time is not None:
@@ -145,7 +147,7 @@ def check_spans(case: PharmaCase, spans: Sequence[tuple[str, str, float]]) -> No
 def _check_end(file, where: str, unit: Unit, inlet: Inlet, runs: float, flows: float, verb) -> None:
     if runs > flows * (1 + 1e-9):
         message = (
-            f"{unit.name} {verb} {runs:.10g} s, and its inlet {inlet.name} flows for "
+            f"{unit.name} {verb} {runs:.10g} s, but its inlet {inlet.name} flows for "
             f"{flows:.10g} s; use at most {flows:.10g} s, or a feed that lasts longer"
         )
         raise CaseError(str(file), where, f"{runs:.10g} s", message)
@@ -173,13 +175,13 @@ def _lasting(feeds, units, connections) -> dict[tuple[str, str], float]:
 
 
 def _uneven(unit: Unit, fed) -> list[str]:
-    """A remark where flows of unlike durations meet."""
+    """A remark if flows of different durations meet."""
     times = sorted({f.duration for f in fed if f is not None and f.duration is not None})
     if len(times) < 2:
         return []
     return [
-        f"{unit.name} takes in flows of {times[0]:g} to {times[-1]:g} s: all are spread evenly "
-        f"over {times[-1]:g} s."
+        f"{unit.name} takes in flows that last {times[0]:g} to {times[-1]:g} s; all are spread "
+        f"evenly over {times[-1]:g} s."
     ]
 
 
@@ -191,13 +193,13 @@ def _check_dose(file, unit: Unit, feed: Feed, dosing: Profile) -> None:
     if abs(dosed - held) > 1e-9 * held:
         message = (
             f"over {duration:g} s it doses {dosed:.10g} m3, but feed {feed.name} holds "
-            f"{held:.10g} m3"
+            f"{held:.10g} m3; the two must be equal"
         )
         raise CaseError(str(file), f"units.{unit.name}.dosing", None, message)
 
 
 def _steep(profile: Profile, duration: float) -> list[str]:
-    """A remark where an open-loop profile moves faster than its ramp allows."""
+    """A remark if an open-loop profile changes faster than its ramp allows."""
     if profile.ramp is None or profile.kind == "constant":
         return []
     slope = np.abs(np.diff(profile.value.values) / np.diff(profile.share)) / duration
@@ -205,8 +207,8 @@ def _steep(profile: Profile, duration: float) -> list[str]:
         return []
     unit = profile.value.unit
     return [
-        f"{profile.value.name} moves by {60 * slope.max():.3g} {unit}/min at most, and its ramp "
-        f"allows {60 * profile.ramp:.3g} {unit}/min."
+        f"{profile.value.name} changes by up to {60 * slope.max():.3g} {unit}/min, but its ramp "
+        f"allows only {60 * profile.ramp:.3g} {unit}/min."
     ]
 
 
@@ -237,7 +239,7 @@ POINTS = 65  # between the lowest and the highest temperature
 
 
 def check_physics(file, feeds: Sequence[Feed], units: Sequence[Unit], network: FlowNetwork) -> None:
-    """Refuses impossible values, with their limit."""
+    """Refuses impossible values; the message has the allowed range."""
     for feed in feeds:
         _check_feed(file, feed, network)
     for unit in units:
@@ -274,7 +276,7 @@ def check_moved_solubility(
 def unusual(
     files: CaseFiles, feeds: Sequence[Feed], units: Sequence[Unit], network: FlowNetwork
 ) -> Iterable[str]:
-    """Notes on numbers that are possible and likely to be in another unit."""
+    """Notes on numbers that are possible, but are probably in the wrong unit."""
     masses = (
         CheckedNumbers(f"species.{name}.molar_mass", np.array([mass]), ("",), "g/mol")
         for name, mass in zip(network.species, network.molar_mass)
@@ -307,8 +309,8 @@ def _check_solubility(file, unit: Unit, part: Solubility) -> None:
     worst = int(np.argmin(result))
     if not result[worst] > 0:
         message = (
-            f"at {at[worst]:.6g} K, which {unit.name} reaches, it is {result[worst]:.4g} kg/m3; "
-            "it must be above 0"
+            f"at {at[worst]:.6g} K, which {unit.name} reaches, the solubility is "
+            f"{result[worst]:.4g} kg/m3; it must be above 0"
         )
         raise CaseError(str(file), f"units.{unit.name}.solubility", None, message)
 

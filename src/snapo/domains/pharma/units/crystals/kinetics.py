@@ -18,10 +18,10 @@ NUCLEI = UnitQuantity("1/m3/s", NOT_NEGATIVE)
 class Kinetics(TableRecord):
     """Growth, nucleation and dissolution with S = (c - c*) / c* and its positive part S+.
 
-    S+ = (S + sqrt(S^2 + 4 d^2)) / 2 with d = `rounding` (5e-6 gives S^2 + 1e-10); S- = S+ - S.
-    G = growth S+^growth_order - dissolution S-^dissolution_order, m/s.
-    B = primary S+^primary_order + secondary S+^secondary_order (kv mu3)^crystal_order, 1/m3/s,
-    mu3 in m3/m3 being that of all crystals.
+    S+ = (S + sqrt(S^2 + 4 d^2)) / 2 with d = `rounding` (5e-6 gives S^2 + 1e-10); S- = S+ - S. G =
+    growth S+^growth_order - dissolution S-^dissolution_order, m/s. B = primary S+^primary_order +
+    secondary S+^secondary_order (kv mu3)^crystal_order, 1/m3/s, where mu3 in m3/m3 is that of all
+    crystals.
     """
 
     growth: CaseInput = RATE("growth rate at a supersaturation of 1", example="5 um/s")
@@ -59,7 +59,7 @@ def positive_and_negative(S, rounding: float) -> tuple[Array, Array]:
 
 
 def kinetics(record: Kinetics, inputs: dict[str, Any], supersaturation, volume) -> Rates:
-    """Growth and nucleation; `volume` is that of all crystals, kv mu3, in m3/m3."""
+    """Growth and nucleation; `volume`: kv mu3 of all crystals in m3/m3."""
     plus, minus = positive_and_negative(supersaturation, record.rounding)
     # Powers share one logarithm; a volume of zero (no crystals yet) counts as almost none.
     log_plus = jnp.log(plus)

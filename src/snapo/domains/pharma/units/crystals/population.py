@@ -1,19 +1,19 @@
 """The crystals in a crystalliser: by moments, or by finite volumes over their size.
 
-The moments 0 to 5 are exact where growth does not depend on size: mu_0' = B, and
-mu_k' = k G mu_(k-1) + B L0^k, per m3 of slurry. Crystals that dissolve shrink, but none disappears:
-this needs finite volumes. All crystals grow and shrink by the same length l(t), so one of size L at
-a time s has the size L + l(t) - l(s) later. Once that is below 0 it is gone; in the moments it
-stays, of a size below 0, and grows again with the others.
+The moments 0 to 5 are exact where growth does not depend on size: mu_0' = B, and mu_k' = k G
+mu_(k-1) + B L0^k, per m3 of slurry. Crystals that dissolve shrink, but none disappears; only finite
+volumes can describe that. All crystals grow and shrink by the same length l(t), so a crystal of
+size L at a time s has the size L + l(t) - l(s) at a later time t. If this is below 0, the crystal
+has dissolved; in the moments it remains with a negative size, and grows again with the others.
 
-By finite volumes, the population balance itself: n_t + (G n)_L = 0 with births B at the smallest
-size, n(L, t) crystals per m3 and m. The state is the number of crystals in each cell of a fixed
-grid; between cells they pass at n G, n being the density on the upstream side, by
-slopes with a limiter: of second order where n is smooth, and (almost) without new extremes where it
-is not. Crystals that dissolve shrink, and vanish below the smallest size. None grows out of the
-largest cell: crystals that accumulate there are reported, since the grid is too short. Moments take
-n constant within a cell, so the solute follows from the cells' third moment, and mass is conserved
-on any grid.
+Finite volumes solve the population balance n_t + (G n)_L = 0 with births B at the smallest size and
+n(L, t) crystals per m3 and m. The state is the number of crystals in each cell of a fixed grid;
+between cells they pass at the rate n G. Here n is the density on the upstream side, from slopes
+with a limiter: the method is of second order where n is smooth, and makes (almost) no new extremes
+where it is not. Crystals that dissolve shrink, and vanish below the smallest size. No crystal grows
+out of the largest cell; crystals that accumulate there are reported, because the grid is then too
+short. For the moments, n is constant within a cell. The solute follows from the third moment of the
+cells, so mass is conserved on any grid.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ class Population(NamedTuple):
       births in NUMBER/m3/s.
     - `numbers`: the crystals in each cell, in NUMBER, as a function of the state; [0] if they are
       not counted.
-    - `states`, `measures`: further figures of the sizes, over time and at the end, in the domain's
+    - `states`, `measures`: further numbers on the sizes, over time and at the end, in the domain's
       units, as functions of the state.
     """
 
@@ -77,9 +77,9 @@ def by_moments(
     seed: Float[Array, " 6"],
     fed: Float[Array, " 6"],
 ) -> Population:
-    """The population by moments. `seed` and the `fed` crystals are moments in m^k/m3;
-    `nuclei_size` is in m, None if it is 0. The state has the scaled moments of all crystals, or
-    with `separate` those of seed and feed, then those of nuclei. `shape`: kv."""
+    """The population by moments. `seed` and the `fed` crystals are moments in m^k/m3; `nuclei_size`
+    is in m, None if it is 0. The state has the scaled moments of all crystals, or with `separate`
+    the moments of seed and feed, then those of nuclei. `shape`: kv."""
     units = fixed(UNITS)
 
     def grow(moments, growth, source) -> list[Array]:
@@ -126,7 +126,8 @@ def size_states(volume: Float[Array, " N"], edges: np.ndarray) -> dict[str, Arra
 
 
 def size_measures(volume: Float[Array, " N"], edges: np.ndarray) -> dict[str, Array]:
-    """These, the span (d90 - d10) / d50, and the share of the volume in the largest cell."""
+    """d10, d50, d90, the span (d90 - d10) / d50, and the share of the volume in the largest
+    cell."""
     result, total = size_states(volume, edges), jnp.sum(volume)
     empty = total <= 0
     wide = result["d90"] - result["d10"]
@@ -194,8 +195,8 @@ NEGATIVE = 0.05  # of the largest density: so far below zero a time step was uns
 def by_finite_volumes(
     edges: np.ndarray, seed: Float[Array, " N"], fed: Float[Array, " N"] | None = None
 ) -> Population:
-    """The state: crystals in each cell, NUMBER per m3. `edges`: [N + 1] m; `seed`, `fed`: initial
-    ones."""
+    """The population by finite volumes. The state: crystals in each cell, NUMBER per m3. `edges`:
+    [N + 1] m; `seed`, `fed`: the crystals of seed and feed at the start."""
     edges = edges / SIZE
     powers = fixed(cell_powers(edges))
     width = fixed(np.diff(edges))
@@ -226,12 +227,12 @@ def by_finite_volumes(
 def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"]:
     """The gain of a density across each cell, limited; 0 in the first and in the last cell.
 
-    With F and B, the gain by the forward and by the backward difference, it is F B (F + B) / (F^2 +
-    B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and Astrophysics 108, 1982). It
-    equals F if F = B. Its size is at most 1.21 times the smaller of F and B if they have the same
-    sign, and a fifth of it if not. Van Leer's has a kink where F or B changes its sign: with it,
-    central differences over 0.02 K of a cooling crystalliser were 0.7 % off its derivative, and
-    with this one 4e-5.
+    If F is the gain by the forward difference and B by the backward difference, it is F B (F + B) /
+    (F^2 + B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and Astrophysics 108,
+    1982). It equals F if F = B. Its size is at most 1.21 times the smaller of F and B if they have
+    the same sign, and a fifth of it if not. The limiter of van Leer has a kink where F or B changes
+    its sign: with it, central differences over 0.02 K of a cooling crystalliser were 0.7 % off its
+    derivative, and with this limiter 0.004 %.
     """
     centre, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
     difference, inner = jnp.diff(n) / fixed(np.diff(centre)), fixed(width[1:-1])
@@ -246,8 +247,8 @@ REMEDY = 'the method "moments" lets no crystal disappear; use method = "finite-v
 
 
 def disappeared(track: dict[str, np.ndarray], rates: Rates, nuclei_size: float) -> str:
-    """A text on crystals that would dissolve completely along a `track` by moments with its
-    `rates`; "" if few do. The smallest crystals at the start are those at the 2 % quantile of a
+    """A sentence on crystals that would dissolve completely along a `track` of moments with its
+    `rates`; "" if few would. The smallest crystals at the start are those at the 2 % quantile of a
     lognormal distribution with the track's first moments.
     """
     time, growth = track["time"], np.asarray(rates.growth)

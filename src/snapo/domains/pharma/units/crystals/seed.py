@@ -1,4 +1,4 @@
-"""Seed: crystals that a crystalliser starts from."""
+"""Seed: the crystals with which a crystalliser starts."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -21,13 +21,13 @@ ROUNDED = 0.01  # moments of crystals of one size, each rounded to three digits,
 
 @dataclass(frozen=True, eq=False)
 class Seed(TableRecord):
-    """Crystals at the start: `loading` with `size`, or `moments`, index [6], in m^k/m3 for k =
-    0..5; the other is None. `size` is the mean by number of a lognormal distribution, and `spread`
-    its standard deviation as a share of the mean; None if all crystals have one size.
+    """Crystals at the start: `loading` with `size`, or `moments`, index [6], in m^k/m3 for k = 0 to
+    5; the other is None. `size` is the mean by number of a lognormal distribution, and `spread` its
+    standard deviation as a share of the mean; None if all crystals have one size.
     """
 
     loading: CaseInput | None = CONCENTRATION("seed per volume", None, example="0.02 kg/m^3")
-    size: CaseInput | None = LENGTH("mean size of the seed by number", None)
+    size: CaseInput | None = LENGTH("mean size of the seed, by number", None)
     moments: CaseInput | None = None
     spread: CaseInput | None = UnitQuantity(range=POSITIVE, example="0.3")(
         "standard deviation of the size of the seed, as a share of its mean", None
@@ -54,7 +54,7 @@ class Seed(TableRecord):
             raise read.section.error("moments", table.moments, message)
         if table.moments is None:
             if table.size is None:
-                raise read.section.error("size", None, "a loading needs this key")
+                raise read.section.error("size", None, "a seed with a loading needs this key")
             return super().read(read)
         for key in ("size", "spread"):
             if getattr(table, key) is not None:

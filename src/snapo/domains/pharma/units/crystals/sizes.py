@@ -1,4 +1,4 @@
-"""The cells over size by which crystals are counted, as a case defines them."""
+"""The cells over size in which crystals are counted, as a case defines them."""
 
 import math
 from dataclasses import replace
@@ -54,7 +54,7 @@ def check_seed(read: Reader, edges: np.ndarray, seed: Seed) -> None:
     """Refuses a grid that does not contain all of the seed."""
     outside = _volume_outside(seed, float(edges[0]), float(edges[-1]))
     if outside > SEED_OUTSIDE:
-        message = f"{100 * outside:.3g} % of the seed's volume lies outside smallest to largest"
+        message = f"{100 * outside:.3g} % of the seed's volume lies outside `smallest` to `largest`"
         raise read.section.error("largest", read.raw["largest"], message)
 
 

@@ -1,8 +1,9 @@
-"""Solubility by temperature and anti-solvent, or of a pure crystal in a solvent by NRTL.
+"""Solubility as a function of temperature and anti-solvent, or of a pure crystal in a solvent by
+NRTL.
 
-By NRTL (Renon and Prausnitz 1968) solid and liquid are in equilibrium where ln(x gamma) =
--dH_m / R (1/T - 1/T_m) + dcp / R (T_m / T - 1 - ln(T_m / T)), x being the solute's share by mole.
-With solvents 1 and 2 and the solute 0,
+In the NRTL model (Renon and Prausnitz 1968) solid and liquid are in equilibrium where ln(x gamma) =
+-dH_m / R (1/T - 1/T_m) + dcp / R (T_m / T - 1 - ln(T_m / T)), where x is the solute's share by
+mole. With solvents 1 and 2 and the solute 0,
 
     ln gamma_0 = sum_j tau_j0 G_j0 x_j / S_0
         + sum_j x_j G_0j / S_j (tau_0j - sum_m x_m tau_mj G_mj / S_j),
@@ -113,7 +114,7 @@ class Mixture(TableRecord):
         "0 J/mol/K",
         alias="heat_capacity_change",
     )
-    density: CaseInput = CONCENTRATION("solvent per volume of solution", example="789 kg/m^3")
+    density: CaseInput = CONCENTRATION("mass of solvent per volume", example="789 kg/m^3")
     a: CaseInput
     b: CaseInput
     alpha: CaseInput
@@ -138,7 +139,7 @@ class Mixture(TableRecord):
         ),
         "solvent_masses": (
             Any,
-            doc("masses of the solvents", None, 'their molar masses, such as ["46.07 g/mol"]'),
+            doc("molar masses of the solvents", None, 'quantities, such as ["46.07 g/mol"]'),
         ),
         "composition": (
             Any,
@@ -165,7 +166,7 @@ class Mixture(TableRecord):
             if getattr(table, key) is not None:
                 return getattr(table, key)
             if table.solute is None:
-                message = "this key is required unless a solute is named"
+                message = "this key is required if there is no `solute`"
                 raise read.section.error(key, None, message)
             value = np.array([constant(read, "solute", table.solute, which)])
             quantity = quantity_of(cls.table.model_fields[key])
@@ -218,7 +219,7 @@ def _read_liquid(read: Reader, count: int) -> tuple[np.ndarray, list[float]]:
     else:
         masses = listed(read.section, "solvent_masses", table.solvent_masses, "kg/kmol", POSITIVE)
     if len(masses) != count - 1:
-        raise read.section.error("solvent_masses", table.solvent_masses, "one of each solvent")
+        raise read.section.error("solvent_masses", table.solvent_masses, "one for each solvent")
     return liquid, masses
 
 
@@ -240,7 +241,7 @@ def constant(read: Reader, key: str, name: str, which: str) -> float:
 
 
 def _apart(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns off the diagonal, row by row."""
+    """The row and column numbers of all entries off the diagonal, row by row."""
     rows, columns = np.nonzero(~np.eye(count, dtype=bool))
     return rows, columns
 
@@ -275,7 +276,7 @@ class Solubility(TableRecord):
     - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K minus `zero`
       (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
     - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)).
-    - "nrtl": that of a `mixture` in equilibrium with the pure crystal.
+    - "nrtl": the solubility in a `mixture` in equilibrium with the pure crystal.
     - `antisolvent`: (b1, b2), index [2] or [0]: b1 w + b2 w^2 is added to ln c*, where w is the
       mass fraction of anti-solvent in the liquid without solute.
     """
@@ -317,7 +318,7 @@ class Solubility(TableRecord):
 
     @classmethod
     def read(cls, read):
-        """Coefficients for kg/m3, from those of the case's unit."""
+        """The solubility with coefficients for kg/m3, from coefficients in the case's unit."""
         table = read.table
         read.only(("polynomial", "exponential"), ("coefficients",), needed=True)
         read.only(("van-t-hoff",), ("value", "enthalpy", "reference"), needed=True)

@@ -1,10 +1,11 @@
 """Flow along a tube: elements in series, with one or more points in each.
 
-u_t = -u_z by collocation at the points of Radau IIA in every element, the upstream one giving the
-first value (a discontinuous Galerkin method). With one point an element is a stirred tank, and the
-tube is a series of tanks. With four, a steady tube is integrated along its length by an implicit
-Runge-Kutta method of order seven: over eight elements exp(-7) is accurate to 2e-6. For any number
-of points, each element conserves mass: its gain is inflow minus outflow.
+The equation u_t = -u_z is solved by collocation at the points of Radau IIA in every element; the
+element upstream supplies the value at the inlet (a discontinuous Galerkin method). With one point
+an element is a stirred tank, and the tube is a series of tanks. With four, a steady tube is
+integrated along its length by an implicit Runge-Kutta method of order seven: over eight elements
+exp(-7) is accurate to 2e-6. For any number of points, each element conserves mass: its gain is
+inflow minus outflow.
 """
 
 from typing import NamedTuple
@@ -40,11 +41,11 @@ class Along(NamedTuple):
 
     @property
     def fastest(self) -> float:
-        """A bound on the rates that explicit steps have to follow, per passage of the tube."""
+        """A bound on the rates that explicit steps must resolve, per passage through the tube."""
         return FASTEST[len(self.slopes)] * self.elements
 
     def carried(self, u: Float[Array, "n k"], entering: Float[Array, " k"]) -> Float[Array, "n k"]:
-        """u_t by flow only, per passage of the tube; `entering` is u upstream."""
+        """u_t due to flow only, per passage through the tube; `entering` is u upstream."""
         points = len(self.slopes)
         inside = u.reshape(self.elements, points, -1)
         before = jnp.concatenate([entering[None], inside[:-1, -1]])
@@ -61,8 +62,8 @@ class Along(NamedTuple):
 
 
 def radau(points: int) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s s"]]:
-    """The points of Radau IIA in 0 to 1, of which the last is 1; and the integrals, from 0 to each
-    point, of the polynomials that are 1 at one point and 0 at the others. The last row has the
+    """The points of Radau IIA between 0 and 1, of which the last is 1; and the integrals, from 0 to
+    each point, of the polynomials that are 1 at one point and 0 at the others. The last row has the
     weights of the points."""
     legendre = np.zeros(points + 1)
     legendre[-2:] = -1.0, 1.0

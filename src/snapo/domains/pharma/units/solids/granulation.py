@@ -1,8 +1,8 @@
 """High-shear wet granulation of the drug's crystals with an excipient: size, porosity, moisture.
 
-Granules coalesce at a rate that does not depend on their sizes (random coalescence): each finds b
-partners per s. For the number N of granules, and M2, the sum of the squares of the volumes of their
-solids, with the constant total V,
+Granules coalesce at a rate that does not depend on their sizes (random coalescence): every granule
+meets b partners per s. For the number N of granules, and for M2, the sum of the squares of the
+volumes of their solids, with the constant total V,
 
     N' = -b N / 2,   M2' = b V^2 / N,
 
@@ -12,8 +12,8 @@ be lognormal with these moments. The granules consolidate: their porosity falls 
 towards its minimum (for both see the review of Iveson, Litster, Hapgood and Ennis, Powder
 Technology 117, 3, 2001). Both rates depend on speed and moisture by an empirical power law.
 
-A granule continues as a particle with its own density: the stream's moments are those of granules,
-with the sizes of the crystals inside kept with them.
+In the outlet, a granule is a particle with the density of granules: the stream's moments are those
+of granules, and the sizes of the crystals inside are stored with them.
 """
 
 from dataclasses import dataclass
@@ -69,7 +69,7 @@ class Granulation(Timed):
     saturation_power: CaseInput = POWER("power of the saturation in the rate of coalescence", 0.0)
     consolidation: CaseInput = RATE("rate at which porosity falls", example="0.005 1/s")
     porosity: CaseInput = PART("porosity of the first granules")
-    least_porosity: CaseInput = PART("least porosity of granules")
+    least_porosity: CaseInput = PART("smallest porosity of granules")
     reference_speed: CaseInput = SPEED(
         "speed to which both rates refer", range=POSITIVE, example="8 m/s"
     )
@@ -82,8 +82,8 @@ class Granulation(Timed):
     reacts = False
     symbols = (
         ("N", "number of granules"),
-        ("V", "volume of their solids"),
-        ("M₂", "sum of its squares"),
+        ("V", "volume of the solids of all granules"),
+        ("M₂", "sum of the squares of the solids' volumes"),
         ("ε", "porosity of a granule"),
         ("s", "saturation of its pores"),
         ("w", "granulation liquid per solids"),

@@ -1,4 +1,4 @@
-"""The drug that a tablet, or loose crystals, have dissolved by a time."""
+"""The share of the drug in a tablet, or in loose crystals, that has dissolved by a certain time."""
 
 from collections.abc import Callable
 from functools import cache
@@ -57,7 +57,7 @@ def inside(product: Stream) -> tuple[Float[Array, " K"], Float[Array, " K"], Flo
 
 
 def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Lasting:
-    """The lifetime of the drug's crystals in s: rho h r / (D Cs), r half of their size.
+    """The lifetime of the drug's crystals in s: rho h r / (D Cs), where r is half of their size.
 
     `unit` has `diffusivity`, `solubility` and `film`."""
     sizes, share, density = inside(product)

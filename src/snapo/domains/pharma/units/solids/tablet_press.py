@@ -1,19 +1,19 @@
 """Tablet press: granules, or crystals, compacted into tablets; their strength, dose and release.
 
-Compaction, D being the relative density under the pressure P: Heckel's dD/dP = K (1 - D), so that
-ln(1/(1 - D)) = P/P_y + A with the yield pressure P_y = 1/K (R. W. Heckel, "Density-Pressure
-Relationships in Powder Compaction", Trans. Metall. Soc. AIME 221, 671-675, 1961), and A = -ln(1 -
-D_0 - D_B) of the density at rest D_0 and by rearrangement D_B; or Kawakita's (V_0 - V)/V_0 = a b
-P/(1 + b P) (K. Kawakita and K.-H. Luedde, "Some considerations on powder compression equations",
-Powder Technology 4, 61-68, 1971). Strength falls exponentially with porosity (E. Ryshkewitch, J.
-Am. Ceram. Soc. 36, 65, 1953, and W. Duckworth's discussion of it there),
-and breaks a flat tablet across its diameter at F = pi d h sigma/2 (J. T. Fell and J. M. Newton,
-"Determination of Tablet Strength by the Diametral-Compression Test", J. Pharm. Sci. 59, issue 5,
-1970, doi 10.1002/jps.2600590523).
+Compaction, where D is the relative density under the pressure P: Heckel's equation is dD/dP = K (1
+- D), so that ln(1/(1 - D)) = P/P_y + A with the yield pressure P_y = 1/K (R. W. Heckel,
+  "Density-Pressure Relationships in Powder Compaction", Trans. Metall. Soc. AIME 221, 671-675,
+  1961), and A = -ln(1 - D_0 - D_B), with the relative density D_0 of the loose bed and the increase
+  D_B by rearrangement. Kawakita's equation is (V_0 - V)/V_0 = a b P/(1 + b P) (K. Kawakita and
+  K.-H. Luedde, "Some considerations on powder compression equations", Powder Technology 4, 61-68,
+  1971). Strength falls exponentially with porosity (E. Ryshkewitch, J. Am. Ceram. Soc. 36, 65,
+  1953, and W. Duckworth's discussion of it there), and breaks a flat tablet across its diameter at
+  F = pi d h sigma/2 (J. T. Fell and J. M. Newton, "Determination of Tablet Strength by the
+  Diametral-Compression Test", J. Pharm. Sci. 59, issue 5, 1970, doi 10.1002/jps.2600590523).
 
 Content: the acceptance value of USP <905> for ten tablets, |M - X| + 2.4 s in per cent of the
-label, M being X between 98.5 and 101.5 and else the nearer of both, with the mean and the standard
-deviation of the batch instead of a sample's.
+label, where M is X if X is between 98.5 and 101.5, and otherwise the nearer of these two. The mean
+X and the standard deviation s are those of the batch instead of a sample.
 """
 
 from dataclasses import dataclass
@@ -55,8 +55,9 @@ class TabletPress(Instant):
     """Press, and the tests of its tablets.
 
     - `yield_pressure` and `rearrangement`, or `kawakita_a` and `kawakita_b`.
-    - `bonding`: k in exp(-k porosity); `disintegration`: the mean time at `reference_porosity`; at
-      other porosities it is multiplied by (reference / porosity)^`porosity_power`.
+    - `bonding`: k in exp(-k porosity); `disintegration`: the mean disintegration time at
+      `reference_porosity`; at other porosities it is multiplied by (reference /
+      porosity)^`porosity_power`.
     """
 
     drug: int = species_key("species of the drug", "name of the species that is the drug")
@@ -195,7 +196,8 @@ class TabletPress(Instant):
 
 
 def acceptance(mean, deviation) -> Float[Array, ""]:
-    """USP <905> for ten tablets; shares of the label, as is the result (at most 0.15)."""
+    """The acceptance value of USP <905> for ten tablets, as a share of the label like the
+    arguments; at most 0.15 is allowed."""
     low, high = ACCEPTED
     off = jnp.maximum(low - mean, 0.0) + jnp.maximum(mean - high, 0.0)
     return off + TEN * deviation
