@@ -1,4 +1,5 @@
-"""Energy contracts: one core values and operates them all. Its import loads little."""
+"""Energy contracts: one core values and operates all of them. Importing this module loads little
+else."""
 
 from snapo.study.kind import Kind
 
@@ -41,7 +42,7 @@ PLANT = Kind(
 )
 STORES = Kind(
     "stores",
-    "two gas stores behind one connection: a joint limit of their flows, transfers between them",
+    "two gas stores behind one connection: a joint limit on their flows, transfers between them",
     __name__,
     {"fast-and-slow": "template_stores"},
     summary="summary:lines",

@@ -64,7 +64,8 @@ class DischargeTable(CaseTable):
 
 
 class CyclesTable(CaseTable):
-    """{ day = 1.5, term = 60.0 }: limits of each calendar day, and of the whole term."""
+    """{ day = 1.5, term = 60.0 }: limits on the cycles of each calendar day and of the whole
+    term."""
 
     day: CaseInput | None = CYCLES(
         "largest number of cycles on a calendar day", None, name="cycles_day"
@@ -75,8 +76,8 @@ class CyclesTable(CaseTable):
 
 
 class IntradayTable(CaseTable):
-    """{ half_spread = 2.0 }: differences from the schedule are traded at the spot price of the
-    hour, plus the half spread if they are bought, and minus the half spread if they are sold."""
+    """{ half_spread = 2.0 }: differences from the schedule are bought at the spot price of the hour
+    plus the half spread, and sold at the spot price minus the half spread."""
 
     half_spread: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
         "price of each MWh that differs from the schedule"
@@ -188,8 +189,9 @@ class BatteryContract(EnergyContract):
         return Terms(start, steps)
 
     def _cycles(self, at: NumbersOf, highest: Array) -> tuple[Array | None, Array | None]:
-        """Limits of a day and of the term. Of two, that which the other one implies is at least
-        `highest`, the cycles of all hours: no plan reaches it, and methods need no nodes for it."""
+        """Limits of a day and of the term. If one of the two implies the other one, the implied
+        limit is raised to at least `highest`, the cycles of all hours. No plan reaches that number,
+        and methods need no nodes for it."""
         day, term = (x and at(x) for x in (self.cycles_day, self.cycles_term))
         if day is None or term is None:
             return day, term
@@ -232,9 +234,9 @@ def bumps(
     powers: tuple[ChargeTable, DischargeTable],
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
-    """The smallest moves of energy and cycles, at least 1 %, after which all volumes are still
-    multiples of their common measure with `others`, because nodes are such multiples; half of a
-    move has this property too. None if the moves exceed `WIDEST`."""
+    """The smallest moves of energy and of cycles, of at least 1 %, that a finite difference can
+    make. After such a move, or half of it, all volumes and `others` are still multiples of their
+    common measure, as the nodes are. None for a move that would exceed `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
     limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]
     measure = common_measure(

@@ -26,7 +26,7 @@ class FadeTable(CaseTable):
         "energy taken after which the store can hold less, in MWh"
     )
     by: CaseInput = Quantity("MWh", NOT_NEGATIVE, "contract", move=0.1, name=FADE)(
-        "usable energy that is lost each time the energy `every` has been taken"
+        "usable energy lost each time a further `every` MWh have been taken"
     )
     taken: Annotated[float, Range(0.0, note=": MWh taken before the start")] = doc(
         "energy taken since the store was new, in MWh", 0.0

@@ -5,8 +5,9 @@
     fees     = initial x opened + completion x closed + park fee x B+ + loan fee x B-
 
 d is delivered to the operator and w taken from it on a day, with B+ = max(B, 0), parked, and
-B- = max(-B, 0), on loan, both after the day. Volumes that move the balance away from zero open,
-those that move it towards zero close: a delivery first repays a loan, and the rest is parked:
+B- = max(-B, 0), on loan, both after the day. Volumes that move the balance away from zero are
+opened, and those that move it towards zero are closed. A delivery first repays a loan, and the rest
+of it is parked:
 
     initial x opened + completion x closed = (initial + completion) / 2 x (d + w)
                                              + (initial - completion) / 2 x change of |B|
@@ -95,8 +96,8 @@ class ParkAndLoanContract(EnergyContract):
 
     - `limits`: largest park and largest loan; `rates`: largest delivery and withdrawal; `fees`: the
       fees of a unit parked and of one on loan, by day; each index [T].
-    - `turn`: initial and completion fee; `cash_out`: the prices of a unit parked and on loan at
-      the end, None if no such balance may be left; index [].
+    - `turn`: initial and completion fee; `cash_out`: the prices at the end of a unit parked and of
+      a unit on loan, None if no such balance may be left; index [].
     - `open` [T, 2]: whether gas may be delivered, and taken, on a day.
     """
 
@@ -199,7 +200,7 @@ def read_park_and_loan(
 
 
 def _within(where: TableContext, key: str, raw: dict | None, days: Sequence[datetime.date]):
-    """[T] whether a day is in the window of a key; all are without one."""
+    """[T] whether a day is in the window of a key; all days are if the case has no such key."""
     if raw is None:
         return np.ones(len(days), bool)
     window = where.nested(WindowTable, raw, key)

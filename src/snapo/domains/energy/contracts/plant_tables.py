@@ -62,10 +62,11 @@ class EmissionTable(CaseTable):
 
 
 class StartTable(CaseTable):
-    """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
+    """{ off = 12, money = 5200.0, fuel = 140.0 }: the cost of a start after at least that number of
+    hours off."""
 
     off: int = doc(
-        "smallest number of hours off before a start of this class", allowed=HOURS, ge=1, le=LONGEST
+        "hours off from which a start belongs to this class", allowed=HOURS, ge=1, le=LONGEST
     )
     money: CaseInput = MONEY("money paid for a start", 0.0, name="start_money")
     fuel: CaseInput = FUEL("fuel for a start", 0.0, name="start_fuel")
@@ -77,7 +78,7 @@ class BeforeTable(CaseTable):
     off: int | None = doc("hours off before the first hour", None, ANY_HOURS, ge=1, le=100_000)
     on: int | None = doc("hours on before the first hour", None, ANY_HOURS, ge=1, le=100_000)
     power: CaseInput | None = POWER(
-        "power in the hour before the first one, of a plant with a ramp", None, name="power_before"
+        "power in the hour before the first one, if the plant has a ramp", None, name="power_before"
     )
 
 
@@ -195,7 +196,7 @@ def _too_many(where: TableContext, power: PowerTable) -> CaseError:
 def _by_class(
     name: str, starts: Sequence[StartTable], numbers: Sequence[CaseInput]
 ) -> CaseInput | None:
-    """The numbers of all classes, index [classes]; None without classes."""
+    """One number of every class of starts, index [classes]; None without classes."""
     if not starts:
         return None
     labels = tuple(f"{start.off} hours off" for start in starts)

@@ -2,12 +2,13 @@
 
     |q(t) - q(t - 1)| <= ramp while on;   at most top = max(min, ramp) in the first and last hour on
 
-With the hours on fixed, cash is linear in the powers q, and limits hold for powers and for
-differences of two of them: at a corner every power is min, max, top or that before the first hour,
-plus a whole number of ramps. These are also the best powers where later prices are not known. By
-induction backwards, the value is convex in the power of the hour before between neighbouring steps,
-as maxima and means of convex functions are; the best next power is then a step, or one ramp away
-from the power before, which is a step if that power is one. No other powers are needed.
+If it is fixed in which hours the plant runs, cash is linear in the powers q, and the limits apply
+to powers and to differences of two powers. At a corner of these limits every power is therefore
+min, max, top or the power before the first hour, plus a whole number of ramps: a step. Steps are
+also the best powers if later prices are random. By backward induction, the value is convex in the
+power of the hour before, between neighbouring steps, because maxima and means of convex functions
+are convex. The best next power is then a step, or one ramp away from the power before, which is a
+step too if the power before is one. No other powers are needed.
 """
 
 from itertools import count
@@ -65,7 +66,7 @@ def power_steps(low: float, high: float, ramp: float, before: float | None) -> P
     conditions: list[np.ndarray] = [top - (LOW if ramp > low else RAMP)]
 
     def number_of(row: np.ndarray) -> int:
-        """The number of the step of this value, which may be new."""
+        """The number of the step with this value; a new step is added for a new value."""
         for i, other in enumerate(parts):
             if abs((row - other) @ numbers) <= near:
                 conditions.extend([row - other, other - row])

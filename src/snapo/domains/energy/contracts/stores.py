@@ -1,15 +1,16 @@
-"""Stores: two gas stores behind one connection, whose joint flow is limited by day.
+"""Stores: two gas stores behind one connection, with a daily limit on their joint flow.
 
     inventory k after a day = inventory k + in_k - out_k,
     -net_withdrawal <= sum over stores of in_k - out_k <= net_injection
     earnings = sum over days of discount x sum over stores of
                (out_k (1 - fuel out) - in_k (1 + fuel in)) S - costs
 
-A day is two steps at one price: first the flow of the first store, then that of the second one. In
-between, `joint flow` counts the net flow so far. The inventories from which all limits can be kept
-form a set with limits on each inventory and on their sum. Such sets keep this form when the flows
-of a day, a set of the same kind, are added to them (generalised polymatroids; A. Frank, E. Tardos,
-"Generalized polymatroids and submodular flows", Mathematical Programming 42 (1988), 489-563).
+A day has two steps with the same price: one for the flow of the first store, and one for the flow
+of the second store. The level `joint flow` counts the net flow of the day so far. The set of
+inventories from which all limits can be kept is described by limits on each inventory and on their
+sum. Such sets keep this form when the flows of a day, a set of the same kind, are added to them
+(generalised polymatroids; A. Frank, E. Tardos, "Generalized polymatroids and submodular flows",
+Mathematical Programming 42 (1988), 489-563).
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,10 +49,10 @@ class Store(TreeRecord):
     """The terms of one store on T days.
 
     - `inventory`: index []; `limits`: minimum and maximum in store, index [T + 1]; `end`: the
-      inventory owed at the end, index [], None if any inventory is allowed and worthless.
-    - `rates`: largest injection and withdrawal, before `factors` [T, 2]; `costs`, `fuel`: costs
-      and fuel of both; `holding`: the cost of a unit in store, None if it is free; each has an
-      index [T].
+      inventory owed at the end, index []; None if any inventory is allowed, and has no value.
+    - `rates`: largest injection and withdrawal, to be multiplied by `factors` [T, 2]; `costs`,
+      `fuel`: costs and fuel of injection and withdrawal; `holding`: the cost of a unit in store,
+      None if it is free. Each has an index [T].
     """
 
     inventory: CaseInput
@@ -83,7 +84,7 @@ class DailyFlows(NamedTuple):
 
 
 class StoresContract(EnergyContract):
-    """The terms of both stores, and of their joint flow; None if it has no limit."""
+    """The terms of both stores, and the limits of their joint flow, None if there is none."""
 
     stores: tuple[Store, Store]
     net_injection: CaseInput | None
@@ -137,7 +138,7 @@ class StoresContract(EnergyContract):
         return xp.stack([at(store.inventory) for store in self.stores])
 
     def _daily_flows(self, at: NumbersOf) -> DailyFlows:
-        """No more than the joint limits leave, whatever the other store does."""
+        """The largest flows that the joint limits allow with the best flow of the other store."""
         rates = [
             xp.stack([at(x.rates[side]) * x.factors[:, side] for x in self.stores], 1)
             for side in (0, 1)
@@ -168,8 +169,9 @@ class StoresContract(EnergyContract):
         return low, high
 
     def _level_limits(self, flows: DailyFlows, sets: FeasibleSets) -> tuple[Array, Array]:
-        """[steps, levels] after each step: of the first store those of the end of the day, of the
-        second one those of its start until it has decided."""
+        """[steps, levels] after each step: the limits of the first store are those at the end of
+        the day; the limits of the second store are those at the start of the day, and after its own
+        step those at the end."""
         sides = []
         for limit, rate, net, sign in (
             (sets.low, flows.out, flows.net_out, -1.0),
@@ -182,8 +184,9 @@ class StoresContract(EnergyContract):
         return sides[0], sides[1]
 
     def _promises(self, flows: DailyFlows, sets: FeasibleSets) -> Promises:
-        """Limits of sums after each step, from which the second store can keep its own limits, the
-        joint ones and those of the sum; see `SUMS`."""
+        """Limits of sums of levels after each step, see `SUMS`. If they hold after the step of the
+        first store, the second store can keep its own limits, the joint limits and those of the
+        sum."""
         rows = xp.array(self.layout.sums)
         bottom, top, low, high = (
             sets.total_low[1:],
@@ -209,7 +212,7 @@ class StoresContract(EnergyContract):
         )
 
     def _holding(self, at: NumbersOf, daily: Array) -> LevelMoney | None:
-        """What is in store at the start of a day is paid for on it."""
+        """The cost of the gas in store at the start of each day, paid on that day."""
         if all(store.holding is None for store in self.stores):
             return None
         shape = len(daily), len(self.layout.levels), 2

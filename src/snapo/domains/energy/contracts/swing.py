@@ -44,13 +44,13 @@ class SwingContract(EnergyContract):
 
     - `max_daily`, `min_daily`, `strike`: index [T]; `annual_min`, `annual_max`, `taken`: [].
     - `factor`, `add`, `fixing`: the numbers of an indexed strike, index []; `strike` is then None.
-      - `shortfall`: the price of each unit, index []; None if the minimum is firm, or paid at the
-      strike.
+    - `shortfall`: the price of each unit short of the minimum, index []; None if the minimum is
+      firm, or if the shortfall is paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
     - `make_up_price`, `made_up`: the price of a unit made up, and the units of last year that may
-      be made up; `older`: those of the year before, None if units are lost after one year;
-      `carry_max`, `carried`: the maximum that is carried forward, and the amount by which this
-      year's minimum is lower. All are None without the clause.
+      be made up; `older`: the units of the year before that, None if units are lost after one year.
+      `carry_max`, `carried`: the maximum that is carried forward, and the amount by which the
+      minimum of this year is lower. All are None without their clause.
     - `sign`: 1 if the volume is bought at the strike, -1 if it is sold.
     - `at_strike`: whether the shortfall is paid at the strike of the last day.
     - `firm`: whether the minimum is met on every path; `most_rights`: the number of rights, 0
@@ -144,9 +144,9 @@ class SwingContract(EnergyContract):
         return Terms(xp.stack(start) if start else xp.zeros(0), steps)
 
     def _promises(self, at: NumbersOf) -> Promises | None:
-        """The promises of a firm minimum with rights, in one contract year: the rest of it is at
-        most the most volume of a day, times the rights left, and times the days that rests
-        leave."""
+        """The promises of a firm minimum with rights, in one contract year. The part of the minimum
+        not yet taken is at most the largest daily volume times the number of rights left, and at
+        most that volume times the number of days that are left between rests."""
         if not self.firm or self.annual_min is None:
             return None
         if self.layout.banks:
@@ -164,8 +164,8 @@ class SwingContract(EnergyContract):
         return Promises(xp.broadcast_to(weights, (count, 2, 2)), bounds)
 
     def _carried(self, at: NumbersOf) -> Promises:
-        """The promises of a firm minimum, lower by the units carried forward: the rest of it is at
-        most the volume of the days left of the year."""
+        """The promises of a firm minimum from which the units carried forward are subtracted. The
+        part of it not yet taken is at most the volume of the days that are left in the year."""
         daily = at(self.max_daily)
         following = xp.append(daily[1:], 0.0)
 
@@ -236,7 +236,7 @@ def layout_of(
 ) -> ContractLayout:
     """Levels, flows and moves; `rest`: days of rest after the use of a right, None without rights.
 
-    With balances between years, `banks`, there are limits and no rights.
+    `banks`: the number of balances between years. With them there are annual limits, but no rights.
     """
     if banks:
         take = EnergyFlow("take", f"{unit}/day", (1.0, *(0.0,) * banks))

@@ -110,7 +110,8 @@ def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
 
 
 def _with_units(table: AnyTable, units: dict[str, str]) -> AnyTable:
-    """Numbers of a table within a table do not know the names in their units: they get them."""
+    """Sets the units of the numbers in a table within a table; there, names such as "currency" in a
+    unit are not replaced yet."""
     numbers = {x: replace(y, unit=units[x]) for x, y in table if x in units and y is not None}
     return table.model_copy(update=numbers)
 
@@ -249,7 +250,8 @@ def _check_promise(
     daily_max: np.ndarray,
     last_days: np.ndarray,
 ) -> None:
-    """A firm minimum with rights is of one contract year, at one volume a day, and can be met."""
+    """Refuses a firm minimum with rights over several contract years, with a daily volume that
+    changes, or that cannot be met."""
     if np.sum(last_days) > 1:
         message = "with rights the minimum cannot be firm in several contract years; use "
         raise where.error("shortfall", "firm", f'{message}"strike" or a price of each unit')
@@ -264,7 +266,7 @@ def _check_promise(
 
 
 def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None, CarryTable | None]:
-    """Both clauses, their numbers with their units."""
+    """The clauses `make_up` and `carry_forward`, with the units of their numbers."""
     unit = table.volume_unit
     units = {"units": unit, "older_units": unit, "max": unit, "price": f"{table.currency}/{unit}"}
     made_up, carried = None, None
@@ -280,7 +282,7 @@ def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None,
 def _check_bank(
     where: TableContext, table: SwingTable, clauses, limits, strike, daily_max, last_days
 ) -> None:
-    """Refuses clauses between contract years, see `_banked`, without their conditions."""
+    """Refuses clauses between contract years (see `_banked`) whose conditions are not met."""
     made_up, carried = clauses
     key = "carry_forward" if made_up is None else "make_up"
     if limits[0] is None:
@@ -329,7 +331,7 @@ def _check_bank(
 
 
 def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
-    """Least and most of a year, None if there is none, with their units."""
+    """Minimum and maximum of a year with their units; None for a limit that is absent."""
     if annual is None:
         return None, None
     unit = f"{table.volume_unit}/year"

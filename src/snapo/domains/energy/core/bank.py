@@ -1,11 +1,11 @@
-"""A bank between the periods of a level: units short in one are made up in the next ones, and units
-in excess lower the next minimum.
+"""A bank between the periods of a level: units short in one period can be made up in the next
+periods, and units in excess lower the next minimum.
 
-A period ends where the counted level restarts. The balances Z_1 to Z_N of the bank are by age: Z_k
-comes from k periods ago. Z_1 is positive for volumes to be made up, and negative for those carried
-forward, which are lost after one period; the others are not negative, and Z_N is lost after this
-period. The oldest are made up first. With the minimum m of a period, x+ = max(x, 0), O_k the sum
-of Z_j+ over j > k, and O_0 the sum over all j:
+A period ends where the counted level restarts. The balances Z_1 to Z_N of the bank are ordered by
+age: Z_k comes from k periods ago. Z_1 is positive for volumes to be made up, and negative for
+volumes carried forward, which are lost after one period. The other balances are not negative, and
+Z_N is lost after this period. The oldest units are made up first. m is the minimum of a period,
+x+ = max(x, 0), O_k is the sum of Z_j+ over j > k, and O_0 the sum over all j:
 
     own minimum        m - (-Z_1)+
     made up            u(Q) = (Q - m)+ - (Q - m - O_0)+,   Q the volume of the period so far
@@ -62,6 +62,6 @@ class Bank(NamedTuple):
 
 
 def _units(balances: Sequence[Any], positive: Callable) -> Any:
-    """The units to be made up in all."""
+    """The units to be made up, summed over all balances."""
     parts = [positive(balance) for balance in balances]
     return sum(parts[1:], parts[0])

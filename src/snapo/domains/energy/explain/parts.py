@@ -2,7 +2,7 @@
 
 The steps between the two dates are those that the policy plans at forward prices.
 
-A contract supplies only the keys of a case that begins in a state (`EnergyContract.keys_at`).
+A contract supplies only the keys of a case that begins in another state (`EnergyContract.keys_at`).
 """
 
 import copy
@@ -100,7 +100,7 @@ def _named(layout: Any, levels: np.ndarray) -> dict[str, float]:
 
 
 def _from_later(discount: Discount, elapsed: int) -> Discount:
-    """To a later date; a payment before it counts in full."""
+    """Discount factors to a later date; a payment before that date counts in full."""
     return replace(discount, day=np.maximum(discount.day - elapsed, 0.0))
 
 
@@ -245,10 +245,10 @@ class _ContractChain(ChangeChain):
         return delivery_periods(case.days, case.products if spot else None)
 
     def _on_date(self, state: PlannedSteps, index: float | None) -> EnergyCase:
-        """The case of the first run on the valuation date of the second one, in this state.
+        """The case of the first run on the valuation date of the second run, in this state.
 
         Its prices, model, rates and terms are those of the first run, step by step; the settings of
-        training and evaluation are those of the second one.
+        training and evaluation are those of the second run.
         """
         first, other = self.first, self.second.case
         data: Any = copy.deepcopy(dict(first.data))
@@ -288,7 +288,8 @@ def with_curves(case: EnergyCase, curves: dict[str, CaseInput]) -> EnergyCase:
 
 
 def _like(curve: CaseInput, prices: np.ndarray) -> CaseInput:
-    """A record of prices [T], of the form of another one where its numbers suffice."""
+    """A record of prices [T]. It has the form of `curve` if the numbers of `curve` can represent
+    them; otherwise it has one number for each step."""
     values = np.array(curve.values, np.float64)
     values[curve.index] = prices
     if np.array_equal(values[curve.index], prices):
@@ -306,7 +307,7 @@ def _same_state(one: PlannedSteps, other: PlannedSteps) -> bool:
 def _policy(run: ValuedRun, setup: Setup) -> Policy:
     """The trained policy of a run.
 
-    **Raises:** `CaseError` if the run has none of the shape of `setup`.
+    **Raises:** `CaseError` if the run has no policy, or one that does not fit `setup`.
     """
     features, layout = setup.problem.features, run.case.contract.layout
     like = UnitValuePolicy(layout, features, key=jax.random.key(0))

@@ -49,7 +49,7 @@ def at_rest(layout: ContractLayout, idle: tuple[bool, ...]) -> ContractLayout:
 
 
 def without(layout: ContractLayout, terms: StepTerms, intervals: Any, idle: tuple[bool, ...]):
-    """Layout, terms and intervals of the other levels."""
+    """The layout, terms and intervals without the idle levels."""
     keep = np.flatnonzero(~np.array(idle, bool))
 
     def of(numbers: Any) -> Any:
@@ -65,7 +65,7 @@ def without(layout: ContractLayout, terms: StepTerms, intervals: Any, idle: tupl
 
 
 def with_idle(columns: list, start: np.ndarray, restarts: np.ndarray, idle: tuple[bool, ...]):
-    """Nodes of all levels, by level at the start of each step [T + 1] and after each [T]."""
+    """The nodes of all levels, at the start of each step [T + 1] and after each step [T]."""
     others, result = iter(columns), []
     for i, rests in enumerate(idle):
         if not rests:

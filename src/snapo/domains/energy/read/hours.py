@@ -29,7 +29,8 @@ HOUR = re.compile(r"(\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2})?)(:00(\.0+)?)?", re.ASCI
 
 
 class HourlyQuantity(Quantity):
-    """A number, or the name of a CSV with one for each hour, which is read with `rows_by_hour`."""
+    """A number, or the name of a CSV with a number for each hour, which is read with
+    `rows_by_hour`."""
 
     def read(self, raw: Any, key: KeyContext) -> Any:
         return raw if isinstance(raw, str) and raw else super().read(raw, key)
@@ -85,7 +86,7 @@ class Hours:
 
     @property
     def nominated(self) -> None:
-        """0: no flow is fixed days before its hour."""
+        """None: no flow is fixed some days before its hour."""
         return None
 
     @property
@@ -152,12 +153,12 @@ def _instant(where: TableContext, key: str, value: Any, zone: ZoneInfo) -> datet
 def read_hourly(
     section: TableContext, table: HourlyMarketTable, hours: Hours, unit: str
 ) -> GasMarket:
-    """Prices by the hour, and rates by the day."""
+    """The market with prices by the hour and interest rates by the day."""
     return hourly_market(hourly_curve(section, table.forward_curve, hours, unit), table, hours)
 
 
 def hourly_market(curve: CaseInput, table: Any, hours: Hours) -> GasMarket:
-    """This curve, with the rates of a table `[market]` by the day."""
+    """This hourly curve, with the daily interest rates of a table `[market]`."""
     rate = table.interest_rate
     day = np.array([(date - table.valuation_date).days for date in hours.days], np.int64)
     starts = rate.starts
@@ -200,15 +201,15 @@ def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
             row = of_hour[needed[label]]
             if label in needed:
                 before = of_hour[0].line
-                raise row.error("time", f"this hour has a price already, on line {before}")
+                raise row.error("time", f"this hour already has a price, on line {before}")
             message = f"there is no such hour from {first} to {last} in the time zone of the case"
             raise row.error("time", message)
     return prices
 
 
 def _local_hour(row: Row) -> str:
-    """The hour of a row as 2026-05-01T07:00; a day, as files of dates write its midnight, is its
-    first hour."""
+    """The hour of a row, such as 2026-05-01T07:00; a date without an hour is the first hour of that
+    day."""
     match = HOUR.fullmatch(row.cells["time"])
     try:
         if match is not None:

@@ -33,8 +33,8 @@ def nominated_on(
         return None
     nomination = where.nested(NominationTable, table.nomination, "nomination")
     where.notes.append(
-        "contract.nomination: flows are fixed days in advance. Prices and cash flows of paths "
-        "are those at the nominations, and vary less than those on the days of the flows."
+        "contract.nomination: flows are fixed days in advance. The paths have the prices and cash "
+        "flows at the nominations, which vary less than those on the days of the flows."
     )
     if nomination.calendar == "every-day":
         return tuple(date - datetime.timedelta(nomination.days) for date in dates)
