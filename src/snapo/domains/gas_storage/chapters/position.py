@@ -32,7 +32,7 @@ TRIGGERS = (("withdrawal", "Withdraw above", "withdraw"), ("injection", "Inject 
 
 @dataclass(frozen=True)
 class MeanBand:
-    """The mean over paths by step, with the 5 and 95 % quantiles."""
+    """The mean over paths at each step, with the 5 and 95 % quantiles."""
 
     mean: Floats = floats()
     p05: Floats = floats()
@@ -41,13 +41,13 @@ class MeanBand:
 
 @dataclass(frozen=True)
 class LowHigh:
-    """Two inventories by day, the lower and the higher one."""
+    """The lower and the higher of two inventories on each day."""
 
     low: Floats = floats()
     high: Floats = floats()
 
     def until(self, length: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """The first `length` of both; None if there are none."""
+        """The first `length` days of both; None if there are none."""
         return (self.low[:length], self.high[:length]) if self.low.size else None
 
 
@@ -66,8 +66,8 @@ class Position:
     - `inventory` [T + 1]: at the start of every day and at the end; `flow` [T]: net injection.
     - `trigger_injection`, `trigger_withdrawal` [T]: spot prices below and above which to act, at
       the mean inventory of the day.
-    - `reachable`, `limits` [T + 1]: inventories from which the contract can still be met, and those
-      that it allows.
+    - `reachable`, `limits` [T + 1]: the inventories from which the contract can still be met, and
+      the inventories that it allows.
     """
 
     inventory: MeanBand = field(default_factory=MeanBand)
@@ -174,7 +174,8 @@ def show(run: StorageRun, position: Position) -> Sequence[Block]:
     svg = draw("curve-lines", alt, lambda axes: charts.lines(axes, when, lines, run.price))
     caption = (
         "Trigger prices are undiscounted spot prices at the expected inventory of the day: the"
-        " policy injects when spot is below the blue line and withdraws above the orange one."
+        " policy injects if the spot price is below the blue line, and withdraws if it is above the"
+        " orange line."
     )
     blocks: list[Block] = [Chart(svg, caption)]
     if len(lines) == 1:
@@ -183,7 +184,8 @@ def show(run: StorageRun, position: Position) -> Sequence[Block]:
 
 
 def inventory(run: StorageRun) -> Section:
-    """Expected inventory with its 5-95 % band, inside the reachable and the allowed ones."""
+    """The expected inventory with its 5-95 % band, within the reachable and the allowed
+    inventories."""
     title, short = "Inventory against its limits", "Inventory"
     position, days = POSITION.of(run), run.days
     if position is None or days is None or not position.inventory.mean.size:
@@ -210,9 +212,9 @@ def inventory(run: StorageRun) -> Section:
     )
     svg = draw("inventory-fan", alt, paint, height, rows)
     caption = (
-        "The grey area is all inventories from which the contract can still be met; the policy "
-        "cannot leave it. The lower chart is the mean flow of each day: withdrawals upwards, "
-        "injections downwards."
+        "The grey area contains all inventories from which the contract can still be met; the "
+        "policy cannot leave it. The lower chart is the mean flow of each day: withdrawals "
+        "upwards, injections downwards."
     )
     return Section("inventory", title, short, [Chart(svg, caption)])
 

@@ -33,7 +33,7 @@ ENTRIES = TypeAdapter(dict[str, InputEntry])
 class ReportedInput:
     """The metadata of an input; see `snapo.problem.inputs.Input`.
 
-    `move` is in the input's unit, and `trade_move` is the same move in the display unit,
+    `move` is in the unit of the input, and `trade_move` is the same move in the display unit,
     `trade_unit`.
     """
 
@@ -45,14 +45,14 @@ class ReportedInput:
     trade_unit: str
 
     def title(self, label: str = "") -> str:
-        """The name for a table, "Spot volatility", with the label of one number."""
+        """The name in a table, such as "Spot volatility", with the label of one number."""
         text = self.name.replace("_", " ").replace(".", " ").strip().capitalize()
         return f"{text}, {label}" if label else text
 
 
 @dataclass(frozen=True)
 class StorageRun(RunFiles):
-    """A run folder with the units of the contract."""
+    """A run folder, with the units of its contract."""
 
     @cached_property
     def inputs(self) -> dict[str, InputEntry]:

@@ -1,4 +1,4 @@
-"""The value of the contract: the same contract by several methods, and the spread of its cash."""
+"""The value of the contract by several methods, and the distribution of its cash flow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -34,7 +34,8 @@ TITLE = "Value by method"
 
 @dataclass(frozen=True)
 class IntrinsicValue:
-    """The best plan against today's curve: its value, and net injections [T] by decision day."""
+    """The best plan at today's forward curve: its value, and the net injections [T] by decision
+    day."""
 
     value: Number
     net: Floats
@@ -49,7 +50,7 @@ class Reference:
 
 
 def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicValue]:
-    """The chapter "intrinsic value", which needs no training, of the bare contract."""
+    """The chapter "intrinsic value" of a contract, which needs no training."""
 
     def measure(run: StudyRun) -> IntrinsicValue:
         plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
@@ -70,7 +71,7 @@ def measure_reference(run: StudyRun) -> Reference:
 
 @dataclass(frozen=True)
 class ContractValue:
-    """The value of the contract by one method; `note`: its meaning."""
+    """The value of the contract by one method; `note`: the meaning of this value."""
 
     name: str
     value: Number
@@ -125,7 +126,7 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
     )
     plan, error = INTRINSIC.of(run), solution.standard_error
     ladder = [
-        ContractValue("Intrinsic", plan.value, None, "best fixed plan against today's curve")
+        ContractValue("Intrinsic", plan.value, None, "best plan fixed today, at the forward curve")
         if plan
         else ContractValue("Intrinsic", np.nan),
         _starting_value(run.setup, starting),
@@ -175,7 +176,7 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
     digits, bars = decimals([x.value for x in values]), ladder_bars(run, values)
     caption = (
         "Present values of the same contract on the same curve. The value of any policy without "
-        "foresight is a lower bound of the optimum."
+        "foresight is a lower bound on the optimum."
     )
     rows = [
         (x.name, x.note, number(x.value, digits), plus_minus(x.standard_error, digits))
