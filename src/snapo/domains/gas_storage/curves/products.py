@@ -62,9 +62,9 @@ def delivery(name: str) -> tuple[datetime.date, datetime.date]:
             if pattern.startswith("weekend") and first.weekday() != 5:
                 raise ValueError(f"{first} is not a Saturday")
             if last < first:
-                raise ValueError("the last day is before the first one")
+                raise ValueError("the last day is before the first day")
             if first.year < FIRST or last.year > LAST:
-                raise ValueError(f"it must be days of the years {FIRST} to {LAST}")
+                raise ValueError(f"its days must be in the years {FIRST} to {LAST}")
             return first, last
     raise ValueError(f"a product is {NAMES}")
 
