@@ -133,7 +133,7 @@ HOVERS = {  # {kind: table, key, text}
     "book": ("TasksTable", "judge",
         "Share of the contracts whose derivatives are tested by bumps. Allowed: a number from 0 to 1."),
     "calibration": ("HistoryTable", "season",
-        "Number of waves in the season of a year. Allowed: 0, 1 or 2."),
+        "Number of waves of the seasonal pattern in a year. Allowed: 0, 1 or 2."),
 }  # fmt: skip
 
 

@@ -205,7 +205,7 @@ def _independent(
             names = [products[j].name for j in sorted(used)]
             raise product.row.error(
                 "price",
-                f"{', '.join(names)} together imply {price:.6g} for the days of {product.name}; "
+                f"{', '.join(names)} together give {price:.6g} for the days of {product.name}; "
                 f"quotes for the same days must agree within {100 * AGREEMENT:g} %",
             )
         implied.append(product)

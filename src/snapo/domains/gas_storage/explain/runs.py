@@ -24,7 +24,7 @@ from snapo.study.prepare import case_of_run
 from ..contract.records import StorageCase
 from ..read.case import read_case
 
-FIXED = "snapo explain needs flows that are decided at the time of delivery: leave out this key"
+FIXED = "snapo explain needs flows that are decided at delivery: leave out this key"
 
 
 @dataclass(frozen=True, eq=False)
