@@ -71,7 +71,7 @@ class Spikes(NamedTuple):
 
     @property
     def _left(self) -> float:
-        """The decay; refuses spikes that do not die out."""
+        """The decay, limited to values with which spikes die out."""
         return min(max(self.decay, 1e-300), 1 - 1e-6)
 
 
