@@ -65,8 +65,8 @@ class JumpConstants(NamedTuple):
 
 
 class JumpStep(NamedTuple):
-    """The forward price, the volatility of the delivery day, the variance of the factor, and the
-    logarithm of the expectation of the spikes' effect."""
+    """The forward price, the volatility of the delivery day, the variance of the factor, and ln
+    E[exp y] of the spikes y."""
 
     forward: Array
     loading: Array

@@ -69,7 +69,7 @@ class RegimeConstants(NamedTuple):
 
 class RegimeStep(NamedTuple):
     """The forward price, the volatility of the delivery day, the variance of ln S without regimes,
-    and the logarithm of the expectation of the premium's effect."""
+    and ln E[exp(premium R)]."""
 
     forward: Array
     loading: Array

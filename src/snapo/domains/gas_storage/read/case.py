@@ -250,9 +250,9 @@ FORMATS = {
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
-    """The case in the TOML file `file`, whose tables `data` were read already.
+    """The case in the TOML file `file`; `data`: the tables of this file.
 
-    Other files are looked for next to it.
+    Other files are read from its folder.
 
     **Raises:** `CaseError` if a table, a file or a number is wrong, or if the contract cannot be
     met; nothing is written.

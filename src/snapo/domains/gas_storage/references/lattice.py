@@ -133,11 +133,11 @@ def _at_the_end(schedule, selected, dropped) -> LatticeResult:
 def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
-    A non-reverting factor with the same loading on all days, independent of the others, scales all
-    prices in proportion, if they are proportional to the curve; Without fixed or proportional
-    costs such a factor leaves the value unchanged (a change of numeraire), and with small costs
-    almost unchanged; a fixed payment for the gas left counts as a cost. It is dropped unless it is
-    the only factor.
+    If prices are proportional to the curve, a factor without mean reversion that has the same
+    loading on all days, and is independent of the others, scales all prices in proportion. Without
+    fixed or proportional costs such a factor does not change the value (a change of numeraire), and
+    with small costs it hardly does; a fixed payment for the gas left counts as a cost. The factor
+    is dropped unless it is the only one.
     """
     if len(schedule.steps.forward) == 0:
         return (0,)

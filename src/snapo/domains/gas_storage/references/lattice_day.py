@@ -30,9 +30,9 @@ def free_volumes(schedule, interpolation: Interpolation) -> Volumes:
 
 
 class DayDecisions(NamedTuple):
-    """One day's best decisions, and the nodes needed to follow them.
+    """The best decisions of one day, and the nodes to which they lead.
 
-    - `inventory`: [n] start-of-day grid; `nodes`: [m] end-of-day grid.
+    - `inventory`: [n] the grid at the start of the day; `nodes`: [m] the grid at its end.
     - `choice`: [n, columns] HOLD (the flow nearest to zero), UP and DOWN (the largest and the
       smallest net flow), BUY_TO or SELL_TO (a flow to the node of the column), MOVE_TO (a flow to a
       separate node).
