@@ -157,7 +157,7 @@ def test_derivatives_and_a_fixed_price(folder):
         ({"contract.emission": {"price": 14.0}}, "market.co2.*allowed only if"),
         ({"market.co2": None}, "market.co2.*is needed if"),
         ({"model.co2": None}, "model.co2.*is needed if"),
-        ({"model.correlation": [["power", "co2", 0.5]] * 2}, "model.correlation.*one entry for two"),
+        ({"model.correlation": [["power", "co2", 0.5]] * 2}, "model.correlation.*one entry for each pair"),
         (
             {
                 "model.correlation": [

@@ -24,7 +24,7 @@ BATTERY = Kind(
 )
 PARK_AND_LOAN = Kind(
     "park-and-loan",
-    "a park and loan at a pipeline or hub: gas delivered and taken back, or taken and returned",
+    "a park and loan service at a hub: gas delivered and taken back, or taken and returned",
     __name__,
     {"winter": "template_park_and_loan"},
     summary="summary:lines",

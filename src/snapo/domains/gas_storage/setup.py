@@ -73,7 +73,7 @@ def setup_at(setup: Setup, case: StorageCase) -> Setup:
 def rebuilt(problem: Problem) -> Problem:
     """The problem with the value table and the scales of features of its inputs.
 
-    The hedge, a control variate that no value depends on, is set to zero.
+    The hedge, a control variate on which no value depends, is set to zero.
     """
     problem = _bare(problem)
     values = {name: inputs.value for name, inputs in problem.inputs_by_name.items()}

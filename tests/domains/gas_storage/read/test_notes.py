@@ -26,7 +26,7 @@ NOTES = {
     "two quotes": (
         "2025-01-01,27.03",
         "2025-01,20\n2025-01-01,27.03",
-        ["curve.csv 2025-01-01 and 29 more days have a quote", "that of the day is used"],
+        ["curve.csv 2025-01-01 and 29 more days have a quote", "the quote for the day is used"],
     ),
     "paid late": (
         MARKET,

@@ -81,7 +81,7 @@ class FlatVolumes:
         self._limit_levels(self._least * self._effect, self._most * self._effect)
 
     def _volumes(self) -> tuple[np.ndarray, np.ndarray]:
-        """[T] the smallest and the largest volume of each step, with its sign."""
+        """[T] the smallest and the largest volume of each step, with their signs."""
         forced, free = np.asarray(self.terms.least), np.asarray(self.terms.most)
         if self._down is None:
             return forced[:, self._up], free[:, self._up]
@@ -90,7 +90,7 @@ class FlatVolumes:
         return lowest, np.where(down > 0, -down, free[:, self._up])
 
     def _limit_levels(self, least: np.ndarray, most: np.ndarray) -> None:
-        """Narrows the levels after each step to those that are reached."""
+        """Narrows the levels after each step to those that can be reached."""
         bottom = top = self.start
         for t in range(self.horizon):
             bottom, top = bottom + min(least[t], most[t]), top + max(least[t], most[t])
@@ -168,7 +168,7 @@ class FlatVolumes:
 
 
 class EnergyMethods(ContractMethods):
-    """The methods of any contract of energy."""
+    """The methods of any energy contract."""
 
     @cached_property
     def relaxation(self) -> EnergyRelaxation:

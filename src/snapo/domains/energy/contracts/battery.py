@@ -2,9 +2,9 @@
 
     earnings = sum over hours of discount x (d (efficiency out S - wear) - c S / efficiency in)
 
-c is stored and d taken from the store in an hour, both in energy in the store: c at most power in x
-efficiency in, d at most power out. A cycle is `energy` taken; the cycles of each calendar day, and
-of the whole term, may be limited.
+c is the energy stored in an hour, and d the energy taken from the store, both measured in the
+store: c is at most power in x efficiency in, and d at most power out. A cycle is `energy` taken;
+the cycles of each calendar day, and of the whole term, may be limited.
 """
 
 from collections.abc import Mapping, Sequence
@@ -80,7 +80,7 @@ class IntradayTable(CaseTable):
     plus the half spread, and sold at the spot price minus the half spread."""
 
     half_spread: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
-        "price of each MWh that differs from the schedule"
+        "half of the spread, paid for each MWh that differs from the schedule"
     )
 
 
@@ -88,7 +88,9 @@ class BatteryTable(HourlyContractTable):
     """`[contract]` of kind "battery"."""
 
     energy: CaseInput = ENERGY("largest energy in store")
-    stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)("energy at the start", 0.0)
+    stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)(
+        "energy in store at the start", 0.0
+    )
     charge: dict = doc(
         "power bought, in MW, and the share of it that is stored",
         allowed="a table like { power = 1.0, efficiency = 0.9 }",
@@ -105,7 +107,7 @@ class BatteryTable(HourlyContractTable):
     )
     auction: dict | None = doc("auctions that fix the flows of a block of hours", None, AUCTION)
     intraday: dict | None = doc(
-        "trade of differences from the schedule of an auction",
+        "terms of trading differences from the schedule of an auction",
         None,
         "a table like { half_spread = 2.0 }",
     )
@@ -121,7 +123,8 @@ class BatteryTable(HourlyContractTable):
 
 
 class BatteryContract(EnergyContract):
-    """The terms of a battery; see `BatteryTable`. `day_ends` [T]: the last hour of a local day."""
+    """The terms of a battery; see `BatteryTable`. `day_ends` [T]: whether an hour is the last one
+    of a local day."""
 
     energy: CaseInput
     stored: CaseInput

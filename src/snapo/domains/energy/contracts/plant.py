@@ -39,14 +39,15 @@ POWER = 0  # the flow
 class PlantContract(EnergyContract):
     """The terms of a plant.
 
-    - `min_power`, `max_power`: MW while the plant is on. `idle`, `rate`: fuel for an hour on, and
-      for a MWh of power.
-    - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price
-      (None if the price moves and is part of the index), and other costs of each MWh.
+    - `min_power`, `max_power`: MW while the plant is on. `idle`, `rate`: fuel for an hour in which
+      the plant is on, and for a MWh of power.
+    - `per_fuel`, `emission_price` [T], `other_cost` [T]: certificates for a unit of fuel, their
+      price (None if the price is random and part of the index), and other costs of each MWh of
+      power.
     - `start_money`, `start_fuel` [classes]: cost and fuel of a start; None if starts are free.
     - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
       is on.
-    - `start_limit`: how many starts there may be; 0 without a limit.
+    - `start_limit`: the largest number of starts; 0 without a limit.
     - `ramp`, `power_before`: the largest change in MW per hour, and MW in the hour before the first
       one; None without a ramp. `steps`: the possible powers with a ramp; `powers` [moves]: the
       power of each move.

@@ -27,11 +27,12 @@ STARTS = "a list like [{ off = 3, money = 2500.0, fuel = 60.0 }]"
 
 
 class PowerTable(CaseTable):
-    """{ market = "power", min = 50.0, max = 110.0, ramp = 60.0 }: MW in an hour on."""
+    """{ market = "power", min = 50.0, max = 110.0, ramp = 60.0 }: limits of the power, in MW, while
+    the plant is on."""
 
     market: Literal["power"] = doc("market in which the power is sold", "power")
-    min: CaseInput = POWER("minimum power in an hour on", 0.0, name="power_min")
-    max: CaseInput = POWER("largest power in an hour on", range=POSITIVE, name="power_max")
+    min: CaseInput = POWER("minimum power while the plant is on", 0.0, name="power_min")
+    max: CaseInput = POWER("largest power while the plant is on", range=POSITIVE, name="power_max")
     ramp: CaseInput | None = POWER(
         "largest change of the power from one hour to the next", None, range=POSITIVE, name="ramp"
     )
@@ -41,7 +42,9 @@ class FuelTable(CaseTable):
     """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: MWh of fuel burnt."""
 
     market: Literal["gas"] = doc("market in which the fuel is bought", "gas")
-    idle: CaseInput = FUEL("fuel for each hour on, at any power", 0.0, name="fuel_idle")
+    idle: CaseInput = FUEL(
+        "fuel for each hour in which the plant is on, at any power", 0.0, name="fuel_idle"
+    )
     per_mwh: CaseInput = RATE("fuel for each MWh of power", name="fuel_per_mwh")
 
 
@@ -86,11 +89,11 @@ class PowerPlantTable(HourlyContractTable):
     """`[contract]` of kind "plant"."""
 
     power: dict = doc(
-        "power in an hour on, in MW",
+        "power while the plant is on, in MW",
         allowed='a table like { market = "power", min = 50.0, max = 110.0 }',
     )
     fuel: dict = doc(
-        "fuel for an hour on and for the power, in MWh",
+        "fuel for each hour in which the plant is on, and for the power, in MWh",
         allowed='a table like { market = "gas", idle = 45.0, per_mwh = 1.6 }',
     )
     emission: dict | None = doc(
@@ -102,8 +105,12 @@ class PowerPlantTable(HourlyContractTable):
     starts: list[Any] = doc(
         "classes of starts by hours off; without classes starts are free", [], STARTS
     )
-    min_up: int = doc("smallest number of hours on after a start", 1, HOURS, ge=1, le=LONGEST)
-    min_down: int = doc("smallest number of hours off after a stop", 1, HOURS, ge=1, le=LONGEST)
+    min_up: int = doc(
+        "smallest number of hours that the plant stays on after a start", 1, HOURS, ge=1, le=LONGEST
+    )
+    min_down: int = doc(
+        "smallest number of hours that the plant stays off after a stop", 1, HOURS, ge=1, le=LONGEST
+    )
     most_starts: int | None = doc(
         "largest number of starts in the term", None, "a whole number of starts, 1 or more", ge=1
     )
@@ -185,7 +192,7 @@ def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) ->
 
 
 def _too_many(where: TableContext, power: PowerTable) -> CaseError:
-    """The error of a plant with too many modes on."""
+    """The error for a plant with too many modes in which it runs."""
     ramp = None if power.ramp is None else float(power.ramp.values[0])
     message = (
         f"the plant has more than {MODES} states in which it runs, by hours and power; a larger "
@@ -217,6 +224,6 @@ def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
             )
             raise where.error("starts.1.off", start.off, message)
         if i and start.off <= starts[i - 1].off:
-            message = f"it must be more than in the class before, {starts[i - 1].off}"
+            message = f"it must be more than that of the class before, {starts[i - 1].off}"
             raise where.error(f"starts.{i + 1}.off", start.off, message)
     return starts

@@ -42,8 +42,8 @@ class PowerSteps(NamedTuple):
     """All steps of the power of a plant.
 
     - `steps`: the steps; `of_before`: the step before the first hour, -1 if the plant is off.
-    - `at_ends` [steps]: whether a plant may start at it and stop from it.
-    - `next` [steps]: the steps that can follow each.
+    - `at_ends` [steps]: whether a plant may start with this power and stop from it.
+    - `next` [steps]: the steps that can follow each step.
     - `conditions`: rows whose products with (min, max, ramp, before) are at least zero as long as
       the other fields are valid.
     """

@@ -159,7 +159,8 @@ class StoresContract(EnergyContract):
         return DailyFlows(into, out, net_in, net_out)
 
     def _limits(self, at: NumbersOf) -> tuple[Array, Array]:
-        """[T + 1, stores] the least and the most in store at the start of a day, and at the end."""
+        """[T + 1, stores] the smallest and the largest inventory at the start of each day, and at
+        the end."""
         low, high = (xp.stack([at(x.limits[side]) for x in self.stores], axis=1) for side in (0, 1))
         for k, store in enumerate(self.stores):
             if store.end is not None:
@@ -233,8 +234,8 @@ def _by_step(*parts: Array) -> Array:
 
 
 def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> FeasibleSets:
-    """[T + 1] at the start of each day, and at the end. Without transfers nothing must be injected:
-    limits are then kept by withdrawing, or by no flow."""
+    """The feasible sets [T + 1] at the start of each day, and at the end. Without transfers nothing
+    must be injected: limits are then kept by withdrawing, or by no flow."""
 
     def tight(low: Array, high: Array, bottom: Array, top: Array) -> FeasibleSets:
         bottom, top = xp.maximum(bottom, xp.sum(low)), xp.minimum(top, xp.sum(high))
@@ -262,8 +263,8 @@ def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> Fe
 
 def layout_of(names: Sequence[str], unit: str, joint: bool, transfers: bool) -> ContractLayout:
     """The inventories and, with joint limits, the joint flow of the day; and one flow into and one
-    out of each store. Without transfers the first store decides whether the day is one of
-    injections."""
+    out of each store. Without transfers the first store decides whether the day is for injections
+    or for withdrawals."""
     levels = [Level(name, unit) for name in names] + [Level(JOINT_FLOW, unit)] * joint
     flows = []
     for k, name in enumerate(names):

@@ -130,7 +130,7 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
         raise inner.error("end_value", table.end_value, NOTHING)
     costs = table.injection_cost, table.withdrawal_cost, table.inventory_cost
     if market.settlement != "flow" and any(np.any(x.values) for x in costs):
-        message = 'with costs, which are paid on the day of the flow, it must be "flow"'
+        message = 'if a store has costs, which are paid on the day of the flow, it must be "flow"'
         raise CaseError(str(where.file), "market.settlement", str(market.settlement), message)
     return NamedTable(path.stem, table, inner)
 

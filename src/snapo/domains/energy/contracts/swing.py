@@ -208,7 +208,9 @@ class SwingContract(EnergyContract):
         if not self.layout.indexed:
             return prices
         if prices.calendar:
-            message = "with an indexed strike flows are fixed on their own day; leave out this key"
+            message = (
+                "with an indexed strike, flows are fixed on the day of the flow; leave out this key"
+            )
             raise where.error("nomination", None, message)
         if prices.kind not in ONE_FACTOR:
             allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
@@ -222,7 +224,7 @@ class SwingContract(EnergyContract):
             message = f"the index of {first:%Y-%m} was fixed before today: specify it as `fixing`"
             raise where.error("strike.fixing", None, message)
         if self.fixing is not None and delivery.valuation < month - datetime.timedelta(1):
-            message = f"the index of {first:%Y-%m} is fixed on the last day before that month"
+            message = f"the index of {first:%Y-%m} is not fixed yet: leave out this key"
             raise where.error("strike.fixing", float(self.fixing.values[0]), message)
         return indexed(prices, delivery, self.fixing)
 

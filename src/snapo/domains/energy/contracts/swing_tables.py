@@ -32,14 +32,15 @@ SHORTFALL = '"firm", "strike", or a price of each unit such as 6.0'
 
 
 class AnnualTable(CaseTable):
-    """{ min = 200.0, max = 300.0 }: of each contract year."""
+    """{ min = 200.0, max = 300.0 }: limits of the volume in each contract year."""
 
     min: CaseInput = ANNUAL("minimum volume of a contract year", 0.0, name="annual_min")
     max: CaseInput | None = ANNUAL("maximum volume of a contract year", None, name="annual_max")
 
 
 class RightsTable(CaseTable):
-    """{ most = 100, rest = 5 }: days on which a volume may be taken, and days between them."""
+    """{ most = 100, rest = 5 }: the number of days on which a volume may be taken, and the days of
+    rest between them."""
 
     most: int = doc(
         "largest number of days on which a volume is taken",
@@ -55,8 +56,8 @@ class RightsTable(CaseTable):
 
 
 class MakeUpTable(CaseTable):
-    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up within that
-    number of years."""
+    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and may be made up within
+    that number of years."""
 
     years: int = doc(
         "number of contract years in which missing units may be made up", 1,
@@ -72,7 +73,7 @@ class MakeUpTable(CaseTable):
 
 
 class CarryTable(CaseTable):
-    """{ years = 1, max = 8.0 }: units above the minimum lower that of the next year."""
+    """{ years = 1, max = 8.0 }: units above the minimum lower the minimum of the next year."""
 
     years: int = doc(
         "number of contract years in which units carried forward count",
@@ -91,7 +92,7 @@ class IndexTable(CaseTable):
     """{ index = "month-ahead", factor = 1.0, add = 0.25 }: an indexed strike."""
 
     index: Literal["month-ahead"] = doc(
-        "index of the strike: the mean forward price of the month on the day before it"
+        "index of the strike: the mean forward price of a month on the last day before it"
     )
     factor: CaseInput = FACTOR("factor of the index in the strike", 1.0, name="strike_factor")
     add: CaseInput = ADDED("amount added to the index in the strike", 0.0, name="strike_add")
@@ -286,7 +287,9 @@ def _check_bank(
     made_up, carried = clauses
     key = "carry_forward" if made_up is None else "make_up"
     if limits[0] is None:
-        raise where.error(key, None, "this clause needs a minimum, annual = { min = 200.0 }")
+        raise where.error(
+            key, None, "this clause needs an annual minimum, such as annual = { min = 200.0 }"
+        )
     if table.rights is not None:
         raise where.error(key, None, "this clause cannot be combined with rights")
     minimum, units = float(limits[0].values[0]), [0.0, 0.0]

@@ -41,7 +41,7 @@ class Bank(NamedTuple):
         return Bank(*(x[t] for x in self))
 
     def owed(self, balances: Sequence[Any], positive: Callable) -> Any:
-        """The minimum of a period itself, less the units carried forward to it."""
+        """The minimum of a period, minus the units carried forward to it."""
         return self.minimum - positive(-balances[0])
 
     def made_up(self, counted: Any, balances: Sequence[Any], positive: Callable) -> Any:

@@ -50,7 +50,7 @@ class EnergyFlow(NamedTuple):
 
 
 class ContractMove(NamedTuple):
-    """A passage through one step.
+    """A way through one step.
 
     - `name`: its name in reports; `before`, `after`: the modes.
     - `flows`: indices of the flows that may be above zero; a method that compares volumes uses at
@@ -165,12 +165,12 @@ class ContractLayout(NamedTuple):
 
     @property
     def effects(self) -> np.ndarray:
-        """[flows, levels]"""
+        """[flows, levels] the effect of a unit of each flow on each level."""
         return np.array([flow.effects for flow in self.flows])
 
     @property
     def changes(self) -> np.ndarray:
-        """[moves, levels]"""
+        """[moves, levels] the change of each level by each move."""
         return np.array([move.changes for move in self.every_move])
 
 

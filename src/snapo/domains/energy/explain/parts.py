@@ -137,7 +137,7 @@ def explained_change(
     flows: Any = None,
     cash: float | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value; `cash`: the actual cash of the days between.
+    """The parts of the change of value; `cash`: the actual cash flow between the two dates.
 
     **Raises:** `CaseError` if the second run cannot follow the first one.
     """
@@ -282,7 +282,7 @@ def curves_of(case: EnergyCase) -> dict[str, CaseInput]:
 
 
 def with_curves(case: EnergyCase, curves: dict[str, CaseInput]) -> EnergyCase:
-    """The case with other forward prices of these names."""
+    """The case in which the forward prices with these names are replaced."""
     market, model = (with_numbers(x, curves) for x in (case.market, case.model))
     return replace(case, market=market, model=model)
 

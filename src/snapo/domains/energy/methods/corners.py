@@ -1,4 +1,4 @@
-"""Nodes around levels between them, and their weights."""
+"""The nodes around levels between nodes, and their weights."""
 
 from collections.abc import Sequence
 

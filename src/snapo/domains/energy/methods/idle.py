@@ -1,6 +1,7 @@
 """Idle levels: levels whose limits no plan can reach, so that nothing depends on them.
 
-They have one node. With a node for each volume, the grids of other levels would be coarser.
+Idle levels have one node. If they had a node for each volume, the grids of other levels would be
+coarser.
 """
 
 from typing import Any
@@ -15,7 +16,7 @@ NEAR = 1e-9  # of the largest volume
 def idle_levels(
     layout: ContractLayout, terms: StepTerms, intervals: Any, start: np.ndarray
 ) -> tuple[bool, ...]:
-    """[levels] whether a level is idle; none is if levels have money or joint obligations."""
+    """[levels] whether a level is idle; no level is if levels have money or joint obligations."""
     if layout.banks or terms.promises is not None or terms.of_levels is not None:
         return (False,) * len(layout.levels)
     numbers, count = (layout, terms, intervals), len(layout.levels)

@@ -57,7 +57,7 @@ class FirstDate(NamedTuple):
     weights: np.ndarray
 
     def expect(self, value: np.ndarray) -> np.ndarray:
-        """[n, g x f] -> [n, 1]"""
+        """The expectation: [n, g x f] -> [n, 1]."""
         return value @ self.weights[:, None]
 
 

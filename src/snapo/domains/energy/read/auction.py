@@ -27,8 +27,8 @@ class AuctionTable(CaseTable):
 
 
 def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
-    """The hours, each decided at its auction; unchanged without `auction` in `table`, the table
-    `[contract]`.
+    """The hours, each of which is decided at its auction; unchanged if `table`, the table
+    `[contract]`, has no `auction`.
 
     **Raises:** `CaseError` if the times of the auctions are not allowed.
     """

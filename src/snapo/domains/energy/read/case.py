@@ -90,7 +90,7 @@ class EnergyTable(CaseTable):
     objective: ObjectiveKey
     training: TrainingKey
     evaluation: EvaluationKey
-    products: dict | None = doc("hedge products", None, "the table [products], of a daily contract")
+    products: dict | None = doc("hedge products", None, "the table [products] of a daily contract")
     report: ReportKey
 
 

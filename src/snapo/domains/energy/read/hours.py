@@ -1,4 +1,4 @@
-"""Hours of the local calendar: steps of a contract, their prices and times."""
+"""Hours of the local calendar: the steps of a contract, with their prices and times."""
 
 import datetime
 import re
@@ -96,7 +96,7 @@ class Hours:
 
     @property
     def dates(self) -> tuple[datetime.date, ...]:
-        """[T + 1] the date of each hour, and of the end."""
+        """[T + 1] the date of each hour, and the end date."""
         return (*self.days, self.end)
 
     @property
@@ -191,9 +191,7 @@ def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
         place = seen[label]
         seen[label] += 1
         if place >= len(by_hour.get(label, ())):
-            message = (
-                f"there is no price for this hour; one is needed for each from {first} to {last}"
-            )
+            message = f"there is no price for this hour; each hour from {first} to {last} needs one"
             raise CaseError(file, label, None, message)
         prices.append(by_hour[label][place])
     for label, of_hour in by_hour.items():
@@ -228,8 +226,8 @@ def dated_curve(
     dates = sorted(set(hours.days))
     for day in dates:
         if day not in by_day:
-            message = f"there is no price for this day; one is needed for each from {dates[0]} to "
-            raise CaseError(file, day.isoformat(), None, f"{message}{dates[-1]}")
+            message = f"there is no price for this day; each day from {dates[0]} to "
+            raise CaseError(file, day.isoformat(), None, f"{message}{dates[-1]} needs one")
     labels = [day.isoformat() for day in dates]
     curve = _input(name, [by_day[day] for day in dates], labels, unit, "day")
     return replace(curve, index=np.array([dates.index(day) for day in hours.days]))

@@ -31,10 +31,10 @@ class PowerMarketTable(CaseTable):
 
 
 class GasMarketTable(CaseTable):
-    """`[market.gas]` or `[market.co2]`, certificates of emissions."""
+    """`[market.gas]`, or `[market.co2]` for emission certificates."""
 
     forward_curve: Nonempty = doc(
-        "price today by day or hour of delivery, in currency/MWh or currency for a certificate",
+        "price today by day or hour of delivery, in currency/MWh, or in currency per certificate",
         allowed="a CSV file with columns date,price (by day) or time,price (by hour)",
     )
 
@@ -148,7 +148,7 @@ def _correlations(section: TableContext, entries: list[Any], names: list[str]) -
     result: dict[frozenset, tuple[float, Any]] = {}
     allowed = CORRELATIONS
     if len(names) > 2:
-        allowed += f", one entry for two of {', '.join(names)}"
+        allowed += f", with one entry for each pair of {', '.join(names)}"
     for i, entry in enumerate(entries):
         if len(entries) > len(names) * (len(names) - 1) // 2 or not isinstance(entry, list):
             raise section.error("correlation", entries, f"it must be {allowed}")

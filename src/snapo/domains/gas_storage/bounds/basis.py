@@ -75,7 +75,8 @@ class PolynomialBasis:
         return np.append(mean, 1.0) if self.common else mean
 
     def functions(self, states: np.ndarray, first: int = 0) -> np.ndarray:
-        """[days, K, paths] on days first, first + 1 …, from their factors [days, F, paths]."""
+        """[days, K, paths] the functions on days first, first + 1 …, from the factors [days, F,
+        paths]."""
         days = np.arange(first, first + len(states))
         result = self.of_whitened(self._whitened(states, days), days)
         return self._assemble(result, self._level(states, days))
@@ -184,12 +185,12 @@ class PolynomialBasis:
         return result[1][result[2].ravel()]
 
     def key(self) -> tuple:
-        """Equal for bases with the same functions of the same factors."""
+        """A key that is equal for bases with the same functions of the same factors."""
         numbers = self.of.transition, self.of.shock, self._common_loading
         return self.selected, self.common, *(x.tobytes() for x in numbers), self.of.decay.shape
 
     def back(self, t: int) -> np.ndarray:
-        """[kept, kept] the factors of day t per unit of the whitened ones."""
+        """[kept, kept] the factors of day t per unit of the whitened factors."""
         return self._cholesky[t]
 
     def level_deviation(self, days: np.ndarray | int) -> np.ndarray:
@@ -287,7 +288,7 @@ def hinges(count: int) -> np.ndarray:
 
 
 def _degree(powers: np.ndarray) -> np.ndarray:
-    """[n] total degrees."""
+    """[n] the total degrees."""
     return powers.sum(axis=1)
 
 

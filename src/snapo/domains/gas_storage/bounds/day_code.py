@@ -177,7 +177,7 @@ class _Day:
         self.column = ""  # the first of the block
 
     def write(self) -> None:
-        """All blocks of columns."""
+        """Writes the code for all blocks of columns."""
         code = self.code
         more = code.index(f"add i64 %columns, {WIDTH - 1}")
         final = code.index(f"sub i64 %columns, {WIDTH}")
@@ -195,7 +195,7 @@ class _Day:
                 self._set_row("value", row.i, code.sub(self._row("value", row.i), cost))
 
     def _lines(self, side: str) -> None:
-        """The value minus that of the gas, and maxima of rows."""
+        """The value minus the value of the gas, and the maxima of rows."""
         code, scratch = self.code, f"{side}_scratch"
         price = self._row(f"{side}_price", "0")
         with code.loop("%goals") as node:

@@ -122,7 +122,7 @@ def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np
 def days_between(
     schedule, day_rates: list[DayRates], nodes: list[np.ndarray], bends: bool
 ) -> list[DayGrid]:
-    """All T days between T + 1 grids; days with equal moves share their flows."""
+    """The T days between T + 1 grids; days with equal moves share their flows."""
     flows: dict[tuple[bytes, ...], DayFlows] = {}
     days = []
     for t in range(len(day_rates)):

@@ -113,7 +113,7 @@ class SpikeBasis:
         return (np.stack(parts, axis=-1) * self.spikes.moment(self.exponents)).reshape(after.shape)
 
     def key(self) -> tuple:
-        """Equal for bases with the same functions of the same factors and spikes."""
+        """A key that is equal for bases with the same functions of the same factors and spikes."""
         return *self.inner.key(), *self.spikes[:-1], self.spikes.compensator.tobytes()
 
     @cached_property

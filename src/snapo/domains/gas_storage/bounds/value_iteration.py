@@ -219,7 +219,7 @@ class InnovationTable(NamedTuple):
 
 
 def innovation_table(fitted_value: FittedValue, levels: int = INNOVATION_LEVELS) -> InnovationTable:
-    """The table of a fitted value."""
+    """The table of the innovations of a fitted value."""
     available, dates = fitted_value.regression, len(fitted_value.nodes)
     basis = available.basis
     low, high = (np.array([nodes[end] for nodes in fitted_value.nodes]) for end in (0, -1))

@@ -85,7 +85,7 @@ def _more(run: StudyRun) -> dict[str, Any]:
 
 
 def show_certificate(run: StorageRun, result: StorageCertificate) -> list[Block]:
-    """Key figures, the adjoint against bumps, and every limit."""
+    """Key figures, a table of derivatives against bumps, and a table of all limits."""
     facts = _facts(run, result)
     return [
         *([Facts(facts)] if facts else []),
@@ -145,7 +145,7 @@ def assumptions(run: StorageRun) -> Section:
 
 
 def _volatility(run: StorageRun) -> tuple[str, str, str]:
-    """The row on volatilities, of prices in money or of their logarithm."""
+    """The row on volatilities: of prices in money, or of their logarithm."""
     unit = next((x.unit for x in run.inputs.values() if x.group == "volatility"), "")
     if unit in ("", VOLATILITY.unit):
         return (
@@ -171,6 +171,7 @@ def _glossary(run: StorageRun) -> Table:
             "reacting; a diagnostic"),
         _volatility(run),
         ("±", "", "half of the 95 % interval of an estimate, simulation error only"),
-        ("Cycles", "", "volume injected over the life, divided by the working volume"),
+        ("Cycles", "", "volume injected over the life of the contract, divided by the working "
+            "volume"),
     ]  # fmt: skip
     return Table([("Term", ""), ("Unit", ""), ("Meaning", "")], rows, "Terms and units", 3)

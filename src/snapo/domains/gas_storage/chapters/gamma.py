@@ -153,7 +153,7 @@ def show(run: RunFiles, result: ProductGammas) -> Sequence[Block]:
         Column("Price", "price", digits=4),
         Column("Bump", "bump", digits=3),
         Column("Gamma", lambda x: WithError(x.gamma, x.standard_error), unit),
-        Column("All prices 1 % up", lambda x: WithError(x.scaled, x.scaled_error),
+        Column("All prices + 1 %", lambda x: WithError(x.scaled, x.scaled_error),
                result.volume_unit),
     ]  # fmt: skip
     of_pairs = [

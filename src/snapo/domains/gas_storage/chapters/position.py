@@ -81,7 +81,7 @@ class Position:
 
 
 def measure(run: StudyRun) -> Position:
-    """The store under the trained policy; writes decisions.csv."""
+    """The store operated by the trained policy; writes decisions.csv."""
     setup, solution = run.setup, run.solution
     problem, case, policy = setup.problem, case_of(setup), policy_of(solution)
     horizon, steps = problem.simulator.horizon, problem.schedule.steps
@@ -112,13 +112,14 @@ def measure(run: StudyRun) -> Position:
 
 
 def working_volume(case: StorageCase) -> float:
-    """The widest span of the inventory limits."""
+    """The largest difference between the inventory limits of a day."""
     contract = case.contract
     return float(contract.max_inventory.used().max() - contract.min_inventory.used().min())
 
 
 def _by_price(problem: Problem, case: StorageCase, policy: StoragePolicy, levels: np.ndarray):
-    """Header and rows of decisions.csv: the first day's decision by spot price and inventory."""
+    """Header and rows of decisions.csv: the decision of the first day by spot price and
+    inventory."""
     forward = problem.schedule.steps.forward[:1]
     around = forward * np.linspace(0.5, 1.5, PRICES)
     if not case.model.proportional:

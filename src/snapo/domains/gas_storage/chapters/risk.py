@@ -293,7 +293,7 @@ def _model_sliders(run: StorageRun) -> list[Slider]:
 
 
 def _slider(metadata: ReportedInput, label: str, slope: float) -> Slider:
-    """A slider over ten standard moves to either side; `slope` is per unit of the input."""
+    """A slider over `SPAN` standard moves to either side; `slope` is per unit of the input."""
     span = SPAN * metadata.trade_move
     step = span / 20
     slope *= metadata.move / metadata.trade_move

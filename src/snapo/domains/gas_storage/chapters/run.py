@@ -16,7 +16,7 @@ SPAN = 10
 
 @dataclass(frozen=True)
 class InputEntry:
-    """An input in run.json: its metadata in its own unit."""
+    """An input in run.json: its metadata, in the unit of the input."""
 
     words: str = ""
     group: str = ""
@@ -78,7 +78,7 @@ class StorageRun(RunFiles):
 
     @property
     def days(self) -> list[str] | None:
-        """Decision days [T], ISO."""
+        """The decision days [T], as ISO dates."""
         return self.get("days") or self.profile.get("date") or None
 
     @property

@@ -27,7 +27,7 @@ ROWS = 16  # of the table, about
 
 @dataclass(frozen=True)
 class LevelDecision:
-    """The first day's decision at one inventory and the forward price.
+    """The decision of the first day at one inventory and the forward price.
 
     - `inject_below`, `withdraw_above`: trigger prices; `action`: "inject", "withdraw" or "hold";
       `volume`: the volume of the action, not negative.
@@ -45,7 +45,7 @@ class FirstDecision(LevelDecision):
     """The decision at the inventory in store, and in `ladder` at other inventories over the
     reachable range.
 
-    - `date`: the date of the first decision, ISO; `spot`: the price that it refers to.
+    - `date`: the ISO date of the first decision; `spot`: the spot price of the decision.
     - `marginal_value`: the marginal value of one more unit in store, from the adjoint; NaN without
       sensitivities.
     """
@@ -109,7 +109,8 @@ def _decisions(
 
 
 def today(setup: Setup, policy: StoragePolicy) -> Today:
-    """The first day's decision at the forward price, by inventory in store, for the live page."""
+    """The decision of the first day at the forward price, by inventory in store, for the live
+    page."""
     problem, case = setup.problem, case_of(setup)
     here, stock = levels_of(problem.schedule)
     prices = triggers(problem, policy, np.zeros(len(stock), int), stock)

@@ -119,7 +119,8 @@ def measure(run: StudyRun) -> ContractValues:
 
 
 def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
-    """Intrinsic, the starting rule, the trained policy, the reference, and after fixed costs."""
+    """The values: intrinsic, of the starting rule, of the trained policy, the reference, the bound,
+    and after fixed costs."""
     engine = run.setup.engines.evaluate
     starting = evaluate(
         on_independent_paths(run.setup), policy_of(solution).value_rule, paths=PATHS, engine=engine
@@ -169,14 +170,14 @@ def _distribution(cash: np.ndarray) -> CashFlow:
 
 
 def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
-    """Every value of the same contract on the same curve, from the lowest to the best."""
+    """Every value of the same contract at the same curve, from the lowest to the highest."""
     values = result.value_of
     if not values:
         return [why_missing(run, VALUES.name)]
     digits, bars = decimals([x.value for x in values]), ladder_bars(run, values)
     caption = (
-        "Present values of the same contract on the same curve. The value of any policy without "
-        "foresight is a lower bound on the optimum."
+        "Present values of the same contract at the same forward curve. The value of any policy "
+        "without foresight is a lower bound on the optimum."
     )
     rows = [
         (x.name, x.note, number(x.value, digits), plus_minus(x.standard_error, digits))
@@ -192,7 +193,7 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
 
 
 def ladder_bars(run: StorageRun, values: Sequence[ContractValue]) -> list[charts.LadderBar]:
-    """The bars of the ladder; the bar of the headline's value is highlighted."""
+    """The bars of the ladder; the bar with the value of the headline is highlighted."""
     digits, headline = decimals([x.value for x in values]), run.result.value
     strong = next((i for i, x in enumerate(values) if x.value == headline), None)
     return [

@@ -124,7 +124,7 @@ def _between(inventory, levels, rates):
 
 
 def _longest(low, high, some, touches):
-    """Joins neighbouring pieces that touch, and keeps the longest run."""
+    """Joins neighbouring pieces that touch, and selects the longest joined piece."""
     enters, leaves = touches
     joined = xp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])
     # A run begins at its last piece that is not joined to the one before.

@@ -282,7 +282,7 @@ def storage_inputs(case: StorageCase) -> dict[str, Input]:
 
 
 def numbers_by_name(case: StorageCase) -> dict[str, CaseInput]:
-    """{name: CaseInput} of the same numbers, as they are in the case."""
+    """{name: CaseInput} of the numbers of the case."""
     return by_name(numbers_of(case))
 
 

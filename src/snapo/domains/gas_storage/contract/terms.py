@@ -121,7 +121,8 @@ def end_interval(contract: Contract, at: NumbersOf) -> tuple[Any, Any]:
 def per_day(
     contract: Contract, at: NumbersOf, limits: InventoryLimits, low: Any, high: Any
 ) -> dict:
-    """The numbers of each `Day` that the contract has; `low`, `high` [T + 1]: `reachable`."""
+    """The numbers of each `Day` that come from the contract; `low`, `high` [T + 1]: from
+    `reachable`."""
     names = set(InventoryLimits._fields) & set(Day._fields)
     return {
         **{name: getattr(limits, name) for name in names},
@@ -189,7 +190,7 @@ def value_without_decisions(case: StorageCase) -> float:
     been refused.
     """
     if case.days:
-        raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")
+        raise ValueError(f"{case.file}: {len(case.days)} decision days are left; this needs none.")
     if case.expired:
         return 0.0
     inventory = float(case.contract.inventory.used())

@@ -196,7 +196,7 @@ class ChangeChain(abc.ABC):
         return now
 
     def row(self, name: str, amount: float, error: float | None, note: str) -> None:
-        """Adds a part."""
+        """Adds a part with its amount, error and note."""
         row = ChangePart(name, "", round(amount, self.digits) + 0.0, error, note)
         self.rows.append(row)
         self._total(row)

@@ -77,7 +77,7 @@ def backtest(
     notes: list[str] = []
     first = solved_on(file, data, None, None, None)
     if first.case.model.calendar:
-        message = "a back-test decides each flow on its own day; leave out this key"
+        message = "a back-test decides each flow on the day of the flow; leave out this key"
         raise CaseError(str(file), "contract.nomination", None, message)
     observed = read_observed(history, first.case.model.proportional, notes)
     if policy is not None:
@@ -99,7 +99,7 @@ def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
     try:
         policy = load_policy(run / POLICY, Policy, like)
     except (PolicyFileError, OSError) as error:
-        message = "this is not a policy of this case"
+        message = "this policy does not fit this case"
         raise CaseError(str(run / POLICY), "", None, f"{message} ({error})") from None
     assert isinstance(policy, StoragePolicy)
     return policy

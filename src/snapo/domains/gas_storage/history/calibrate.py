@@ -217,7 +217,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     if "value" in answer:
         value = answer["value"]
         yield (
-            f"value of the run: ± {value['half_width']:,.4g} (95 %) due to the errors of these "
+            f"value of the run: ± {value['half_width']:,.4g} (95 %) from the errors of these "
             "parameters"
         )
-    yield f"table for a case: {answer['folder'] / TABLE}"
+    yield f"table [model] for a case: {answer['folder'] / TABLE}"

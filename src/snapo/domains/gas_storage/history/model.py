@@ -87,7 +87,7 @@ class HistoryModel:
         return np.array([1.0 if name in pure else self.unit for name in self.names])
 
     def numbers(self, variables: Float[Array, " P"]) -> Float[Array, " P"]:
-        """The parameters of unbounded variables."""
+        """The parameters that belong to unbounded variables."""
         roles = [parameter.role for parameter in self.parameters]
         positive = np.array([role == POSITIVE for role in roles])
         bounded = np.array([role == CORRELATION for role in roles])
@@ -97,7 +97,7 @@ class HistoryModel:
         return jnp.where(bounded, jnp.tanh(clipped), numbers * self.units())
 
     def variables(self, numbers: np.ndarray) -> np.ndarray:
-        """The unbounded variables of parameters."""
+        """The unbounded variables that belong to parameters."""
         table = {POSITIVE: np.log, CORRELATION: np.arctanh}
         scaled = np.asarray(numbers, np.float64) / self.units()
         return np.array([

@@ -29,10 +29,10 @@ class ForwardQuote(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ObservedMarket:
-    """Prices of a folder, by date.
+    """The prices in a folder, by date.
 
     - `folder`; `spot_days`, `spot_prices`: rising dates, and the spot price of each.
-    - `curve_days`, `curves`: rising dates, and the quotes of each; empty without a file of curves.
+    - `curve_days`, `curves`: rising dates, and the quotes on each; empty without a file of curves.
     """
 
     folder: Path

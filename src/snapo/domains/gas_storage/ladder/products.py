@@ -31,7 +31,7 @@ COLUMNS = ("name", "first", "last", "bid_offer", "lot", "last_trading_day")
 
 
 class DayAheadTable(CaseTable):
-    """`products.day_ahead`: the day itself, at its spot price."""
+    """`products.day_ahead`: the trading day itself, at its spot price."""
 
     bid_offer: Annotated[float, Range(0.0, note=f": the {SPREAD}")] = doc(
         "bid-offer spread, in currency/volume_unit", 0.0
@@ -63,7 +63,9 @@ FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 
 class ProductsTable(CaseTable):
     """`[products]`: the traded products; a family that is left out is not traded."""
 
-    day_ahead: dict = doc("spot market of the day itself", {}, "a table like { bid_offer = 0.05 }")
+    day_ahead: dict = doc(
+        "spot market of the trading day itself", {}, "a table like { bid_offer = 0.05 }"
+    )
     balance_of_month: dict | None = doc(
         "the days of the month after the trading day", None, "a table like { lot = 10.0 }"
     )
@@ -180,7 +182,7 @@ class TradedProducts:
         return tuple(rows)
 
     def blocks(self, t: int) -> tuple[TradeBlock, ...]:
-        """The same products without names."""
+        """The products of `named`, without their names."""
         return tuple(row.block for row in self.named(t))
 
     def _trading(self, today: datetime.date) -> list[TradedProduct]:

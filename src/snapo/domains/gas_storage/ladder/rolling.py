@@ -125,7 +125,7 @@ class Link(NamedTuple):
 
 
 class Infeasible(ValueError):
-    """No flat volumes over the products meet the contract."""
+    """No volumes that are equal on all days of each product satisfy the contract."""
 
 
 @dataclass(eq=False)

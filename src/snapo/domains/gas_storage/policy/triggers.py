@@ -55,9 +55,9 @@ def triggers(
 
 
 def spots_around(problem: Problem, forward: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """[n, shares] spot prices around the forward prices [n], at shares from -1 to 1 of the widest
-    range. This range is exp(-1) to exp(1) times the forward price, unless
-    `PriceProcess.price_spread` gives another one."""
+    """[n, shares] spot prices around the forward prices [n], at shares from -1 to 1 of a range.
+    This range is exp(-1) to exp(1) times the forward price, unless `PriceProcess.price_spread`
+    gives another one."""
     simulator = simulator_of(problem)
     values = {name: item.value for name, item in problem.inputs_by_name.items()}
     spread = simulator.process.price_spread(simulator.curve.in_numpy(values), values)

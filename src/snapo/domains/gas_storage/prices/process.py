@@ -296,7 +296,7 @@ def use(inputs: dict[str, Any], series: CaseInput | Use):
 
 
 def in_numpy(values: Mapping[str, np.ndarray], series: CaseInput | Use) -> np.ndarray:
-    """The same numbers in NumPy."""
+    """The numbers of an input in the form in which they are used, in NumPy."""
     return (series if isinstance(series, Use) else series.use()).in_numpy(values)
 
 

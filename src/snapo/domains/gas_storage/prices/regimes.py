@@ -41,7 +41,9 @@ class RegimeTable(SingleFactorTable):
     kind: Literal["regimes"] = doc("one factor in a market that is calm or tight")
     tightens: CaseInput = PROBABILITY("probability per day that a calm market becomes tight")
     eases: CaseInput = PROBABILITY("probability per day that a tight market becomes calm")
-    premium: CaseInput = PREMIUM("logarithm of the ratio of a tight market's price to a calm one's")
+    premium: CaseInput = PREMIUM(
+        "logarithm of the ratio of the price in a tight market to that in a calm market"
+    )
 
 
 class RegimeState(NamedTuple):

@@ -23,7 +23,7 @@ PATHS = "the name of a .npy or .parquet file"
 class SuppliedTable(CaseTable):
     """`[model]` of kind "supplied"."""
 
-    kind: Literal["supplied"] = doc("price paths of your own")
+    kind: Literal["supplied"] = doc("your own price paths")
     training_paths: Nonempty = doc("price paths for training, [path, day]", allowed=PATHS)
     evaluation_paths: Nonempty = doc("other price paths, for evaluation", allowed=PATHS)
     rescale_to_curve: bool = doc(

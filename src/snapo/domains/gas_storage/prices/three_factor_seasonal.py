@@ -35,8 +35,9 @@ class SeasonalTable(CaseTable):
 
 @register
 class ThreeFactorSeasonal(FactorPrices):
-    """Loadings: s_spot (mean reversion a), s_long (none), s_seas(T) = `seasonal_volatility` / 2 x
-    `season`(T) (none). Source: the multi-factor seasonal model of the package cmdty-storage.
+    """Loadings: s_spot (with mean reversion a), s_long and s_seas(T) = `seasonal_volatility` / 2 x
+    `season`(T) (both without mean reversion). Source: the multi-factor seasonal model of the
+    package cmdty-storage.
 
     - `spot_mean_reversion` (1/year), `spot_volatility`, `long_term_volatility`,
       `seasonal_volatility` (1/sqrt(year)): each is one number, index [].

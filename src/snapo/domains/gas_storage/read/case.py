@@ -99,8 +99,8 @@ def read_curve(
     if both:
         more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
         section.notes.append(
-            f"In {name} {both[0]}{more} a quote of the day and one of the month: that of the day "
-            "is used."
+            f"In {name} {both[0]}{more} a quote for the day and one for the month: the quote for "
+            "the day is used."
         )
     prices = []
     for day in days:

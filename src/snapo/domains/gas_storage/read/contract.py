@@ -97,7 +97,7 @@ def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[dat
         paid[month] = row.day("date")
     for day in (day for day, moves in zip(days, moving, strict=True) if moves):
         if (day.year, day.month) not in paid:
-            message = "there is no payment date for this month, in which gas can move; add a row"
+            message = "there is no payment date for this month, in which gas can flow; add a row"
             raise CaseError(name, f"{day:%Y-%m}", None, message)
     return [paid.get((day.year, day.month), day) for day in days]
 

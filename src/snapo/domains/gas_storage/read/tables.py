@@ -33,7 +33,7 @@ def _plain_day(value: Any) -> Any:
 DATE = "a date from 1900 to 2200, YYYY-MM-DD"
 DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day), Field(description=DATE)]
 ValuationDay = Annotated[
-    DateKey, Field(title="day of today's prices, to which payments are discounted")
+    DateKey, Field(title="date of today's prices, to which payments are discounted")
 ]
 VolumeUnit = Annotated[Nonempty, doc("unit of all volumes", "MWh", 'a name such as "MWh"')]
 Currency = Annotated[Nonempty, doc("currency of all money", "EUR", 'a name such as "EUR"')]
@@ -137,10 +137,10 @@ class ContractTable(CaseTable):
     injection_cost: CaseInput = COST("cost per unit injected", 0.0)
     withdrawal_cost: CaseInput = COST("cost per unit withdrawn", 0.0)
     injection_cost_settlement: CostSettlement = doc(
-        "when costs of injection are paid", "flow", f'"gas", {RULES}'
+        "when injection costs are paid", "flow", f'"gas", {RULES}'
     )
     withdrawal_cost_settlement: CostSettlement = doc(
-        "when costs of withdrawal are paid", "flow", f'"gas", {RULES}'
+        "when withdrawal costs are paid", "flow", f'"gas", {RULES}'
     )
     fixed_costs: Nonempty | None = doc(
         "amounts that are due whatever is decided, in currency",

@@ -104,8 +104,8 @@ def lattice(
     every = range(factors.loading.shape[1])
     selected = relevant_factors(schedule, factors) if keep is None else tuple(keep)
     if not 1 <= len(selected) <= 2:
-        message = f"a lattice supports one or two price factors, and {selected} would be kept"
-        raise ValueError(f"lattice: {message}; name the two to keep (`keep`).")
+        message = f"a lattice supports one or two price factors, but {selected} are relevant"
+        raise ValueError(f"lattice: {message}; name one or two factors in `keep`.")
     dropped = tuple(i for i in every if i not in selected)
     if len(schedule.steps.forward) == 0:
         return _at_the_end(schedule, selected, dropped)
