@@ -55,7 +55,8 @@ def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
 
 
 def setup_at(setup: Setup, case: EnergyCase) -> Setup:
-    """The setup of a case that differs only in its numbers: `make_setup(case)`."""
+    """The setup of a case that differs from that of `setup` only in its numbers; it equals
+    `make_setup(case)`."""
     bare = bare_problem(case)
     if case.model.sources(setup.training.seed) or bare.form != _bare(setup.problem).form:
         return make_setup(case, setup.engines.name)  # pyright: ignore[reportArgumentType]
@@ -85,8 +86,8 @@ def _bare(problem: Problem) -> Problem:
 
 def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Problem:
     """The problem with the unit values from which its policy starts, and with a control variate if
-    prices have no risks other than the factors of the fit. `before`: the fitted values at other
-    inputs."""
+    prices have no risks other than the factors of the fit. `before`: the unit values at other
+    inputs, if they were fitted before; the new ones are read in the same way."""
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
     apart, like = np.zeros(len(layout.levels)), None
     if before is not None:

@@ -1,4 +1,4 @@
-"""The report of a storage run: its sections, its first screen, and the picture for the README."""
+"""The report of a storage run: its sections, its headline, and the separate picture."""
 
 from pathlib import Path
 

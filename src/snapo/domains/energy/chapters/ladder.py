@@ -1,4 +1,4 @@
-"""Methods side by side, for contracts with one level and one flow, or two opposite flows.
+"""Compares the methods for contracts with one level and either one flow or two opposite flows.
 
 For rolling intrinsic and least-squares Monte Carlo such a contract, with flat volumes over
 products, takes the form of a `gas_storage.ladder.rolling.FlatContract`.
@@ -35,7 +35,7 @@ from .reference import measure as measure_reference
 
 
 def no_flat_volumes(layout: ContractLayout) -> str:
-    """The reason why a contract has no flat volumes over products; "" if it has."""
+    """The reason why a contract cannot have flat volumes over products; "" if it can."""
     if layout.indexed:
         return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()
@@ -180,7 +180,7 @@ class EnergyMethods(ContractMethods):
 
     @property
     def intraday(self) -> bool:
-        """Whether differences from a schedule are traded."""
+        """Whether the contract trades differences from a schedule."""
         return isinstance(self.run.setup.problem.simulator, IntradaySimulator)
 
     @cached_property

@@ -22,7 +22,8 @@ class Intrinsic:
 
 @dataclass(frozen=True)
 class ExactValue:
-    """The exact value, and its remaining change on finer grids; None without an exact value."""
+    """The exact value, and the remaining change of this value on finer grids; both are None without
+    an exact value."""
 
     dynamic_programming: float | None = None
     dynamic_programming_error: float | None = None

@@ -72,7 +72,7 @@ def measure(run: StudyRun) -> MethodValues:
 
 
 def show(run: RunFiles, result: MethodValues) -> Sequence[Block]:
-    """A table from the lowest to the highest value."""
+    """A table of the values, from the lowest to the highest."""
     columns = [
         Column("Method", lambda row: row.name),
         Column("Meaning", lambda row: row.note),

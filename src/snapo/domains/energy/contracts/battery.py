@@ -48,14 +48,16 @@ CYCLES = Quantity("1", POSITIVE, GROUP, move=0.1)
 
 
 class ChargeTable(CaseTable):
-    """{ power = 1.0, efficiency = 0.9 }: MW bought; the share of it that is stored."""
+    """{ power = 1.0, efficiency = 0.9 }: the power bought, in MW, and the share of it that is
+    stored."""
 
     power: CaseInput = POWER("power bought while the battery charges", name="charge_power")
     efficiency: CaseInput = EFFICIENCY("efficiency of charging", 1.0, name="charge_efficiency")
 
 
 class DischargeTable(CaseTable):
-    """{ power = 1.0, efficiency = 0.95 }: MW taken from the store; the share of it that is sold."""
+    """{ power = 1.0, efficiency = 0.95 }: the power taken from the store, in MW, and the share of
+    it that is sold."""
 
     power: CaseInput = POWER("power taken from the store", name="discharge_power")
     efficiency: CaseInput = EFFICIENCY(
@@ -221,7 +223,8 @@ class BatteryContract(EnergyContract):
 
 
 def layout_of(day: bool, term: bool) -> ContractLayout:
-    """Energy in store, and the energy taken today and in the whole term."""
+    """The levels (energy in store, and the energy taken today and in the whole term) and the
+    flows."""
     levels = [Level("energy", "MWh")]
     levels += [Level("taken today", "MWh")] * day + [Level("taken", "MWh")] * term
     counted = len(levels) - 1
@@ -256,7 +259,7 @@ def bumps(
 
 
 def read_battery(where: TableContext, table: BatteryTable, hours: Hours) -> BatteryContract:
-    """The contract in these hours, with the auctions at which flows are fixed."""
+    """Reads the contract in these hours, with the auctions at which flows are fixed."""
     charge = where.nested(ChargeTable, table.charge, "charge")
     discharge = where.nested(DischargeTable, table.discharge, "discharge")
     cycles = where.nested(CyclesTable, table.cycles or {}, "cycles")

@@ -16,8 +16,8 @@ At the end the balance is zero, or the units left are cashed out. Sources of the
 Pipeline Company of America, FERC Gas Tariff, Seventh Revised Volume No. 1, Rate Schedule LPS,
 section 6.1: an initial fee for each unit tendered for park or taken for loan, a balance fee on the
 balance at the end of each day, a completion fee for each unit that is returned. Colorado Interstate
-Gas Company, FERC Gas Tariff, First Revised Volume No. 1, sheet 159B, section 2.3(c): a quantity is
-balanced against the existing balance.
+Gas Company, FERC Gas Tariff, First Revised Volume No. 1, sheet 159B, section 2.3(c): a new quantity
+is first set off against the existing balance.
 """
 
 import datetime

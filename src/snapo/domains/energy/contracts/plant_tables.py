@@ -1,4 +1,4 @@
-"""The table `[contract]` of a power plant, and its reading; see `plant.py`."""
+"""The table `[contract]` of a power plant, and its reader; see `plant.py`."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,7 +39,8 @@ class PowerTable(CaseTable):
 
 
 class FuelTable(CaseTable):
-    """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: MWh of fuel burnt."""
+    """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: the fuel in MWh, for each hour in which the
+    plant is on and for each MWh of power."""
 
     market: Literal["gas"] = doc("market in which the fuel is bought", "gas")
     idle: CaseInput = FUEL(
@@ -49,8 +50,8 @@ class FuelTable(CaseTable):
 
 
 class EmissionTable(CaseTable):
-    """{ per_fuel = 0.2, price = 70.0 }: certificates for each MWh of fuel, and their price; or
-    { per_fuel = 0.2, market = "co2" }."""
+    """{ per_fuel = 0.2, price = 70.0 }: the number of certificates for each MWh of fuel, and their
+    price; or { per_fuel = 0.2, market = "co2" }."""
 
     per_fuel: CaseInput = Quantity("1", NOT_NEGATIVE, GROUP, move=0.01)(
         "certificates for each MWh of fuel", 1.0, name="emission_per_fuel"
@@ -76,7 +77,8 @@ class StartTable(CaseTable):
 
 
 class BeforeTable(CaseTable):
-    """{ off = 12 } or { on = 6, power = 80.0 }: hours off, or on, before the first hour."""
+    """{ off = 12 } or { on = 6, power = 80.0 }: for how many hours the plant has been off, or on,
+    before the first hour."""
 
     off: int | None = doc("hours off before the first hour", None, ANY_HOURS, ge=1, le=100_000)
     on: int | None = doc("hours on before the first hour", None, ANY_HOURS, ge=1, le=100_000)

@@ -56,7 +56,7 @@ class PowerSteps(NamedTuple):
 
 
 def power_steps(low: float, high: float, ramp: float, before: float | None) -> PowerSteps:
-    """The steps for these limits; none if the ramp, at least `high`, never binds."""
+    """The steps for these limits; none if the ramp is at least `high` and therefore never binds."""
     if ramp >= high:
         return PowerSteps((), -1, (), (), (_plain(RAMP - HIGH),))
     numbers = np.array([low, high, ramp, before or 0.0])

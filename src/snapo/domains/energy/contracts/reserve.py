@@ -61,7 +61,8 @@ class SoldReserve(TreeRecord):
     """The terms of reserve.
 
     - `price`: index [] or [T]; `stock` [2]: minimum and maximum energy in store.
-    - `first_steps`, `last_steps` [T]: whether a step is the first, or the last one, of a block.
+    - `first_steps`, `last_steps` [T]: whether a step is the first step of a block, and whether it
+      is the last step.
     """
 
     price: CaseInput
@@ -127,7 +128,8 @@ def with_reserve(layout: ContractLayout, reserve: SoldReserve | None) -> Contrac
 def read_reserve(
     where: TableContext, raw: dict, hours: Hours, energy: float, currency: str
 ) -> SoldReserve:
-    """The table `reserve` of a store of `energy` MWh; blocks are those of the auctions, or hours.
+    """The table `reserve` of a store of `energy` MWh; blocks are those of the auctions, or single
+    hours.
 
     **Raises:** `CaseError` if the minimum energy does not fit in the store, or a price is missing.
     """

@@ -66,7 +66,8 @@ class Store(TreeRecord):
 
 
 class FeasibleSets(NamedTuple):
-    """Tight limits of each inventory and of the sum, within which the contract can be met."""
+    """The limits of each inventory and of their sum within which the contract can be met; every
+    limit is attained."""
 
     low: Array
     high: Array
@@ -75,7 +76,7 @@ class FeasibleSets(NamedTuple):
 
 
 class DailyFlows(NamedTuple):
-    """The largest injection and withdrawal on a day, of each store and of both together."""
+    """The largest injection and withdrawal on a day, for each store and for both together."""
 
     into: Array
     out: Array

@@ -1,4 +1,4 @@
-"""Reads a contract of two stores, and the files of both."""
+"""Reads a contract of two stores, and the files of the two stores."""
 
 import datetime
 import re

@@ -1,10 +1,10 @@
-"""Swing: a volume a day at a strike, within limits of each contract year; take-or-pay.
+"""Swing: a daily volume at a strike, within limits of each contract year, with take-or-pay.
 
     earnings = sum over days of discount x q (S - strike),   strike a number, or factor I + add
                - sum over years of discount x shortfall x max(annual minimum - taken, 0)
 
-with minimum <= q <= maximum on each day and, over each contract year, at most the annual maximum,
-and at least its minimum if that is firm. I is the month-ahead index, see
+with minimum <= q <= maximum on each day and, in each contract year, at most the annual maximum, and
+at least the annual minimum if it is firm. I is the month-ahead index, see
 `gas_storage.prices.index`. Source: P. Jaillet, E. Ronn, S. Tompaidis, "Valuation of commodity-based
 swing options", Management Science 50 (2004).
 """

@@ -1,4 +1,4 @@
-"""The table `[contract]` of a swing, and its reading; see `swing.py`."""
+"""The table `[contract]` of a swing contract, and its reader; see `swing.py`."""
 
 import datetime
 import re

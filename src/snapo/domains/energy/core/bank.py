@@ -24,7 +24,7 @@ from snapo.problem.record.arrays import Array, Float
 
 
 class Bank(NamedTuple):
-    """The numbers of every step; balances are in the order of their age, the newest first.
+    """The numbers of every step; balances are ordered by age, the newest first.
 
     - `minimum`: m; `share`: the share of the missing units that may be made up, 1 or 0.
     - `limit`: the maximum of the units carried forward; `refund`: the amount earned for each unit
@@ -50,7 +50,8 @@ class Bank(NamedTuple):
         return positive(above) - positive(above - _units(balances, positive))
 
     def settled(self, counted: Any, balances: Sequence[Any], positive: Callable) -> list[Any]:
-        """The balances after a period; they fall with the volume, and rise with the balances."""
+        """The balances after a period. They fall with the volume of the period, and rise with the
+        balances before it."""
         above = counted - self.minimum
         short = positive(self.owed(balances, positive) - counted)
         excess = positive(above - _units(balances, positive))

@@ -88,7 +88,7 @@ class ContractLayout(NamedTuple):
     fixed_volumes: bool = False
 
     def plain(self) -> tuple:
-        """The layout as plain tuples, for the file of a policy."""
+        """The layout as plain tuples, as it is saved in the file of a policy."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
         flags = self.indexed, self.banks, self.reported
         more = (self.sums, True) if self.fixed_volumes else (self.sums,) if self.sums else ()
@@ -120,7 +120,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def places(self) -> tuple[tuple[int, ...], ...]:
-        """[moves] the numbers of the pairs of each flow of a move."""
+        """[moves] for each move, the numbers of the pairs of its flows."""
         pairs = self.pairs
         flows = [flow for _, flow in pairs]
         return tuple(
@@ -130,7 +130,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def choices(self) -> tuple[int, ...]:
-        """The numbers of the moves in each mode that has more than one."""
+        """The numbers of the moves in all modes that have more than one move."""
         before = [move.before for move in self.moves]
         return tuple(m for m, mode in enumerate(before) if before.count(mode) > 1)
 
@@ -159,7 +159,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def flow_of(self) -> np.ndarray:
-        """[flows, moves] 1 if the flow is the one of the move, else 0."""
+        """[flows, moves] 1 if the move has this flow, otherwise 0."""
         flows = range(len(self.flows))
         return np.array([[float(flow in move.flows) for move in self.every_move] for flow in flows])
 
@@ -216,7 +216,7 @@ class MoveLimits(NamedTuple):
     move whose `low` is above its `high` is not allowed in the step.
 
     The limits make the value jump between levels, so that methods need nodes on the limits, and
-    compare all volumes from node to node.
+    must compare all volumes from node to node.
     """
 
     low: Float[Array, "T moves levels"]

@@ -107,8 +107,9 @@ def volumes(
 ) -> FeasibleVolumes:
     """The volumes of one move from these levels [levels], in the order of its flows.
 
-    A flow is forced where levels would otherwise leave the next interval, and is limited so that
-    they remain in it. `now`: a row of a schedule with `terms` and `intervals`.
+    A part of a flow is forced if the levels would otherwise leave the next interval, and a flow is
+    limited so that the levels remain in it. `now`: a row of a schedule with `terms` and
+    `intervals`.
     """
     this = layout.every_move[move]
     start = [levels[i] + change for i, change in enumerate(this.changes)]

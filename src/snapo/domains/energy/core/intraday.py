@@ -56,9 +56,9 @@ class IntradaySimulator(EnergySimulator):
     """A contract with one move, its schedules and its trades.
 
     The first third of the observation depends only on the levels and prices at the last auction. A
-    policy must take the shares of the schedule from that third, as `IntradayPolicy` does: a policy
-    that uses later prices for them earns too much, and the mean of the output `GAIN` is then not
-    zero.
+    policy must compute the shares of the schedule from that third, as `IntradayPolicy` does. A
+    policy that uses later prices for these shares earns too much; the mean of the output `GAIN` is
+    then not zero.
 
     **Arguments:** those of `EnergySimulator`, and
 
@@ -110,7 +110,7 @@ class IntradaySimulator(EnergySimulator):
         return state._replace(scheduled=state.levels, auction_price=state.price)
 
     def at_auction(self, now: Step, state: State) -> State:
-        """The state of the schedule: its levels, and the prices at the last auction."""
+        """The state for the schedule: the scheduled levels, and the prices at the last auction."""
         new = now.begins
         assert new is not None
         levels = jnp.where(new, state.levels, state.scheduled)

@@ -148,7 +148,7 @@ def observation(
     prices: StepPrices,
     free: Array,
 ) -> Float[Array, " features"]:
-    """The head first, then the features of the network."""
+    """The observation: the head, followed by the features of the network."""
     gains = head(layout, process, constants, now, state, prices, free)
     year, left = 2 * jnp.pi * now.time, constants.last_time - now.time
     low, high = now.intervals.low, now.intervals.high

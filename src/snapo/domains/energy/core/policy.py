@@ -1,8 +1,8 @@
 """The policy of all contracts: the fitted value of a unit of each level and mode, and a network.
 
-A volume flows while a unit earns more than it costs in the value of the levels; the move with the
-largest gain is made. The network corrects the value of a unit of each level, how it changes with
-the volume, and the value of each mode.
+A volume flows as long as a unit of it earns more than the value of the levels loses; the move with
+the largest gain is made. The network corrects the value of a unit of each level, how it changes
+with the volume, and the value of each mode.
 """
 
 from typing import Any
@@ -30,7 +30,8 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
 class UnitValuePolicy(Policy):
-    """The action has a share of each volume, and a weight for each move that has alternatives."""
+    """The policy. Its action has a share of each volume, and a weight for each move that has
+    alternatives."""
 
     network: Network | None
     form: tuple = eqx.field(static=True)

@@ -121,8 +121,8 @@ class Surprises(eqx.Module):
 def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
     """The value at the start of a step minus its expectation for the start of the next one.
 
-    Summed over the steps, minus `first`, it is the total innovation. The value is 0 after
-    the last step.
+    The sum of these differences over the steps, minus `first`, is the total innovation. The value
+    is 0 after the last step.
     """
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
     size = row.now.coefficients.shape[-1]
@@ -132,7 +132,7 @@ def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
 
 
 def at_end(first: Array) -> Array:
-    """The part of the sum at the end."""
+    """The part of this sum that is added at the end."""
     return -first
 
 

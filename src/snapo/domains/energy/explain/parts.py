@@ -52,7 +52,8 @@ ROUNDED = 9  # decimals of a planned level: a limit is not passed by rounding
 
 
 class PlannedSteps(NamedTuple):
-    """The state after the steps, by name, and their cash, discounted to the later date."""
+    """The state after the planned steps (levels by name, and the mode), and the cash of the steps,
+    discounted to the later date."""
 
     levels: dict[str, float]
     mode: str
@@ -71,7 +72,8 @@ class AtForwardPrices(EnergySimulator):
 def planned_steps(
     problem: Problem, policy: UnitValuePolicy, count: int, elapsed: int
 ) -> PlannedSteps:
-    """The first steps of a contract, one or more; `elapsed`: days to the later valuation date."""
+    """The planned first steps of a contract, one or more; `elapsed`: the days to the later
+    valuation date."""
     simulator = simulator_of(problem)
     numbers = {x.name: getattr(simulator, x.name) for x in fields(EnergySimulator)}
     numbers |= {name: _from_later(numbers[name], elapsed) for name in ("paid", "settled")}

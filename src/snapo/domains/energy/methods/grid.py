@@ -34,11 +34,11 @@ NEAR = 1e-9  # of the largest volume: nearer levels are one
 
 
 class StepGrid(NamedTuple):
-    """One step: the passages of each move, and the nodes `before` and `after` the step, an array
-    for each level.
+    """One step: the passages of each move, and the nodes `before` and `after` the step, with an
+    array for each level.
 
-    - `end`: the changes at the end of the step; `ways`: the passages in the form for machine code,
-      or None.
+    - `end`: what changes at the end of the step; `ways`: the passages in the form that machine code
+      needs, or None.
     """
 
     passages: Passages
@@ -62,7 +62,7 @@ class ContractGrid:
 
     @cached_property
     def nodes(self) -> list[tuple[np.ndarray, ...]]:
-        """[T + 1] at the start of each step, and after the last one."""
+        """[T + 1] the nodes at the start of each step, and after the last one."""
         return [step.before for step in self.steps] + [self.last]
 
     def size(self, t: int) -> int:

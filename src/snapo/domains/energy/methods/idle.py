@@ -45,7 +45,7 @@ def _idle(layout: ContractLayout, terms: StepTerms, intervals: Any, start: float
 
 
 def at_rest(layout: ContractLayout, idle: tuple[bool, ...]) -> ContractLayout:
-    """The layout in which nothing moves these levels."""
+    """The layout in which no flow and no move changes these levels."""
     return _with_numbers(layout, lambda x: tuple(0.0 if y else z for y, z in zip(idle, x)))
 
 
@@ -79,7 +79,7 @@ def with_idle(columns: list, start: np.ndarray, restarts: np.ndarray, idle: tupl
 
 
 def extremes(layout: ContractLayout, terms: Any, t: int, i: int) -> np.ndarray:
-    """The changes of a level in a step, at the ends of each flow."""
+    """The changes of a level in a step, for the smallest and the largest volume of each flow."""
     result: set[float] = set()
     for move in layout.every_move:
         if all(terms.least[t, flow] <= 0 for flow in move.flows):

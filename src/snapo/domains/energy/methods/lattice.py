@@ -81,7 +81,7 @@ class IndexGrid:
         return np.sqrt(self.of.covariance[:, 1, 1])
 
     def index_nodes(self, t: int) -> np.ndarray:
-        """The nodes of g on a date: one if it is fixed today."""
+        """The nodes of g on a date; one node if g is fixed today."""
         deviation = self._deviations[t]
         if deviation <= 1e-12:
             return np.zeros(1)

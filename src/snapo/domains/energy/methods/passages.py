@@ -32,7 +32,7 @@ Passages = tuple[tuple[Passage, ...], ...]  # of a step, by move
 
 
 def passages_of(layout: ContractLayout, terms, t: int, before, after, near: float) -> Passages:
-    """The passages of step t between the nodes `before` and `after` it."""
+    """The passages of step t from the nodes `before` it to the nodes `after` it."""
     signs, result = layout.signs, []
     free = (np.full(len(before), -np.inf), np.full(len(before), np.inf))
     for m, move in enumerate(layout.every_move):

@@ -53,7 +53,7 @@ class Ways(NamedTuple):
 
 
 class StepWays:
-    """The ways of steps with the same passages, computed when first needed."""
+    """The ways of steps that have the same passages, computed when they are first needed."""
 
     def __init__(
         self, layout: ContractLayout, passages: Passages, before: list[int], after: list[int]

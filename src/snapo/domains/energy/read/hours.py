@@ -46,7 +46,8 @@ HourlyCurve = Annotated[
 
 
 class HourlyContractTable(CaseTable):
-    """`[contract]` of a contract by the hour: units, first and last hour, local calendar."""
+    """The keys of `[contract]` that all hourly contracts have: unit, first and last hour, local
+    calendar."""
 
     volume_unit: Nonempty = doc("unit of all volumes", "MWh", '"MWh"', pattern="^MWh$")
     currency: Currency
@@ -56,7 +57,7 @@ class HourlyContractTable(CaseTable):
 
 
 class HourlyMarketTable(CaseTable):
-    """`[market]` of a contract by the hour."""
+    """`[market]` of an hourly contract."""
 
     valuation_date: ValuationDay
     forward_curve: HourlyCurve
@@ -69,10 +70,10 @@ class Hours:
 
     - `instants` [T]: the hours in UTC; `days` [T]: the local date of each hour; `end`: the date of
       the end.
-    - `ahead` [T + 1]: hours from midnight of the valuation date, local time, to each hour, or to
-      the auction at which its flow is fixed; `notice`: hours from the auction to the hour, if
-      there are auctions.
-    - `curve`: the forward price of each hour, once it is read.
+    - `ahead` [T + 1]: the hours from midnight (local time) of the valuation date to each hour, or
+      to the auction at which the flow of this hour is fixed; `notice`: the hours from the auction
+      to the hour, if there are auctions.
+    - `curve`: the forward price of each hour; None until it has been read.
     """
 
     instants: tuple[datetime.datetime, ...]
@@ -175,7 +176,8 @@ def hourly_curve(
 
 
 def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
-    """[T] the row of each hour, by its local time; an hour that occurs twice has two rows.
+    """[T] the row of the file for each hour, by its local time; an hour that occurs twice has two
+    rows.
 
     **Raises:** `CaseError` for an hour without a price, and for a row between the first and the
     last hour that repeats an hour, or whose hour does not exist.

@@ -82,13 +82,13 @@ class PolynomialBasis:
         return self._assemble(result, self._level(states, days))
 
     def expected(self, states: np.ndarray, first: int = 0) -> np.ndarray:
-        """[days, K, paths] conditional expectations of the functions a day later."""
+        """[days, K, paths] the conditional expectations of the functions a day later."""
         days = np.arange(first, first + len(states))
         ahead = self.ahead_of_whitened(self._whitened(states, days), days)
         return self._assemble(ahead, self._level(states, days))
 
     def increments(self, states: np.ndarray) -> np.ndarray:
-        """[T + 1, K, paths] functions minus their conditional expectation a day before.
+        """[T + 1, K, paths] the functions minus their conditional expectations a day before.
 
         `states` [T + 1, F, paths]. The first row is relative to the valuation date.
         """
@@ -152,7 +152,8 @@ class PolynomialBasis:
         return polynomials
 
     def linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """[T + 1, kept, F], [T + 1, F], [T + 1]: y = first f and ln g = second f - third."""
+        """Three arrays [T + 1, kept, F], [T + 1, F] and [T + 1], with which y = first f and ln g =
+        second f - third."""
         dates, size = self.of.decay.shape
         whiten, common = np.zeros((dates, len(self.selected), size)), np.zeros((dates, size))
         whiten[:, :, self.selected] = self._whiten
@@ -161,8 +162,9 @@ class PolynomialBasis:
 
     def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
         """[T, levels, n] the coefficients of the expectation, a day before, of polynomials with
-        coefficients [T, levels, n]. They are for the dates after the first, times the exponential;
-        the constant, if there is one, comes last.
+        coefficients [T, levels, n]. The coefficients are for the dates after the first date, and
+        for functions that include the exponential; the coefficient of the constant, if there is
+        one, is the last.
         """
         size, moves = len(self.powers), self._moves[1:]
         plain = after[:, :, :size]

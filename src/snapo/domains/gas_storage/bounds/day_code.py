@@ -30,8 +30,8 @@ class SideCode(NamedTuple):
     """One direction of flow; rows are those of the scratch memory.
 
     - `sizes` [3]: the number of rows, of maxima among the rows, and of bends.
-    - `maxima` [maxima, 2]: each is the larger of two rows.
-    - `window` [n, 2]: the largest value at a node within reach is the larger of two rows.
+    - `maxima` [maxima, 2]: the two rows of which each maximum is the larger.
+    - `window` [n, 2]: the two rows of which the larger is the largest value at a node within reach.
     - `endpoints` [n, 4], `shares` [n, 2]: rows left and right of both limits of the reach, and the
       weight of the right one.
     - `bends` [bends, 3]: cell, next node, and the node where the full flow ends; `bend_numbers`

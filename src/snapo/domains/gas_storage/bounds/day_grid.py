@@ -40,9 +40,10 @@ NEAR = 0.02  # in spacings: nodes are not nearer to one another than this
 class DayGrid(NamedTuple):
     """A decision day between two grids.
 
-    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: the inventory at
-      the end without a flow, and the present value of the cost of holding it.
-    - `flows`: the reach of buying and of selling.
+    - `nodes` [n], `after` [m]: the inventories of the grids at its start and at its end; `keep` [n]
+      and `cost` [n]: the inventory at the end without a flow, and the present value of the cost of
+      holding it.
+    - `flows`: the inventories that buying and selling can reach.
     """
 
     nodes: np.ndarray
@@ -90,7 +91,7 @@ def spacing_of(schedule, inventories: int, widest: float) -> float:
     """The spacing of the regular nodes: if possible a divisor of the largest flow, so that this
     flow ends on a node.
 
-    `widest`: the widest interval of inventories that can be reached from the present one.
+    `widest`: the widest interval of inventories that can be reached from the present inventory.
     """
     spacing, rate = widest / (inventories - 1), largest_rate(schedule)
     parts = round(rate / spacing) if spacing > 0 else 0

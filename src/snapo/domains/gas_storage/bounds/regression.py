@@ -33,9 +33,9 @@ T = TypeVar("T")
 
 
 class Recent(Generic[T]):
-    """The results of the last few different calls; safe between threads. A page that moves a
-    curve, or a table of sensitivities that moves one input after another, uses the same results
-    repeatedly.
+    """A cache of the results of the last few different calls, safe between threads. A page that
+    moves a curve, or a table of sensitivities that moves one input after another, needs the same
+    results repeatedly.
     """
 
     def __init__(self, maximum: int):
@@ -86,7 +86,8 @@ class RegressionDay(NamedTuple):
 
 
 class Regression:
-    """The days of a basis. `y` [kept, Q], `level` [Q], `weight` [Q]: see `states_of`."""
+    """The regressions of all days of a basis. `y` [kept, Q], `level` [Q], `weight` [Q]: see
+    `states_of`."""
 
     def __init__(self, basis: PolynomialBasis):
         self.basis = basis

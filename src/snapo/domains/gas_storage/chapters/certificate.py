@@ -39,7 +39,8 @@ def off_ties(problem: Problem) -> Problem:
 
 @dataclass(frozen=True)
 class Homogeneity:
-    """The sum of forward times delta (`left`), value plus costs (`right`), and their `error`."""
+    """The sum of forward price times delta (`left`), the value plus costs (`right`), and the
+    `error` of their equality."""
 
     left: Number
     right: Number

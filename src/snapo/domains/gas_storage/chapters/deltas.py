@@ -165,7 +165,7 @@ def _profile(run: StudyRun, daily: DailyDeltas) -> tuple[tuple[str, ...], Iterab
 
 
 def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
-    """Deltas by delivery month with intervals, against the intrinsic volumes."""
+    """Deltas by delivery month with their intervals, next to the intrinsic volumes."""
     months = deltas.deltas_monthly
     if not any(np.isfinite(x.undiscounted) for x in months):
         return [why_missing(run, DELTAS.name)]
@@ -183,7 +183,7 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
 
 
 def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
-    """Draws the monthly deltas into one `Axes`; also used for the separate picture."""
+    """Draws the monthly deltas into one `Axes`; it is also used for the separate picture."""
     columns = [(x.undiscounted, x.half_width, x.intrinsic) for x in months]
     values, halves, intrinsic = np.array(columns, np.float64).T
     options = {

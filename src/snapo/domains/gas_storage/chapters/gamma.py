@@ -43,8 +43,8 @@ class GammaProduct:
 
     - `first`, `last`: days of delivery within the contract; `price`: mean forward price; `bump`:
       the bump of the price.
-    - `gamma`, `standard_error`: the diagonal element and its error. `scaled`: change of the delta
-      if all prices rise by 1 %, with `scaled_error`.
+    - `gamma`, `standard_error`: the diagonal element and its error. `scaled`: the change of the
+      delta if all prices rise by 1 %, with the error `scaled_error`.
     """
 
     product: str

@@ -45,8 +45,8 @@ class HedgeRow:
 
     - `value_at_risk`, `expected_shortfall`: the mean minus the 5 % quantile, and the mean minus the
       mean of the paths below this quantile.
-    - `not_hedged`: the variance divided by that of the contract without a hedge; `traded`: mean
-      volume of all trades; `cost`: the present value of the bid-offer paid.
+    - `not_hedged`: the variance divided by the variance without a hedge; `traded`: the mean volume
+      of all trades; `cost`: the present value of the bid-offer paid.
     """
 
     hedge: str
@@ -97,7 +97,7 @@ class SimulatedHedge(NamedTuple):
 
 
 def measure(run: StudyRun) -> HedgeTables:
-    """All hedges of a store on fresh paths; writes hedge.csv and hedge_products.csv."""
+    """Simulates all hedges of a store on fresh paths; writes hedge.csv and hedge_products.csv."""
     setup, case = run.setup, case_of(run.setup)
     products = case.products or usual_products(case.days, case.valuation_date)
     hedges = case.hedges or Hedges(usual_hedges(products.families))

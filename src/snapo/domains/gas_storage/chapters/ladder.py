@@ -23,7 +23,7 @@ NO_LATTICE = "its prices have risks other than one or two Gaussian factors"
 
 
 class ReferenceValue(Protocol):
-    """The exact value, None if there is none, and its error."""
+    """The exact value and its error; None if there is no exact value."""
 
     @property
     def dynamic_programming(self) -> float | None: ...
@@ -34,7 +34,7 @@ class ReferenceValue(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ContractMethods(abc.ABC):
-    """The methods of a contract on common paths."""
+    """The methods of a contract, on common paths."""
 
     run: StudyRun
     paths: CommonPaths

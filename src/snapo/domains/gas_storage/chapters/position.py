@@ -64,8 +64,8 @@ class Position:
     """The store over its T decision days, in the units of the contract.
 
     - `inventory` [T + 1]: at the start of every day and at the end; `flow` [T]: net injection.
-    - `trigger_injection`, `trigger_withdrawal` [T]: spot prices below and above which to act, at
-      the mean inventory of the day.
+    - `trigger_injection`, `trigger_withdrawal` [T]: the spot prices below which to inject and above
+      which to withdraw, at the mean inventory of the day.
     - `reachable`, `limits` [T + 1]: the inventories from which the contract can still be met, and
       the inventories that it allows.
     """
@@ -157,7 +157,8 @@ def _band(paths: np.ndarray) -> MeanBand:
 
 
 def show(run: StorageRun, position: Position) -> Sequence[Block]:
-    """The forward curve between the prices below which to inject and above which to withdraw."""
+    """The forward curve, with the price below which to inject and the price above which to
+    withdraw."""
     prices, days = run.numbers("forward", "forward"), run.days
     if prices is None or days is None:
         return [why_missing(run, POSITION.name)]

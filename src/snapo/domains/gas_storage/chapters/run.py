@@ -1,4 +1,4 @@
-"""The files of a storage run as its report reads them, with the units of gas."""
+"""The files of a storage run, as the report of the run reads them, with the units of gas."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -43,7 +43,8 @@ class IntrinsicValue:
 
 @dataclass(frozen=True)
 class Reference:
-    """The exact value, and its remaining change on finer grids; None without an exact value."""
+    """The exact value, and the remaining change of this value on finer grids; both are None without
+    an exact value."""
 
     dynamic_programming: float | None = None
     dynamic_programming_error: float | None = None
@@ -92,7 +93,8 @@ class CashFlow:
 
 @dataclass(frozen=True)
 class ContractValues:
-    """The value ladder from the lowest to the highest value, and the spread of the earnings.
+    """The values from the lowest to the highest (the value ladder), and the distribution of the
+    earnings.
 
     - `break_even_fee`: the fee per unit of working volume, paid today, with which the contract has
       the value 0; NaN without a working volume.

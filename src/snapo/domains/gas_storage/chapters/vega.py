@@ -67,7 +67,8 @@ class MonthVega:
 
 @dataclass(frozen=True)
 class Vegas:
-    """The vegas by parameter, then by month, with the sum of each parameter last."""
+    """The vegas by parameter and month; the last entry of each parameter is the sum over its
+    months."""
 
     vega_by_month: tuple[MonthVega, ...] = ()
 
@@ -144,7 +145,7 @@ def measure(run: StudyRun) -> Vegas:
 
 
 def show(run: RunFiles, result: Vegas) -> Sequence[Block]:
-    """A row for each month, a column for each volatility."""
+    """A table with a row for each month and columns for each volatility."""
     rows = result.vega_by_month
     if not rows:
         return [why_missing(run, VEGA.name)]

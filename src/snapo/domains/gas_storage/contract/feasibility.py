@@ -50,7 +50,8 @@ class FeasibleDay:
 
 @dataclass(frozen=True)
 class Corner:
-    """An inventory at the start of the day, and the maximum withdrawal and injection there."""
+    """An inventory at the start of the day, and the maximum withdrawal and injection at this
+    inventory."""
 
     level: float
     withdrawal: float

@@ -230,7 +230,8 @@ class StorageCase:
     - `file`: the case file; `title`, `volume_unit`, `currency`: for reports.
     - `days`: [T] decision dates, from `start` (or the valuation date, or the day after it) to the
       day before `end`; empty if none is left after the valuation date.
-    - `day`: [T] the same as integer days since the valuation date; `end_day`: that of the end date.
+    - `day`: [T] the same dates as integer days since the valuation date; `end_day`: the end date in
+      these days.
     - `expired`: whether the valuation date is after the end date; the value is then zero.
     - `notes`: remarks for the user of the case, one sentence each.
     - `quotes`: the quotes from which the forward curve is made; None for a curve by day or month.

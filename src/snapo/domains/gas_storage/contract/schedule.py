@@ -37,10 +37,10 @@ class FlowLimits(NamedTuple):
 
 class Discount(eqx.Module):
     """Discount factors of n payments from continuous zero rates, which are linear in days between
-    nodes and flat outside.
+    nodes and constant outside them.
 
     - `day` [n]: the day of each payment since the valuation date, not negative.
-    - `weight` [n, nodes]: the weight of each node's rate in the rate of the payment.
+    - `weight` [n, nodes]: the weight of the rate of each node in the rate of the payment.
     """
 
     day: Float[np.ndarray, " n"]

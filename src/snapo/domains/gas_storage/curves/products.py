@@ -16,7 +16,7 @@ NAMES = (
 
 
 def months(year: int, month: int, count: int) -> tuple[datetime.date, datetime.date]:
-    """The first and the last day of some months in a row."""
+    """The first and the last day of a number of consecutive months."""
     after = year * 12 + month - 1 + count
     return datetime.date(year, month, 1), datetime.date(after // 12, after % 12 + 1, 1) - ONE
 
@@ -46,7 +46,8 @@ PATTERNS: dict[str, Callable[..., tuple[datetime.date, datetime.date]]] = {
 
 
 def delivery(name: str) -> tuple[datetime.date, datetime.date]:
-    """The first and the last day of a product, both included; capital letters make no difference.
+    """The first and the last day of a product, both included; upper and lower case are not
+    distinguished.
 
     **Raises:** `ValueError` if there is no such product, or no such day.
 

@@ -261,7 +261,7 @@ class ChangeChain(abc.ABC):
 
 
 def measured_on(setup: Setup, source: Any) -> Setup:
-    """The setup with these scenarios of the evaluation."""
+    """The setup with these scenarios for the evaluation."""
     problem, old = setup.problem, setup.problem.sources
     sources = Sources(old.training, old.validation, source)
     return setup._replace(problem=replace(problem, sources=sources))
@@ -301,7 +301,7 @@ def is_input(leaf: Any) -> bool:
 
 
 def equal(one: Any, other: Any) -> bool:
-    """Whether two records have the same numbers where they are used."""
+    """Whether two records have the same numbers in the form in which they are used."""
     if jax.tree.structure(one, is_leaf=is_input) != jax.tree.structure(other, is_leaf=is_input):
         return False
     pairs = zip(*(jax.tree.leaves(x, is_leaf=is_input) for x in (one, other)), strict=True)

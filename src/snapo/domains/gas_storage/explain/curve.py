@@ -29,7 +29,7 @@ CHUNK = 2048  # paths in one call of an engine: every output of every day is rec
 
 
 class DeliveryPeriod(NamedTuple):
-    """A delivery period: the days from `first` to `after`, not included."""
+    """A delivery period: the days from `first` up to, but not including, `after`."""
 
     name: str
     first: int

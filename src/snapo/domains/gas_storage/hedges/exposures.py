@@ -101,7 +101,7 @@ class StorePaths:
 
     @cached_property
     def exposed(self) -> np.ndarray:
-        """[T + 1, N] the pathwise exposure to each date's price."""
+        """[T + 1, N] the pathwise exposure to the price of each date."""
         return self.sold * self.paid(0, self.moving(self.curves.spots))
 
     @cached_property
@@ -114,7 +114,7 @@ class StorePaths:
 class StateFunctions:
     """Polynomials in the level after the flow of a day and the factors of the day.
 
-    - `low`, `high` [T]: range of that level on the paths of the fit.
+    - `low`, `high` [T]: the range of that level on the paths of the fit.
     """
 
     factors: GaussianFactors

@@ -103,7 +103,7 @@ class GammaMatrix(NamedTuple):
 
     @property
     def symmetric(self) -> Estimate:
-        """The mean of both estimates of each pair."""
+        """The mean of the two estimates of each pair."""
         return Estimate((self.both + self.both.transpose(0, 2, 1)) / 2)
 
     @property

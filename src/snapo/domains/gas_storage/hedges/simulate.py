@@ -238,7 +238,7 @@ def _days(row: HeldProduct) -> Days:
 
 
 def different(rows: Sequence[HeldProducts]) -> list[Days]:
-    """The days of all products, each once."""
+    """The days of all products, without duplicates."""
     return list(dict.fromkeys(_days(row) for held_rows in rows for row in held_rows))
 
 

@@ -47,7 +47,7 @@ def hedges_of(
 ) -> Hedges | None:
     """The hedges of the table [hedge], None for a case without one.
 
-    **Raises:** `CaseError` if a set has a product that does not trade.
+    **Raises:** `CaseError` if a set has a product that is not traded.
     """
     if data is None:
         return None

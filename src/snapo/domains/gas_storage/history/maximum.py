@@ -229,8 +229,8 @@ def _states(model: HistoryModel, numbers: Array, history: History) -> Filtered:
 
 
 def padded(history: History) -> History:
-    """The history, extended by dates without prices and without elapsed time, so that histories of
-    almost the same length need one compilation."""
+    """The history, extended by dates without prices at the time of the last date, so that histories
+    of almost the same length need only one compilation."""
     more = -len(history.gap) % DATES
     rows: Any = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in history[:-1])
     return History(*rows, first=history.first)

@@ -112,12 +112,13 @@ class HistoryModel:
         return {name: table.get(name, 0.0) for name in (*names, *self.names)}
 
     def deviations(self, numbers) -> Float[Array, " columns"]:
-        """The standard deviation of the error of each series; exactly 0 for those of `exact`."""
+        """The standard deviation of the measurement error of each series; exactly 0 for the series
+        in `exact`."""
         table = self.by_name(numbers)
         return jnp.stack([jnp.asarray(table.get(f"deviation_{x}", 0.0)) for x in self.columns])
 
     def transition(self, numbers, gap) -> tuple[Array, Array, Array]:
-        """Decay [F], drift [F] and covariance [F, F] of the state over a time in years."""
+        """The decay [F], drift [F] and covariance [F, F] of the state over a time in years."""
         p = self.by_name(numbers)
         decay, covariance = jnp.exp(-p["mean_reversion"] * gap), self.covariance(p, gap)
         if self.factors == 1:
@@ -152,9 +153,9 @@ class HistoryModel:
         return constant, jnp.stack([loading, jnp.ones_like(loading)])[: self.factors]
 
     def initial(self, numbers, first) -> tuple[Array, Array]:
-        """Mean [F] and covariance [F, F] before the first price, whose X is `first`. The short-term
-        factor has its stationary distribution; the long-term level has the standard deviation
-        `unit`.
+        """The mean [F] and the covariance [F, F] of the state before the first price; `first`: the
+        value of X for that price. The short-term factor has its stationary distribution; the
+        long-term level has the standard deviation `unit`.
         """
         p = self.by_name(numbers)
         stationary = p["volatility"] ** 2 / (2 * p["mean_reversion"])

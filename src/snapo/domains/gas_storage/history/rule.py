@@ -85,8 +85,8 @@ class DatedRule:
 
 
 class DayResult(NamedTuple):
-    """[N] the inventory after a day, the volumes, and the cash flow, discounted as in the ledger.
-    `factors` [N, F]: the mean of the factors conditional on the prices up to the day.
+    """[N] the inventory after a day, the volumes, and the cash flow, discounted with the factors of
+    the `ledger`. `factors` [N, F]: the mean of the factors conditional on the prices up to the day.
     """
 
     inventory: np.ndarray
@@ -191,7 +191,7 @@ def _day(policy, simulator, constants, now, booked, terms, row, gain, inventorie
 
 
 def end_money(ledger: Problem, inventory: np.ndarray, spot: np.ndarray) -> np.ndarray:
-    """[N] the discounted value of the gas left at spot prices of the end date."""
+    """[N] the discounted value of the gas left, at spot prices of the end date."""
     simulator, constants = simulator_of(ledger), ledger.schedule.constants
     terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
     with jax.enable_x64(True):
@@ -237,7 +237,7 @@ class RuleCash(NamedTuple):
 
 
 def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None) -> RuleCash:
-    """The rule on supplied spot prices [T + 1, N], from its first day to the end."""
+    """The results of the rule on supplied spot prices [T + 1, N], from its first day to the end."""
     problem = rule.problem
     start = float(problem.schedule.constants.inventory) if inventory is None else inventory
     level, rows = np.full(spots.shape[1], start), []

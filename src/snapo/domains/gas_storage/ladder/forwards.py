@@ -34,8 +34,8 @@ class PathCurves:
         return self._prices(t, product(loading, self.states[t]), variance)
 
     def loadings(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """[T + 1 - t, F] the loadings of prices on the factors of step t, and [T + 1 - t] the
-        variance that they cause."""
+        """[T + 1 - t, F] the loadings of later prices on the factors of step t, and [T + 1 - t] the
+        variance of ln price that these factors cause."""
         decay = self.factors.decay[t:].copy()
         decay[0] = 1.0
         loading = self.factors.loading[t:] * np.cumprod(decay, axis=0)

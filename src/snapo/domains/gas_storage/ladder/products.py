@@ -145,7 +145,7 @@ class TradedProducts:
         return tuple(family for family in FAMILIES if family in there)
 
     def only(self, families: Collection[str]) -> Self:
-        """The products of these families, and the day itself."""
+        """The products of these families, and the trading day itself."""
         products = tuple(product for product in self.products if product.family in families)
         balance = self.balance if BALANCE in families else None
         return replace(self, products=products, balance=balance)
@@ -208,7 +208,7 @@ def products_of(
     """The products of the table [products], None for a case without one.
 
     **Raises:** `CaseError` if a product is traded as a whole while its parts are traded, or after
-    that.
+    they were.
     """
     if data is None:
         return None

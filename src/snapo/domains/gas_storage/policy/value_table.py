@@ -32,7 +32,7 @@ class Knots(NamedTuple):
     reach: Array
 
     def values(self, process, terms, now, state, above, below) -> list[Array]:
-        """Marginal values, as present values, above and below these inventories at day's end.
+        """The marginal values above and below these inventories at the end of the day.
 
         The slow factors scale all of them equally.
         """
@@ -90,7 +90,7 @@ class FittedKnots(NamedTuple):
     exponents_ahead: Array | None = None
 
     def values(self, process, terms, now, state, above, below) -> list[Array]:
-        """Marginal values, as present values, above and below these inventories at day's end."""
+        """The marginal values above and below these inventories at the end of the day."""
         observed = functions(self, process.gaussian(state), self.above.shape[-1], REACH)
         return readings(self, above, below, lambda row: row @ observed)
 
@@ -197,8 +197,9 @@ class Innovations(eqx.Module):
 def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
     """The value at the start of a day minus its expectation for the next date.
 
-    Summed over the days, plus the value on the end date minus `first`, it is the sum of the
-    innovations. `before` and `after` are the inventories at the start and the end of the day.
+    The sum of these differences over the days, plus the value on the end date minus `first`, is the
+    sum of the innovations. `before` and `after` are the inventories at the start and the end of the
+    day.
     """
     # Data without a derivative: an adjoint need not form any.
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))

@@ -1,4 +1,5 @@
-"""Gaussian price factors with volatilities and mean reversions by delivery day: one, or several.
+"""Gaussian prices with one or several factors, with mean reversions, and volatilities by delivery
+day.
 
 The common part of all Gaussian factor prices comes first; each kind adds its parameters.
 """

@@ -48,7 +48,7 @@ class IndexRows(NamedTuple):
 
 
 class PriceIndex(NamedTuple):
-    """The index as used by dynamic programs. g is the last factor, on which the spot price has no
+    """The index, as dynamic programs use it. g is the last factor, on which the spot price has no
     loading; `carry` [T + 1, F, F]: the shares of other factors that are carried into g before each
     date."""
 

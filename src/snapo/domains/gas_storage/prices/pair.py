@@ -29,7 +29,7 @@ class SecondRows(NamedTuple):
     variance: Array
 
     def expected(self) -> Array:
-        """[T + 1] today's expectation of its price."""
+        """[T + 1] today's expectation of the price of the second commodity."""
         return self.forward
 
     def price(self, factor):
@@ -58,12 +58,14 @@ class SecondCommodity(NamedTuple):
     one_factor = True  # moves this price
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
-        """[n] its price on date t if the last factor has these values [n]."""
+        """[n] the price of the second commodity on date t if the last factor has these values
+        [n]."""
         forward, loading, variance = (np.asarray(x[t]) for x in self.rows)
         return of.spot(forward, of.noise(loading * g, variance))
 
     def at(self, of: GaussianFactors, t: int, factors: np.ndarray) -> np.ndarray:
-        """[n] its price on date t if all factors have these values [F, n]."""
+        """[n] the price of the second commodity on date t if all factors have these values [F,
+        n]."""
         return self.price(of, t, factors[-1])
 
 

@@ -83,7 +83,8 @@ class Delivery(NamedTuple):
 
     @property
     def ahead(self) -> tuple[int, ...]:
-        """[T + 1] days from the valuation date to each date, or to its nomination, not negative."""
+        """[T + 1] the days from the valuation date to each date, or to the nomination of its flow;
+        not negative."""
         return self._days_to(self.dates if self.nominated is None else self.nominated)
 
     def _days_to(self, dates: Sequence[datetime.date]) -> tuple[int, ...]:
@@ -245,7 +246,7 @@ class PriceProcess(Process):
         return jnp.atleast_1d(self.fast(state))
 
     def slow_level(self, constants, now, state) -> Float[Array, ""]:
-        """The price level without the fast factor, relative to the forward curve: about 1."""
+        """The price level without the fast factor, relative to the forward curve; it is about 1."""
         return jnp.ones(())
 
     def factors(self, schedule) -> GaussianFactors | None:

@@ -53,9 +53,10 @@ class SuppliedStep(NamedTuple):
 class SuppliedPrices(PriceProcess):
     """Prices from a file; its paths replace the noise.
 
-    With `rescaled` the arrays are factors on the forward curve: the prices of each day divided by
-    their mean over the paths of the file. Without it they are prices in currency per unit, which
-    do not depend on the forward curve; only `scale`, the mean size of the curve, is used.
+    If `rescaled`, the arrays are factors that multiply the forward curve: the prices of each day,
+    divided by their mean over the paths of the file. Otherwise they are prices in currency per
+    unit, which do not depend on the forward curve; only `scale`, the mean size of the curve, is
+    used.
     """
 
     kind = "supplied"

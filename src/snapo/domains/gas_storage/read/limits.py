@@ -170,7 +170,7 @@ def _check_span(table: ContractTable, ratchets: Ratchets, days, minimum, maximum
 
 @dataclass(frozen=True, eq=False)
 class LimitRows:
-    """The fields of `Contract` with the same names."""
+    """The limits of flows and inventories: the fields of `Contract` with the same names."""
 
     min_inventory: CaseInput
     max_inventory: CaseInput
@@ -179,7 +179,7 @@ class LimitRows:
     withdrawal_factor: np.ndarray
 
     def moving(self) -> np.ndarray:
-        """[T] whether gas can move on the day at any inventory."""
+        """[T] whether gas can flow on the day at any inventory."""
         injection = self.ratchets.injection.used().max(axis=1) * self.injection_factor
         withdrawal = self.ratchets.withdrawal.used().max(axis=1) * self.withdrawal_factor
         return (injection > 0) | (withdrawal > 0)

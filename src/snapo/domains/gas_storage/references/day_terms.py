@@ -100,7 +100,8 @@ def moves(schedule, day_rates: DayRates, t: int, inventory: np.ndarray) -> FlowC
 
 
 def unit_prices(schedule, t: int, spot: np.ndarray) -> UnitPrices:
-    """A withdrawal earns q (1 - fuel) S, an injection pays q (1 + fuel) S; both pay their cost."""
+    """The unit prices: a withdrawal of q earns q (1 - fuel) S, an injection of q pays q (1 + fuel)
+    S, and both pay their cost."""
     steps = schedule.steps
     gas = spot * steps.gas_discount[t]
     pay = gas * (1 + steps.injection_fuel[t])

@@ -186,7 +186,7 @@ def transition_weights(nodes: np.ndarray, mean: np.ndarray, deviation: float) ->
 
 
 def gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shocks and their probabilities; one shock of 0 if there is no noise."""
+    """The shocks and their probabilities; one shock of 0 if there is no noise."""
     if deviation == 0:
         return np.zeros(1), np.ones(1)
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)
