@@ -67,8 +67,8 @@ class ParkAndLoanTable(CaseTable):
     end: DateKey = doc("first day without a decision")
     max_park: CaseInput = LIMIT("largest volume parked at the end of a day", 0.0)
     max_loan: CaseInput = LIMIT("largest volume on loan at the end of a day", 0.0)
-    max_deliver: CaseInput = RATE("largest volume delivered a day, to park or to repay")
-    max_take: CaseInput = RATE("largest volume taken a day, as a loan or from the park")
+    max_deliver: CaseInput = RATE("largest volume delivered per day, to park or to repay")
+    max_take: CaseInput = RATE("largest volume taken per day, as a loan or from the park")
     deliver_window: dict | None = doc(
         "days on which gas may be delivered",
         None,
@@ -96,8 +96,8 @@ class ParkAndLoanContract(EnergyContract):
 
     - `limits`: largest park and largest loan; `rates`: largest delivery and withdrawal; `fees`: the
       fees of a unit parked and of one on loan, by day; each index [T].
-    - `turn`: initial and completion fee; `cash_out`: the prices at the end of a unit parked and of
-      a unit on loan, None if no such balance may be left; index [].
+    - `turn`: initial and completion fee; `cash_out`: the prices, at the end, of a unit parked and
+      of a unit on loan, None if no such balance may be left; index [].
     - `open` [T, 2]: whether gas may be delivered, and taken, on a day.
     """
 

@@ -136,7 +136,7 @@ class SwingTable(CaseTable):
     start: DateKey = doc("first day with a decision")
     end: DateKey = doc("first day without a decision")
     side: Literal["call", "put"] = doc("whether a volume is bought or sold at the strike", "call")
-    max_daily: CaseInput = RATE("largest volume a day")
+    max_daily: CaseInput = RATE("largest volume per day")
     min_daily: CaseInput = RATE("volume that must be taken each day", 0.0)
     strike: Any = custom(
         "price of a unit, in currency/volume_unit",

@@ -73,8 +73,8 @@ class ContractLayout(NamedTuple):
       ordered by age; see `bank.py`.
     - `reported`: names of the moves that a path counts.
     - `sums`: the weights of the levels in joint limits, see `Promises`.
-    - `fixed_volumes`: whether each move fixes the volume of its flow (`StepTerms.fixed_volume`),
-      which has no effect on a level.
+    - `fixed_volumes`: whether each move fixes the volume of its flow (`StepTerms.fixed_volume`);
+      such a flow has no effect on a level.
     """
 
     levels: tuple[Level, ...]

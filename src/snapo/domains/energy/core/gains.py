@@ -4,7 +4,7 @@ The value of one more unit of a volume is constant between the rows of the table
 them. A line through the gains of a few units would place the last profitable unit between rows,
 where the best volume never lies; without volatility, 0.1 to 0.7 % of the value would be lost. If a
 volume spans several rows, the last profitable row is therefore searched for. If the value jumps
-between levels, the row is searched for at which the sum of the gains is largest.
+between levels, the search is for the row at which the sum of the gains is largest.
 """
 
 import functools

@@ -107,7 +107,7 @@ class IndexGrid:
         return IndexTransition(fast, _read(self.index_nodes(t + 1), self.fast.fast), len(nodes))
 
     def start(self) -> FirstDate:
-        """The transition from the valuation date, where all factors are 0, to the first date."""
+        """The transition from the valuation date, on which all factors are 0, to the first date."""
         (deviation, _), (below, rest) = self.of.shock[0]
         variance = below**2 + rest**2
         shocks, probabilities = gauss_hermite(np.sqrt(variance), TODAY)
@@ -172,7 +172,8 @@ class PairGrid:
         return PairTransition(self.both.after(t))
 
     def start(self) -> PairTransition:
-        """The transition from the valuation date, if both factors are 0, to the first date."""
+        """The transition from the valuation date, on which both factors are 0, to the first
+        date."""
         return PairTransition(self.both.start())
 
 

@@ -1,10 +1,10 @@
 """One day of a store on a grid of inventories: the reach of each start, and the best flows.
 
 The grid does not depend on prices: all paths share it. Positions at the end of the day are counted
-in nodes of the grid there. The value after the day is linear between nodes. The best flow to a node
-or to an end of the reach is then exact at every start-of-day node. Between two nodes the value is
-convex except at its bends (`DayFlows.buy_bends`). If both nodes are raised by the gap at the bends,
-the line between them is an upper bound.
+in nodes of the grid at the end of the day. The value after the day is linear between nodes. The
+best flow to a node or to an end of the reach is then exact at every start-of-day node. Between two
+nodes the value is convex except at its bends (`DayFlows.buy_bends`). If both nodes are raised by
+the gap at the bends, the line between them is an upper bound.
 """
 
 from typing import NamedTuple
@@ -160,7 +160,7 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
 
     - `prices`: the present values of a unit bought and of a unit sold, each [columns].
     - `after` [m, columns]: the value on the nodes at the end of the day, linear between them.
-    - `above`: whether the result, linear between nodes, is an upper bound of the value of the best
+    - `above`: whether the result, linear between nodes, is an upper bound on the value of the best
       flow at every inventory; otherwise it equals that value at the nodes, and may be below it
       between them.
     """

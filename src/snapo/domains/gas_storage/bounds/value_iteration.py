@@ -106,8 +106,8 @@ def fit_value(
 def fit_value_table(
     schedule, factors: GaussianFactors, interpolation: Interpolation
 ) -> FittedValue:
-    """The fitted value for the value table of a policy: on a grid with down to half as many nodes,
-    none of them at bends.
+    """The fitted value for the value table of a policy, on a coarser grid with at least half as
+    many nodes, none of them at bends.
 
     A policy that reads this grid loses almost nothing (for the store of the template less than 1e-5
     of its value). An upper bound would become less tight; it uses `fit_value`.

@@ -26,7 +26,7 @@ from ..setup import case_of
 FILE = "gamma.csv"
 TEXT = (
     "Change of the delta of one product if the price of another one rises by 1 on all its days, "
-    "with the decisions that are the best at the new prices. The diagonal is the change of a "
+    "with the decisions that are best at the new prices. The diagonal is the change of a "
     "delta if its own price rises: this is the amount by which a hedge has to be adjusted. Each "
     "number is the mean of two estimates, one from a bump of each of the two products."
 )

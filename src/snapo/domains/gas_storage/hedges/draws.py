@@ -78,7 +78,7 @@ class StoreDraws:
 
 
 def curve_factors(problem: Problem) -> GaussianFactors:
-    """The factors of a problem's forward curve.
+    """The factors of the forward curve of a problem.
 
     **Raises:** `NoForwardCurve`.
     """

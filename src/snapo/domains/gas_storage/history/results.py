@@ -54,8 +54,9 @@ class StoreBacktest:
       standard error; `deviation`: the standard deviation of one history; `share`: the share of
       histories that earn less than `realised`.
     - `rolling`: the result of rolling intrinsic on the same curves; None without curves.
-    - `marks`: the marks of every solution. `mark_deviation`: the standard deviation of the change
-      of the marked position from one solution to the next, NaN for fewer than two changes.
+    - `marks`: for every solution, the position marked to the curve of its date. `mark_deviation`:
+      the standard deviation of the change of the marked position from one solution to the next, NaN
+      for fewer than two changes.
     - `estimates`: the estimates of the model, on their dates; `hedges`: the result with each hedge;
       `hedge_days`, `positions`: the results and the positions of the hedges by day.
     """

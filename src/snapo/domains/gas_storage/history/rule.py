@@ -151,8 +151,8 @@ def decided(
 ) -> DayResult:
     """The decisions on day `t` of the rule, at inventories and spot prices [N]; this day is the day
     `day` of the `ledger`. `before` [N, F]: the factors of the day before. `curve` [T + 1 - t]: the
-    curve of the day, which determines the factors if there are several; for a single path only. The
-    cash flow is from the exact simulator of `ledger`, with its discount factors.
+    curve of the day, which determines the factors if there are several; it is used for a single
+    path only. The cash flow is from the exact simulator of `ledger`, with its discount factors.
     """
     gain, prior = None, before
     if rule.filter is not None:

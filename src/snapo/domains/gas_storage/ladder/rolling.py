@@ -2,9 +2,9 @@
 
 On every path the best plan for the store (or swing) is computed at the forward curve of the day, in
 the products that can be traded on that day, and the difference from the positions is traded at
-once. Each unit traded costs half the spread between bid and offer, even if a position is closed.
-The flow of the day is delivered, and on the next day the plan is made again. Source: J. Gray, P.
-Khandelwal, "Towards a realistic gas storage model", Commodities Now 7 (2004).
+once. Each unit traded costs half the spread between bid and offer, including trades that close a
+position. The flow of the day is delivered, and on the next day the plan is made again. Source: J.
+Gray, P. Khandelwal, "Towards a realistic gas storage model", Commodities Now 7 (2004).
 """
 
 import math

@@ -91,7 +91,7 @@ class ShiftedTable(FactorTable):
     """`[model]` of kind "one-factor-shifted"."""
 
     kind: Literal["one-factor-shifted"] = doc(
-        "one factor, lognormal price plus shift, so that prices may be negative"
+        "one factor; the price plus a shift is lognormal, so that prices may be negative"
     )
     shift: CaseInput = SHIFT("shift; the spot price is always above minus this number")
 
