@@ -126,8 +126,8 @@ class PolynomialBasis:
     def ahead_of_whitened(
         self, y: np.ndarray, days: np.ndarray, polynomials: np.ndarray | None = None
     ) -> np.ndarray:
-        """[days, n + hinges, paths] the conditional expectations of these functions on the day
-        after each of `days`, none of which is the last date."""
+        """[days, n + hinges, paths] the conditional expectations of the functions of `of_whitened`
+        on the day after each of `days`; none of these days is the last date."""
         after = days + 1
         available = self.polynomials(y) if polynomials is None else polynomials
         now, moves = available * self._alive[days][:, :, None], self._moves[after]

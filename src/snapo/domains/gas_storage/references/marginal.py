@@ -277,7 +277,7 @@ def slope_table(schedule) -> SlopeTable:
 
 def common_volume(steps, divisors: int = DIVISORS) -> float | None:
     """The common divisor of all daily volumes; None if it is too small a part of the smallest
-    volume, or if the volumes depend on the inventory."""
+    volume, if the volumes depend on the inventory, or if gas is lost."""
     volumes = np.concatenate([steps.injection_rate, steps.withdrawal_rate])
     if np.any(np.ptp(volumes, axis=1) > 0) or np.any(np.asarray(steps.inventory_loss) != 0):
         return None
