@@ -1,8 +1,9 @@
 """Levels from which all obligations can be met, and the volumes that lead to such levels.
 
 Each level has an interval at the start of every step, computed backwards from the end: the levels
-from which at least one move leads to the interval of the next step. Levels are treated one by one.
-A contract must therefore not have an obligation on one level that only another level limits.
+from which the interval of the next step can be reached by at least one move. Levels are treated one
+by one. A contract must therefore not have an obligation on one level that only another level
+limits.
 """
 
 import functools

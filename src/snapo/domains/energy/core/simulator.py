@@ -185,7 +185,7 @@ class EnergySimulator(PricedSimulator):
         return StepPrices(spot, self.process.index(constants.price, now.price, state.price))
 
     def open_moves(self, now: Step, state: State, scale: Any) -> Float[Array, " moves"]:
-        """1 for each move that leads to levels from which the contract can be met, otherwise 0."""
+        """1 for each move to levels from which the contract can be met, otherwise 0."""
         if len(self.layout.every_move) == 1 or not self.layout.levels:
             return jnp.ones(len(self.layout.every_move))
         near, result = NEAR * scale, []

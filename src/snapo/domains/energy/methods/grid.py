@@ -37,7 +37,7 @@ class StepGrid(NamedTuple):
     """One step: the passages of each move, and the nodes `before` and `after` the step, with an
     array for each level.
 
-    - `end`: what changes at the end of the step; `ways`: the passages in the form that machine code
+    - `end`: the changes at the end of the step; `ways`: the passages in the form that machine code
       needs, or None.
     """
 

@@ -57,7 +57,7 @@ def joined_levels(layout: ContractLayout) -> list[set[int]]:
 def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
     """The spacing of the levels with which there are at most `nodes` evenly spaced nodes; a
     multiple of the common measure, if there is one. Levels that share flows have the same spacing,
-    so that a flow leads from node to node in all of them; between nodes the value would be
+    so that a flow goes from node to node in all of them; between nodes the value would be
     interpolated. `apart`: the smallest spacing of each level."""
     widths = [1.0] * len(widest)
     for group in joined_levels(layout):

@@ -92,7 +92,7 @@ def _possible(effects, changes, ends, before, after, near: float) -> list[float]
 
 
 def _moved(flow: int, volume: float, change, pinned, before, after, limits, signs, near: float):
-    """The passages of one volume, from nodes that it leads to a node, and from nodes that it leads
+    """The passages of one volume: from nodes that it moves to a node, and from nodes that it moves
     to a point between nodes. If there are `pinned` levels, the latter are used only if they end on
     a node of such a level, since values are linear between nodes. All passages end between the
     `limits` [2][levels] of the move."""

@@ -1,10 +1,11 @@
 """The inventories from which a contract can be met, as one interval of each day.
 
 The intervals are for policies, and differentiable. Backwards from the end, an inventory is feasible
-if a flow leads from it to a feasible inventory. Between ratchet rows every condition is linear in
-the inventory, so that the feasible inventories form an interval there. Neighbouring intervals are
-joined, and the longest is selected. This interval is the complete set if I - withdrawal(I) and I +
-injection(I) do not decrease; with step ratchets it may be only the largest interval of the set.
+if a feasible inventory can be reached from it by a flow. Between ratchet rows every condition is
+linear in the inventory, so that the feasible inventories form an interval there. Neighbouring
+intervals are joined, and the longest is selected. This interval is the complete set if I -
+withdrawal(I) and I + injection(I) do not decrease; with step ratchets it may be only the largest
+interval of the set.
 
 JAX evaluates the formulas in a simulator, NumPy in a check of a case.
 """

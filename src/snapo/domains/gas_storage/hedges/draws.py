@@ -22,7 +22,7 @@ from .exposures import BLOCK, StorePaths
 
 
 class NoForwardCurve(ValueError):
-    """Paths of the model have no forward curve; the message says why."""
+    """Paths of the model have no forward curve; the message has the reason."""
 
 
 class DrawnStore(NamedTuple):

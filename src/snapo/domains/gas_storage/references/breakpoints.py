@@ -1,10 +1,10 @@
 """Inventories at which the value of a store with constant rates can bend: exact nodes.
 
-The best flow of a day is the smallest flow, the largest flow or no flow, or it leads to an
-inventory at which the value after the day bends. If rates do not depend on the inventory and there
-are no losses, the value at the start of the day bends only at inventories from which one of these
-three flows leads to such a bend. Backwards from the end date, every breakpoint is computed in this
-way. Values that are linear between them remain linear for all prices.
+The best flow of a day is the smallest flow, the largest flow or no flow, or it ends at an inventory
+at which the value after the day bends. If rates do not depend on the inventory and there are no
+losses, the value at the start of the day bends only at inventories from which one of these three
+flows ends at such a bend. Backwards from the end date, every breakpoint is computed in this way.
+Values that are linear between them remain linear for all prices.
 """
 
 import numpy as np
