@@ -216,7 +216,11 @@ def run_of(name: str, **tables) -> ValuedRun:
 @pytest.mark.parametrize(
     ("first", "second", "words"),
     [
-        ({"market": {"valuation_date": datetime.date(2025, 1, 4)}}, {}, "name the earlier run first"),
+        (
+            {"market": {"valuation_date": datetime.date(2025, 1, 4)}},
+            {},
+            "name the earlier run first",
+        ),
         ({}, {"contract": {"end": datetime.date(2025, 1, 29)}}, "do not end with those"),
     ],
 )

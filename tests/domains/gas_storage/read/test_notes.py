@@ -21,7 +21,7 @@ NOTES = {
     "an outage after the end": (
         MARKET,
         f'outages = ["2025-01-31/2025-02-03"]\n{MARKET}',
-        ["2025-01-31 to 2025-02-03 lies outside of the contract, 2025-01-01 to 2025-01-31"],
+        ["2025-01-31 to 2025-02-03 is outside of the contract, 2025-01-01 to 2025-01-31"],
     ),
     "two quotes": (
         "2025-01-01,27.03",

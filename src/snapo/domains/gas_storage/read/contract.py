@@ -186,7 +186,8 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
     if before:
         section.notes.append(
             f"{table.fixed_costs}, line {before[0].line}: the amount of {before[0].day('date')} is "
-            f"due before the valuation date, {valuation}{more(len(before) - 1)}, and is ignored."
+            f"due before the valuation date, {valuation}{more(len(before) - 1)}: such amounts are "
+            "ignored."
         )
     labels = [date.isoformat() for date in dates]
     return amount.from_rows("fixed_costs", rows, labels, index=due), when[due]
