@@ -1,4 +1,5 @@
-"""The terms of a contract where they are used: in a simulator, and in a case at known prices.
+"""The terms of a contract in the form in which they are used: in a simulator, and in a case at
+fixed prices.
 
 `NumbersOf` returns the numbers of an input on its days: with `CaseInput.used` for a case, and with
 a `Use` of traced inputs in a simulator. The formulas are the same for both; nothing here uses JAX.

@@ -9,9 +9,9 @@ from snapo.case.csv import Row
 ONE = datetime.timedelta(1)
 FIRST, LAST = 1900, 2199  # years with products
 NAMES = (
-    "a day, 2026-01-15, 'weekend 2026-01-17', a month, 2026-01, a quarter, 2026-Q1, a season, "
-    "'summer 2026' or 'winter 2026', 'gas year 2026', which begins in October, a year, 2026, or "
-    "the first and the last day, 2026-01-15/2026-01-31"
+    "a day (2026-01-15), a weekend ('weekend 2026-01-17'), a month (2026-01), a quarter (2026-Q1), "
+    "a season ('summer 2026' or 'winter 2026'), a gas year from October ('gas year 2026'), a year "
+    "(2026), or a first and a last day (2026-01-15/2026-01-31)"
 )
 
 

@@ -170,7 +170,7 @@ def derivatives_of(run: Path, kind: str) -> dict[str, float]:
             table[name] = row.value
     if not table:
         message = (
-            "the run has no derivative with respect to a plain mean_reversion or volatility; "
+            "the run has no derivative with respect to one mean_reversion or one volatility; "
             "it must be a run of a case with a model that snapo calibrate estimates"
         )
         raise CaseError(str(run), "", None, message)

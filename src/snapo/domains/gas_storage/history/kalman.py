@@ -1,8 +1,9 @@
 """The Kalman filter of a Gaussian price model, one scalar price at a time, in plain JAX.
 
-The prices of a date are conditionally independent, so that each updates the state in turn. Only a
-scalar variance is inverted. A measurement error may therefore be exactly zero, and a missing price
-is skipped. Source: Durbin and Koopman (2012), "Time Series Analysis by State Space Methods", 6.4.
+The prices of a date are conditionally independent, so that the state is updated with one price
+after another. Only a scalar variance is inverted. A measurement error may therefore be exactly
+zero, and a missing price is skipped. Source: Durbin and Koopman (2012), "Time Series Analysis by
+State Space Methods", 6.4.
 """
 
 from typing import NamedTuple

@@ -148,10 +148,12 @@ def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
 
 
 def unknown(model: HistoryModel, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """[P] whether an interval is too wide to be useful. For a positive parameter the upper end is
-    more than ten times the lower end. For a correlation the interval is longer than half of the
-    range from -1 to 1. For a rate not even the sign is certain, and the rate may be above 1 % a
-    year. For a level the interval is more than half a unit of the logarithm in either direction.
+    """[P] whether an interval is too wide to be useful.
+
+    This is so for a positive parameter if the upper end is more than ten times the lower end; for a
+    correlation if the interval is longer than half of the range from -1 to 1; for a rate if not
+    even its sign is certain and it may be above 1 % a year; and for a level if the interval extends
+    more than half a unit of the logarithm in either direction.
     """
     width, unit = (high - low) / 2, model.units()
     table = {

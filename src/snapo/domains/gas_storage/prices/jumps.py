@@ -207,7 +207,7 @@ class OneFactorJumps(PriceProcess):
         return -np.log1p(-np.exp(-threshold)), False
 
     def describe(self) -> str:
-        return "One mean-reverting factor with upward spikes that die out, compensated"
+        return "One mean-reverting factor with upward spikes that die out, around the forward price"
 
 
 class PoissonJumpTable(JumpTable):

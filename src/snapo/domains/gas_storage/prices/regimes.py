@@ -195,7 +195,7 @@ class Regimes(PriceProcess):
         return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, exact=False)
 
     def describe(self) -> str:
-        return "One mean-reverting factor in a market that is calm or tight, compensated"
+        return "One mean-reverting factor in a calm or tight market, around the forward price"
 
 
 def _chain(transition: Float[Array, "2 2"]) -> Any:
