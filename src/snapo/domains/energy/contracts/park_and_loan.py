@@ -98,7 +98,7 @@ class ParkAndLoanContract(EnergyContract):
       fees of a unit parked and of one on loan, by day; each index [T].
     - `turn`: initial and completion fee; `cash_out`: the prices, at the end, of a unit parked and
       of a unit on loan, None if no such balance may be left; index [].
-    - `open` [T, 2]: whether gas may be delivered, and taken, on a day.
+    - `open` [T, 2]: whether gas may be delivered on a day, and whether it may be taken.
     """
 
     limits: tuple[CaseInput, CaseInput]

@@ -1,9 +1,9 @@
 """The five parts of a contract that the core uses: levels, modes, moves, cash and names.
 
-Everything else reads only these: feasible moves, the simulator of one path, the policy, the
-lattice, the fitted value, the bound. A contract is a module of inputs with one method, `terms`, and
-a static `ContractLayout`. It may be in one of a few modes; on each step it makes one of the moves
-that begin in its mode, and each flow of that move has a volume from an interval.
+The feasible moves, the simulator of one path, the policy, the lattice, the fitted value and the
+bound use only these parts. A contract is a module of inputs with one method, `terms`, and a static
+`ContractLayout`. It may be in one of a few modes; on each step it makes one of the moves that begin
+in its mode, and each flow of that move has a volume from an interval.
 
     levels after a step = levels + move.changes + effects[flow] volume
     earnings of a step  = move's money + move's index I + volume (price S + index I + money)

@@ -84,8 +84,8 @@ def row_number(k: int, position: Array, dims: tuple[int, ...]) -> Array:
 
 
 def along(position: Array, effects: tuple[float, ...], first: bool) -> Array:
-    """The row behind which a unit of a flow lies, in the direction of the flow: with `first` the
-    unit that starts at a position, otherwise the last unit before it."""
+    """The row of the table for one unit of a flow: with `first`, for the unit that starts at a
+    position; otherwise for the last unit before the position."""
     ahead = jnp.asarray([1.0 if effect >= 0 else -1.0 for effect in effects])
     touched = jnp.asarray([1.0 if effect else 0.0 for effect in effects])
     directed = position * ahead

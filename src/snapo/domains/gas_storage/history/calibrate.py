@@ -204,7 +204,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
         f"{answer['first']} to {answer['last']}, log-likelihood {answer['log_likelihood']:,.4f}"
     )
     if answer["status"] != "ok":
-        yield "the search did not reach a maximum: the numbers below are those at which it ended"
+        yield "the search did not reach a maximum; the numbers below are its last point"
     yield f"{'parameter':<20}{'estimate':>12}{'error':>12}   95 % interval"
     for row in answer["parameters"]:
         numbers = f"{row['estimate']:>12.5g}{row['standard_error']:>12.3g}"

@@ -316,8 +316,8 @@ def traded(
 
 
 class Rolled(NamedTuple):
-    """[N] the discounted money of each path, and the volume traded, where each day of delivery
-    counts."""
+    """[N] the discounted money of each path, and the volume traded, summed over the days of
+    delivery."""
 
     money: np.ndarray
     traded: np.ndarray

@@ -1,4 +1,4 @@
-"""A spot price and the month-ahead index of its market, which contracts of energy pay.
+"""A spot price, and the month-ahead index of its market, which energy contracts may pay.
 
     I(m) = mean over the days d of month m of F(d, s),   s the last day before the month
 

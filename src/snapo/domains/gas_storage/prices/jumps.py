@@ -90,8 +90,8 @@ class OneFactorJumps(PriceProcess):
     is exponential: P(E > ln(1 / p)) = p, and the excess is exponential again. This size is
     continuous in p, so that pathwise derivatives with respect to the intensity are unbiased.
     Source: the jump sizes are those of Kou (2002), but only upward, added to a mean-reverting
-    price; jump diffusions are from Merton (1976). The state is (f, y). `gap`, `last`: days from
-    valuation to the first and the last price.
+    price; jump diffusions are from Merton (1976). The state is (f, y). `gap`, `last`: the days from
+    the valuation date to the first and to the last price.
     """
 
     kind = "one-factor-jumps"

@@ -92,7 +92,8 @@ class Regimes(PriceProcess):
     has no derivative with respect to the probabilities. The state therefore carries its likelihood
     ratio (`weight`), with which the derivative of the mean is correct. Source: Hamilton (1989), "A
     new approach to the economic analysis of nonstationary time series"; de Jong (2006), "The nature
-    of power spikes". `gap`, `last`: days from valuation to the first and the last price.
+    of power spikes". `gap`, `last`: the days from the valuation date to the first and to the last
+    price.
     """
 
     kind = "regimes"
