@@ -2,8 +2,8 @@
 
 At an auction the flows of all steps up to the next one are scheduled, at forward prices. In each
 step the flows may still differ: the difference is sold at the spot price minus half a spread, or
-bought at the spot price plus it. With s the units sold by the schedule and m those sold by the
-flows,
+bought at the spot price plus half a spread. With s the units sold by the schedule and m those sold
+by the flows,
 
     earnings of a step = s F(auction, step) + (m - s) S - half spread x |m - s| + other money.
 

@@ -176,7 +176,7 @@ class PolynomialBasis:
         """[T + 1] the first date with the same functions, expectations and exponential.
 
         The standard deviation of a factor that reverts fast is soon constant: a year of hours has
-        about a hundred different dates.
+        far fewer different dates than hours.
         """
         dates = len(self._turn)
         after = np.minimum(np.arange(dates) + 1, dates - 1)

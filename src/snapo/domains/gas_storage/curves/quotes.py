@@ -89,8 +89,8 @@ def read_quotes(
     `declaration`: the declaration of a price. A quote that other quotes imply is compared with
     these, and left out.
 
-    **Raises:** `CaseError` if a product is unknown or quoted twice, if quotes of the same
-    days disagree, if a day is in no product, and if more than one curve is as smooth.
+    **Raises:** `CaseError` if a product is unknown or quoted twice, if quotes of the same days
+    disagree, if a day is in no product, and if several curves are equally smooth.
     """
     reference = FileReference(section, "quotes", name)
     from .smooth import Undetermined, prices_of_means  # SciPy: most cases are read without it

@@ -43,7 +43,7 @@ def prices_of_means(
     `factors`: the factors of the days of the week. `flat_end`: whether the slope of a spline at its
     end is zero. The means are independent of one another.
 
-    **Raises:** `Undetermined` if more than one curve is as smooth.
+    **Raises:** `Undetermined` if several curves are equally smooth.
     """
     count = len(factors)
     means: Any = sparse.lil_array((len(periods), count))

@@ -161,8 +161,8 @@ def with_curve(case: StorageCase, prices: np.ndarray) -> StorageCase:
 
 @dataclass(frozen=True)
 class LaterPaths(Pseudo):
-    """The paths of a simulator for an earlier date, for a simulator of a later date: the noise of
-    each day is the same.
+    """The paths of a simulator for an earlier date, continued by a simulator for a later date: the
+    noise of each day is the same.
 
     - `first`: the step of the earlier calendar at which a simulator of the later date begins.
     """

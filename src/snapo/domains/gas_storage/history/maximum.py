@@ -2,10 +2,10 @@
 the maximum.
 
 `maximise` searches from one start in plain JAX, so that many histories can be fitted together with
-`jax.vmap`; `fit` takes the best of several starts for one. The Hessian is exact. Away from the
-maximum the absolute values of its eigenvalues are used, so that each step increases the likelihood
-(Nocedal and Wright (2006), "Numerical Optimization", section 3.4). A step that does not increase it
-is halved.
+`jax.vmap`; `fit` takes the best result of several starts for one history. The Hessian is exact.
+Away from the maximum the absolute values of its eigenvalues are used, so that each step increases
+the likelihood (Nocedal and Wright (2006), "Numerical Optimization", section 3.4). A step that does
+not increase it is halved.
 """
 
 from collections.abc import Callable
