@@ -41,7 +41,7 @@ NOTES = {
     "a round trip that pays": (
         COST,
         "injection_cost = -0.2",
-        ["earns money at any prices", "sum to -0.15"],
+        ["earns money at any prices", "withdrawal_cost is -0.15"],
     ),
 }
 
