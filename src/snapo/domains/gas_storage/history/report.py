@@ -124,7 +124,7 @@ def _marks(result: StoreBacktest, case: StorageCase, digits: int) -> list[Mark]:
     better."""
     probable = TAIL <= result.share <= 1 - TAIL
     where = "within" if probable else "outside"
-    marks = [Mark(probable, f"result {where} the range of 95 % of simulated histories")]
+    marks = [Mark(probable, f"{where} the range of 95 % of simulated histories")]
     if result.rolling is not None and result.rolling > result.realised:
         more = money(result.rolling - result.realised, case.currency, digits)
         marks.append(Mark(False, f"rolling intrinsic earned {more} more"))
