@@ -231,7 +231,9 @@ def test_a_run_that_cannot_follow(first, second, words):
 
 def test_a_run_of_another_kind(tmp_path, monkeypatch):
     monkeypatch.setattr(runs.run_folder, "read", lambda folder: {"kind": "pension"})
-    with pytest.raises(CaseError, match='explained: "battery", "gas-storage", "park-and-loan", "pl'):
+    with pytest.raises(
+        CaseError, match='explained: "battery", "gas-storage", "park-and-loan", "pl'
+    ):
         ValuedRun.read(tmp_path)
 
 
